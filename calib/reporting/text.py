@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby, zip_longest
 from typing import Final
 
 from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
@@ -60,37 +61,29 @@ def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Li
 
 
 def _lines(block: Block, width: int) -> list[Line]:
-    if isinstance(block, Heading):
-        return [Line(plain(block.text), "heading")]
-    if isinstance(block, Text):
-        return _wrapped(block.text, width, style="dim" if block.small else "")
-    if isinstance(block, Facts):
-        return _facts(block.rows, width)
-    if isinstance(block, Items):
-        return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", rest="  ")]
-    if isinstance(block, Equation):
-        return [Line(f"    {EQUATIONS[block.name]}")]
-    if isinstance(block, Notice):
-        words = f"{block.title}: {block.text}" if block.text else f"{block.title}."
-        return _wrapped(words, width, style=block.level)
-    if isinstance(block, Table):
-        caption = [Line(text, "caption") for text in _words(plain(block.caption), width)]
-        body = table_lines(block, width, plain)
-        ruled = (Line(text, "dim" if set(text.strip()) <= {"─", " "} else "") for text in body)
-        return [*caption, *ruled, Line("")]
+    match block:
+        case Heading():
+            return [Line(plain(block.text), "heading")]
+        case Text():
+            return _wrapped(block.text, width, style="dim" if block.small else "")
+        case Facts():
+            return _facts(block.rows, width)
+        case Items():
+            return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", rest="  ")]
+        case Equation():
+            return [Line(f"    {EQUATIONS[block.name]}")]
+        case Notice():
+            words = f"{block.title}: {block.text}" if block.text else f"{block.title}."
+            return _wrapped(words, width, style=block.level)
+        case Table():
+            return [*_wrapped(block.caption, width, style="caption"), *table_lines(block, width), Line("")]
     assert isinstance(block, Picture)
     return []
 
 
-def _words(text: str, width: int, lead: str = "", rest: str = "") -> list[str]:
-    return textwrap.wrap(
-        text, width, initial_indent=lead, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
-    )
-
-
 def _wrapped(text: str, width: int, *, lead: str = "", rest: str = "", style: str = "") -> list[Line]:
-    lines = _words(plain(text), width, lead, rest)
-    return [Line(line, style) for line in lines]
+    wrap = textwrap.TextWrapper(width, lead, rest, break_long_words=False, break_on_hyphens=False)
+    return [Line(line, style) for line in wrap.wrap(plain(text))]
 
 
 def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
@@ -119,12 +112,11 @@ class _Fitted:
     least: int
 
 
-def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[str]:
-    """Return header, rule and rows of a table.
+def table_lines(table: Table, width: int) -> list[Line]:
+    """Return header, rule and rows of a table, without columns of detail.
 
-    `table`: columns of detail are omitted. `width`: columns of the terminal. Where the table is wider, its columns are
-    dealt out to several tables below each other, the first column in each. `plain`: makes a cell's text one that
-    terminals show.
+    Where the table is wider than `width` its columns are dealt out to several tables below each other, the first
+    column in each.
     """
     fitted = [
         _fit(column, [plain(row[number]) for row in table.rows])
@@ -133,10 +125,8 @@ def table_lines(table: Table, width: int, plain: Callable[[str], str]) -> list[s
     ]
     lines: list[str] = []
     for part in _parts(_with_room_for_groups(fitted), width):
-        if lines:
-            lines.append("")
-        lines += _drawn(part, _widths(part, width))
-    return lines
+        lines += ["", *_drawn(part, _widths(part, width))]
+    return [Line(text, "dim" if set(text.strip()) <= {"─", " "} else "") for text in lines[1:]]
 
 
 def columns_of(text: str) -> int:
@@ -200,47 +190,40 @@ def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
         textwrap.wrap(column.head.title, width, break_long_words=False)
         for column, width in zip(part, widths, strict=True)
     ]
-    height = max(len(head) for head in heads)
-    lines = []
-    if any(groups):
-        lines += _group_lines(groups, widths)
-    for number in range(height):
-        words = [head[number - height + len(head)] if number >= height - len(head) else "" for head in heads]
-        lines.append(_row(words, part, widths))
+    height = max(map(len, heads))
+    rows = list(zip(*([""] * (height - len(head)) + head for head in heads), strict=True))
     if any(column.head.unit for column in part):
-        lines.append(_row([column.head.unit for column in part], part, widths))
+        rows.append(tuple(column.head.unit for column in part))
+    lines = _group_lines(groups, widths) if any(groups) else []
+    lines += [_row(words, part, widths) for words in rows]
     lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))
     for cells in zip(*(column.cells for column in part), strict=True):
-        wrapped = [
+        wrapped = (
             textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
             if columns_of(cell) > width
             else [cell]
             for cell, width in zip(cells, widths, strict=True)
-        ]
-        for number in range(max(map(len, wrapped))):
-            words = [lines_of[number] if number < len(lines_of) else "" for lines_of in wrapped]
-            lines.append(_row(words, part, widths))
+        )
+        lines += [_row(words, part, widths) for words in zip_longest(*wrapped, fillvalue="")]
     return lines
 
 
 def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
-    titles, rules, number = "", "", 0
-    while number < len(groups):
-        last = number
-        while groups[number] and last + 1 < len(groups) and groups[last + 1] == groups[number]:
-            last += 1
-        room = sum(widths[number : last + 1]) + GAP * (last - number)
-        titles += f"{groups[number][:room]:^{room}}" + " " * GAP
-        rules += ("─" if groups[number] else " ") * room + " " * GAP
-        number = last + 1
+    titles, rules = "", ""
+    columns = zip(groups, widths, strict=True)
+    for title, members in groupby(columns, key=lambda column: column[0]):
+        taken = [width for _, width in members]
+        room = sum(taken) + GAP * (len(taken) - 1)
+        titles += f"{title[:room]:^{room}}" + " " * GAP
+        rules += ("─" if title else " ") * room + " " * GAP
     return [titles.rstrip(), rules.rstrip()]
 
 
 def _row(words: Sequence[str], part: Sequence[_Fitted], widths: Sequence[int]) -> str:
     cells = []
     for word, column, width in zip(words, part, widths, strict=True):
-        blank = " " * max(0, width - columns_of(word))
-        half = len(blank) // 2
-        pieces = {"left": (word, blank), "right": (blank, word), "center": (blank[:half], word, blank[half:])}
-        cells.append("".join(pieces[column.head.align]))
+        # str.center would count a sign of two columns as one
+        blank = max(0, width - columns_of(word))
+        before = {"left": 0, "right": blank, "center": blank // 2}[column.head.align]
+        cells.append(" " * before + word + " " * (blank - before))
     return (" " * GAP).join(cells).rstrip()

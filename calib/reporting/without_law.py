@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -53,14 +53,16 @@ def report_without_law(
     diagnosis : Diagnosis, optional
         Has a section of its own and is attached.
     """
-    estimated = {} if geometry is None else {"geometry": geometry.to_dict()}
-    verdict = None if diagnosis is None else verdict_document(diagnosis)
-    content = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__}
+    kind, title = "CR", "Gap between measured and simulated motion"
+    content: dict[str, Any] = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__}
+    if geometry is not None:
+        kind, title = "GR", "Geometry of a vehicle: radii, track and sensor"
+        content["geometry"] = geometry.to_dict()
+    content["gap"] = None if diagnosis is None else verdict_document(diagnosis)
     stated = stated_of(campaign)
-    found = [] if geometry is None else _sections(geometry)
     reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
     sections = (
-        *found,
+        *([] if geometry is None else _sections(geometry)),
         *([] if diagnosis is None else [_diagnosed(diagnosis)]),
         reason,
         preparation_of(ingest_notes(campaign)),
@@ -68,10 +70,8 @@ def report_without_law(
         missing_of(stated),
     )
     return Report(
-        report_id=number_of("CR" if geometry is None else "GR", content | estimated | {"gap": verdict}),
-        title="Gap between measured and simulated motion"
-        if geometry is None
-        else "Geometry of a vehicle: radii, track and sensor",
+        report_id=number_of(kind, content),
+        title=title,
         name=campaign.name,
         issued=issued,
         simulated=campaign.simulated,

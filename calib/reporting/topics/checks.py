@@ -60,25 +60,17 @@ def _statistics(checks: list[Check]) -> str:
 
 def usable_notice(fit: Fit) -> Notice:
     """Return whether the law can be used, and what its user has to know."""
-    failed = [
-        f"{name} wheel, {check.name.replace('_', ' ')}"
-        for name, wheel in fit.wheels.items()
-        for check in wheel.checks
-        if not check.passed
-    ]
+    checks = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks]
+    failed = [f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in checks if not check.passed]
     if fit.implausible and fit.accepted:
-        return Notice(
-            "bad",
-            "Implausible, and accepted by the user",
-            f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(prose(text) for text in fit.implausible)}",
-        )
+        findings = f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(map(prose, fit.implausible))}"
+        return Notice("bad", "Implausible, and accepted by the user", findings)
     if failed:
         title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
         return Notice("bad", title, f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.")
-    remarks = [check for wheel in fit.wheels.values() for check in wheel.checks if check.level == "note"]
+    remarks = list(dict.fromkeys(prose(check.sentence) for _, check in checks if check.level == "note"))
     if remarks:
-        sentences = tuple(dict.fromkeys(prose(check.sentence) for check in remarks))
-        return Notice("note", "The law can be used; its user has to know this", " ".join(sentences[:MAX_REMARKS]))
+        return Notice("note", "The law can be used; its user has to know this", " ".join(remarks[:MAX_REMARKS]))
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 
@@ -92,27 +84,21 @@ def decision_section(source: Source) -> Section:
     """Return by which rule the checks were judged, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
-    return Section(
-        "Decision rule",
-        (
-            Items(
-                (
-                    f"A check with a probability p below {NOTE_BELOW:g} is given as a remark: the result stands, but "
-                    "its user has to know.",
-                    f"A check on which the validity of the law rests has failed where p is below {FAIL_BELOW:g}; the "
-                    "law should then not be used as it is. One failed check on one wheel is enough.",
-                    f"With the {tests} tests made here, all assumptions being true, the probability of any remark is "
-                    f"about {false_alarm:.0f} %, and that of any failure at most {100 * tests * FAIL_BELOW:.2g} %.",
-                    "Intervals are two-sided with a coverage of 95 %; uncertainties are rounded to two significant "
-                    "digits, values to the same place.",
-                )
-            ),
-            Text(
-                "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is "
-                "made. Where one is made from these results, the expanded uncertainty has to be taken into account."
-            ),
-        ),
+    rules = (
+        f"A check with a probability p below {NOTE_BELOW:g} is given as a remark: the result stands, but its user has "
+        "to know.",
+        f"A check on which the validity of the law rests has failed where p is below {FAIL_BELOW:g}; the law should "
+        "then not be used as it is. One failed check on one wheel is enough.",
+        f"With the {tests} tests made here, all assumptions being true, the probability of any remark is about "
+        f"{false_alarm:.0f} %, and that of any failure at most {100 * tests * FAIL_BELOW:.2g} %.",
+        "Intervals are two-sided with a coverage of 95 %; uncertainties are rounded to two significant digits, values "
+        "to the same place.",
     )
+    conformity = (
+        "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is made. Where "
+        "one is made from these results, the expanded uncertainty has to be taken into account."
+    )
+    return Section("Decision rule", (Items(rules), Text(conformity)))
 
 
 def residuals_picture(fit: Fit) -> Picture:

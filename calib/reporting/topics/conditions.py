@@ -189,7 +189,7 @@ def _counted_wheels(source: Source) -> str:
 def limits_section(source: Source) -> Section:
     """Return the limits of the result."""
     fit = source.fit
-    lines = ["The results relate only to the vehicle and wheels named above, in the condition as they were driven."]
+    lines = ["The results relate only to the vehicle and wheels named above, in their condition during these runs."]
     for name, wheel in fit.wheels.items():
         low, high = wheel.law.load_min_N, wheel.law.load_max_N
         limit = "only one load was measured; how the radius changes with load is not known."

@@ -51,13 +51,18 @@ def where_blocks(where: GapLocation) -> list[Block]:
 
 
 def _channels(where: GapLocation) -> Table:
-    rows = []
-    for gap in where.channels:
-        factor, unit = readable(gap.channel.unit, gap.rms)
-        cells = (three_digits(factor * value) for value in (gap.rms, gap.floor))
-        rows.append((gap.channel.label, unit, *cells, fixed(gap.ratio, 1)))
+    rows = [
+        (gap.channel.label, *_sizes(gap.channel.unit, gap.rms, gap.floor), fixed(gap.ratio, 1))
+        for gap in where.channels
+    ]
     caption = "Where: the gap by channel, root mean square, against its noise level."
     return table(caption, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
+
+
+def _sizes(unit: str, *sizes: float) -> tuple[str, ...]:
+    """Return a readable unit, and sizes (SI) in it to three digits; the unit is chosen by the first."""
+    factor, shown = readable(unit, sizes[0])
+    return (shown, *(three_digits(factor * size) for size in sizes))
 
 
 def _covariates(where: GapLocation) -> Table:
@@ -75,11 +80,11 @@ def _covariates(where: GapLocation) -> Table:
 
 def _run(run: str, lines: Sequence[RunDeviation]) -> str:
     """Return a run with all channels in which it stands out."""
-    parts = []
-    for line in lines:
-        milli = 1e3 * line.value
-        shown = ("+" if milli >= 0 else "−") + three_digits(abs(milli))
-        parts.append(f"{line.channel.label} {shown} m{line.channel.unit} ({abs(line.z):.0f} times its noise level)")
+    parts = (
+        f"{line.channel.label} {'+' * (line.value >= 0)}{three_digits(1e3 * line.value)} m{line.channel.unit} "
+        f"({abs(line.z):.0f} times its noise level)"
+        for line in lines
+    )
     return f"{run}: {', '.join(parts)}"
 
 
@@ -121,21 +126,20 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
 def _on_which_runs(closure: Closure) -> str:
     if closure.held_out == RERUN:
         return "on all runs; root mean square with the simulator as it is, run again with the fix"
-    in_turn = f"on held-out runs, each {closure.held_out} in turn"
-    return f"{in_turn}; root mean square with the model alone, with the causes added"
+    return (
+        f"on held-out runs, each {closure.held_out} in turn; root mean square with the model alone and with the causes"
+    )
 
 
 def _by_channel(verdict: Diagnosis) -> Table:
     closure = verdict.closure
     rows = []
     for line in closure.channels:
-        factor, unit = readable(line.channel.unit, line.before_rms)
-        sizes = (three_digits(factor * value) for value in (line.before_rms, line.after_rms, line.floor_rms))
-        rows.append((line.channel.label, unit, *sizes, percent(line.fraction)))
+        sizes = _sizes(line.channel.unit, line.before_rms, line.after_rms, line.floor_rms)
+        rows.append((line.channel.label, *sizes, percent(line.fraction)))
     if closure.before_rms_m is not None and any(line.channel in POSE for line in closure.channels):
-        factor, unit = readable("m", closure.before_rms_m)
-        ends = (closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
-        rows.append(("end position", unit, *(three_digits(factor * value) for value in ends), MISSING))
+        ends = _sizes("m", closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
+        rows.append(("end position", *ends, MISSING))
     return table(
         f"How far: the gap by channel {_on_which_runs(closure)}, and of the noise. Closed: share of error variance "
         "above noise removed.",
@@ -149,10 +153,8 @@ def _sentence(verdict: Diagnosis) -> str:
     if closure.fraction is None:
         return ""
     text = f"Each run and channel weighted by its noise, {percent(closure.fraction)} of the gap above the noise closes"
-    if closure.ci95 is None:
-        return f"{text}."
-    low, high = closure.ci95
-    return f"{text} (95 % interval {percent(low)} to {percent(high)})."
+    interval = "" if closure.ci95 is None else f" (95 % interval {' to '.join(map(percent, closure.ci95))})"
+    return f"{text}{interval}."
 
 
 def _transfer(verdict: Diagnosis) -> Table:
@@ -245,18 +247,14 @@ def limit_blocks(verdict: Diagnosis) -> list[Block]:
     return blocks
 
 
-def _interval(quantity: Quantity) -> tuple[str, str, str]:
+def _interval(quantity: Quantity) -> tuple[str, ...]:
     """Return value and interval to the place that two digits of its half width have."""
     low, high = quantity.ci95
     value = quantity.value
-    if not math.isfinite(value):
-        return MISSING, MISSING, MISSING
-    known = math.isfinite(low) and math.isfinite(high)
-    half = 0.5 * (high - low) if known else abs(value)
-    if 0 < max(abs(value), half) < 1e-3:
-        return _scientific(value), _scientific(low), _scientific(high)
-    decimals = places(half)
-    return fixed(value, decimals), fixed(low, decimals), fixed(high, decimals)
+    numbers = (value, low, high) if math.isfinite(value) else (math.nan,) * 3
+    half = 0.5 * (high - low) if math.isfinite(high - low) else abs(value)
+    small = 0 < max(abs(value), half) < 1e-3
+    return tuple(_scientific(number) if small else fixed(number, places(half)) for number in numbers)
 
 
 def _scientific(value: float) -> str:
