@@ -13,27 +13,19 @@ from calib.reporting.formatting import aligned, fixed, prose, two_digits
 if TYPE_CHECKING:
     from calib.reporting.source import Source
 
-_NAMES: Final = {"other_run_to_run": "other, run to run"}
+_NAMES: Final = {"other run to run": "other, run to run"}
 
 
 def radius_budget(fit: Fit) -> Table:
     """Return the contributions to the standard uncertainty of a single effective radius."""
-    parts = fit.radii.budget
-    rows: list[tuple[str, ...]] = [
-        (
-            _NAMES.get(part.name, part.name.replace("_", " ")),
-            prose(part.what),
-            part.kind,
-            part.distribution,
-            "∞" if part.dof is None else fixed(part.dof, 1),
-            two_digits(1e6 * part.std_left_m),
-            two_digits(1e6 * part.std_right_m),
-        )
-        for part in parts
-    ]
-    sides = ([part.std_left_m for part in parts], [part.std_right_m for part in parts])
-    total = [float(np.sqrt(sum(value**2 for value in side))) for side in sides]
-    rows.append(("combined", "one run in a session of its own", "", "", "", *(two_digits(1e6 * u) for u in total)))
+    rows: list[tuple[str, ...]] = []
+    for part in fit.radii.budget:
+        name, dof = part.name.replace("_", " "), "∞" if part.dof is None else fixed(part.dof, 1)
+        sizes = (two_digits(1e6 * std_m) for std_m in (part.std_left_m, part.std_right_m))
+        rows.append((_NAMES.get(name, name), prose(part.what), part.kind, part.distribution, dof, *sizes))
+    total = np.linalg.norm([(part.std_left_m, part.std_right_m) for part in fit.radii.budget], axis=0)
+    combined = (two_digits(1e6 * float(std_m)) for std_m in total)
+    rows.append(("combined", "one run in a session of its own", "", "", "", *combined))
     return table(
         "Uncertainty budget of a single effective radius, for a typical run: contributions to its standard uncertainty "
         "u (k = 1). Type A is evaluated from repeats, type B from other knowledge (GUM).",
@@ -54,9 +46,13 @@ def budget_picture(fit: Fit) -> Picture:
     )
 
 
+def _has_systematic(fit: Fit) -> bool:
+    return any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
+
+
 def declared_text(fit: Fit) -> Text:
     """Say which systematic parts are declared, or that none is and what that means for U."""
-    if any(len(wheel.estimate.systematic) for wheel in fit.wheels.values()):
+    if _has_systematic(fit):
         return Text(
             "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
             "enter every U and every band, and more runs do not make them smaller."
@@ -70,18 +66,15 @@ def declared_text(fit: Fit) -> Text:
 
 def law_budget(fit: Fit) -> Table:
     """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
-    systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
+    systematic = _has_systematic(fit)
     rows = []
     for name, wheel in fit.wheels.items():
         parts = [wheel.estimate.cov_within, wheel.estimate.cov_between]
         parts += [wheel.estimate.cov_systematic] if systematic else []
-        kinds = [(0, "radius at F₀", "µm", 1e6)]
+        std = np.sqrt(np.maximum([np.diag(part) for part in (*parts, wheel.estimate.covariance)], 0.0))
+        rows.append((name, "radius at F₀", "µm", *(two_digits(1e6 * float(value)) for value in std[:, 0])))
         if wheel.model == "line":
-            kinds.append((1, "slope", "nm/N", 1e9))
-        for number, (index, title, unit, scale) in enumerate(kinds):
-            values = [float(part[index, index]) for part in (*parts, wheel.estimate.covariance)]
-            cells = (two_digits(scale * float(np.sqrt(max(value, 0.0)))) for value in values)
-            rows.append(("" if number else name, title, unit, *cells))
+            rows.append(("", "slope", "nm/N", *(two_digits(1e9 * float(value)) for value in std[:, 1])))
     return table(
         "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
         + (" Systematic parts do not become smaller with more runs." if systematic else ""),

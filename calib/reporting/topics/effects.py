@@ -52,19 +52,17 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
 def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     """Return one effect in full: description, sizes, and its signature by kind of run."""
     effect = entry.effect
-    facts = [
-        ("From", entry.origin),
-        ("Family", f"{effect.family}: {effect.family.words}"),
-        ("Needs", effect.needs),
-        ("Separated from others by", effect.separates),
-        ("Beyond plausible, suspect", effect.implausible),
-        ("Shifts", ", ".join(effect.shifts)),
-    ]
-    blocks: list[Block] = [
-        Heading(f"{effect.id}: {effect.title}"),
-        Text(_doc(entry)),
-        Facts(tuple((name, value) for name, value in facts if value)),
-    ]
+    facts = {
+        "From": entry.origin,
+        "Family": f"{effect.family}: {effect.family.words}",
+        "Needs": effect.needs,
+        "Separated from others by": effect.separates,
+        "Beyond plausible, suspect": effect.implausible,
+        "Shifts": ", ".join(effect.shifts),
+    }
+    known = Facts(tuple((name, value) for name, value in facts.items() if value))
+    doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
+    blocks: list[Block] = [Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
     if entry.signature is None:
         return (*blocks, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
@@ -109,11 +107,6 @@ def _why_no_form(entry: Entry) -> str:
     if entry.effect.found_before_search:
         return "found by trial, before the search"
     return f"needs {entry.effect.needs}" if entry.effect.needs else "shows on other runs only"
-
-
-def _doc(entry: Entry) -> str:
-    text = (type(entry.effect).__doc__ or "").strip().split("\n\n")[0]
-    return " ".join(text.split())
 
 
 #: effects named in one cell
