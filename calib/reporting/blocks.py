@@ -149,7 +149,21 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, 
 
 
 def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
-    """Return a picture that ``module.function`` of `calib.reporting.figures` draws: imported only where it is drawn."""
+    """Return a picture that a function of `calib.reporting.figures` draws, which is imported only then.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure and of its file.
+    caption : str
+        What stands below it.
+    alt : str
+        What it shows, in words.
+    figure : str
+        ``module.function`` that draws it.
+    *values, **options
+        Arguments of that function.
+    """
     return Picture(name, caption, alt, partial(drawn, figure, *values, **options))
 
 
