@@ -6,14 +6,14 @@ Campaigns of many samples are worked through in parts: what is kept is per obser
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
-from calib.gap.steps import LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
+from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
 from calib.types import BoolArray, FloatArray
 
 #: a run whose wheels turn by less than this in all, to and fro, was guided
@@ -53,47 +53,13 @@ class Path:
             return
         for units in self.s.spans:
             part, perturbation = self.s.part(units), self.perturbation.part(units, self.s)
-            yield (
-                units,
-                Path(
-                    part,
-                    perturbation,
-                    self.end[units],
-                    self.reading[units],
-                    self.line_m[units],
-                    steps_of(part, perturbation),
-                ),
-            )
-
-    @property
-    def mid_rad(self) -> FloatArray:
-        """Heading at the middle of each step, shape (n_steps,)."""
-        return self.steps.mid_rad
-
-    @property
-    def x_m(self) -> FloatArray:
-        """Position at the middle of each step, shape (n_steps,)."""
-        return self.steps.x_m
-
-    @property
-    def y_m(self) -> FloatArray:
-        """Position at the middle of each step, shape (n_steps,)."""
-        return self.steps.y_m
-
-    @property
-    def ds_m(self) -> FloatArray:
-        """Motion of the axle's middle along, shape (n_steps,)."""
-        return self.steps.ds_m
-
-    @property
-    def turn_rad(self) -> FloatArray:
-        """Turn of each step, shape (n_steps,)."""
-        return self.steps.turn_rad
+            own = (self.end[units], self.reading[units], self.line_m[units])
+            yield units, Path(part, perturbation, *own, steps_of(part, perturbation))
 
     @cached_property
     def way_m(self) -> FloatArray:
         """Way along of each observation, signed, shape (n_obs,)."""
-        return self.of_parts(lambda part: part.s.total(part.ds_m))
+        return self.of_parts(lambda part: part.s.total(part.steps.ds_m))
 
     @cached_property
     def rolling_radii_m(self) -> FloatArray:
@@ -111,6 +77,12 @@ class Path:
     def of_parts(self, what: Callable[[Path], FloatArray]) -> FloatArray:
         """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""
         return np.concatenate([what(part) for _, part in self._integrated()])
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """What a perfect laser reads, without any perturbation of the readings, shape (n_obs,)."""
+        x, y = self.end[:, 0], self.end[:, 1]
+        return np.where(self.s.axis == 1, x, np.where(self.s.axis == 2, np.hypot(x, y), np.abs(self.line_m)))
 
     @cached_property
     def frame(self) -> FloatArray:
@@ -168,10 +140,7 @@ def _calibration(path: Path) -> FloatArray:
     front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
     by_front[:, Channel.FRONT] = -s.total(front * s.steer_cos)
     by_front[:, Channel.STEERING] = -s.total(front * s.steer_sin) / s.vehicle.wheelbase_m
-    wheels = (
-        _along_path(path, perturbation)
-        for perturbation in (Perturbation(left=ones), Perturbation(right=ones), Perturbation(track=ones))
-    )
+    wheels = [_along_path(path, Perturbation(**{name: ones})) for name in ("left", "right", "track")]
     return np.stack([*wheels, by_front], axis=2)
 
 
@@ -202,9 +171,7 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
     reading = np.zeros((len(s), N_CHANNELS))
     path = Path(s, perturbation, end, reading, line_m, steps)
     reading[:, [*POSE, Channel.HEADING]] = end
-    reading[:, Channel.DISTANCE] = np.where(
-        s.axis == 1, end[:, 0], np.where(s.axis == 2, np.hypot(end[:, 0], end[:, 1]), np.abs(line_m))
-    )
+    reading[:, Channel.DISTANCE] = path.distance_m
     if s.usable[:, Channel.FRONT :].any():
         wheelbase = s.vehicle.wheelbase_m
         front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
@@ -213,7 +180,10 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
         reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
     _between_arcs(reading, perturbation, steps)
     if perturbation.reading is not None:
-        reading += _in_start_frame(path, perturbation.reading)
+        # along and lateral stand in the frame of the end
+        change = perturbation.reading.copy()
+        _turn(change, path.frame)
+        reading += change
     if perturbation.turned_rad is not None:
         _turn(reading, perturbation.turned_rad)
     return path
@@ -248,17 +218,9 @@ def _end_arc(perturbation: Perturbation, steps: Steps) -> tuple[FloatArray, Floa
 
 def _turn(readings: FloatArray, angle_rad: FloatArray) -> None:
     """Turn along and lateral (n_obs, n_channels) by an angle (n_obs,), in place."""
-    turned = (readings[:, Channel.ALONG] + 1j * readings[:, Channel.LATERAL]) * np.exp(1j * angle_rad)
-    readings[:, Channel.ALONG], readings[:, Channel.LATERAL] = turned.real, turned.imag
-
-
-def _in_start_frame(path: Path, reading: FloatArray) -> FloatArray:
-    """Turn the along and lateral columns (n_obs, n_channels) from the end frame into the start frame."""
-    turned = reading.copy()
-    c, s = np.cos(path.frame), np.sin(path.frame)
-    turned[:, Channel.ALONG] = c * reading[:, Channel.ALONG] - s * reading[:, Channel.LATERAL]
-    turned[:, Channel.LATERAL] = s * reading[:, Channel.ALONG] + c * reading[:, Channel.LATERAL]
-    return turned
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = readings[:, Channel.ALONG].copy(), readings[:, Channel.LATERAL].copy()
+    readings[:, Channel.ALONG], readings[:, Channel.LATERAL] = c * x - s * y, s * x + c * y
 
 
 def signature(path: Path, perturbation: Perturbation) -> FloatArray:
@@ -270,23 +232,13 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
     s = path.s
     n_units, n_steps = len(s), len(s.unit)
     change = np.zeros((n_units, N_CHANNELS))
-    wheels: dict[str, FloatArray] = {}
-    for number, (name, part) in enumerate(
-        (("left", perturbation.left), ("right", perturbation.right), ("track", perturbation.track))
-    ):
-        if part is None:
-            continue
-        if len(part) == n_units and n_units != n_steps:
+    stepwise = replace(perturbation, **dict.fromkeys(AT_ENDS))
+    for number, name in enumerate(("left", "right", "track")):
+        part: FloatArray | None = getattr(perturbation, name)
+        if part is not None and len(part) == n_units and n_units != n_steps:
             change += path.calibration[:, :, number] * part[:, None]
-        else:
-            wheels[name] = part
-    if wheels or not perturbation.of_units_only:
-        stepwise = Perturbation(
-            **wheels,
-            heading_rad=perturbation.heading_rad,
-            along_m=perturbation.along_m,
-            lateral_m=perturbation.lateral_m,
-        )
+            stepwise = replace(stepwise, **{name: None})
+    if any(part is not None for part in stepwise.parts()):
         for units, of_units in path.parts():
             change[units] += _along_path(of_units, stepwise if path.kept is not None else stepwise.part(units, s))
     if perturbation.reading is not None:
@@ -366,9 +318,6 @@ def residuals(path: Path, nominal: Path) -> FloatArray:
     change is added to it.
     """
     s = path.s
-    predicted = np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
-    gap = s.measured - predicted
-    c, sn = np.cos(path.frame), np.sin(path.frame)
-    x, y = gap[:, Channel.ALONG].copy(), gap[:, Channel.LATERAL].copy()
-    gap[:, Channel.ALONG], gap[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    gap = s.measured - np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
+    _turn(gap, -path.frame)
     return np.where(s.usable, np.nan_to_num(gap), 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Final
 
@@ -52,9 +52,7 @@ class Perturbation:
 
     def parts(self) -> tuple[FloatArray | None, ...]:
         """Return the fields in order."""
-        wheels = (self.left, self.right, self.track)
-        of_steps = (self.heading_rad, self.along_m, self.lateral_m)
-        return (*wheels, *of_steps, self.reading, self.turned_rad, self.end_arc, self.start_arc, self.delay_s)
+        return tuple(getattr(self, field.name) for field in fields(self))
 
     def part(self, units: slice, s: Observations) -> Perturbation:
         """Return the perturbation of some observations alone, from one of all observations of `s`."""
@@ -69,29 +67,24 @@ class Perturbation:
             parts[1] = parts[0]
         return Perturbation(*parts)
 
-    @property
-    def of_units_only(self) -> bool:
-        """Whether no field varies within an observation; decided by the caller's shapes in `signature`."""
-        return self.heading_rad is None and self.along_m is None and self.lateral_m is None
+
+#: fields that change the readings at the ends alone
+AT_ENDS: Final = ("reading", "turned_rad", "end_arc", "start_arc", "delay_s")
 
 
 def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Perturbation:
     """Add perturbations up; arrays per observation are spread over the steps where another varies with the step."""
-    summed: list[FloatArray | None] = [None] * len(Perturbation().parts())
     n_steps = len(s.unit)
+
+    def added(have: FloatArray | None, part: FloatArray | None) -> FloatArray | None:
+        if have is None or part is None or len(have) == len(part):
+            return part if have is None else have if part is None else have + part
+        wide_have, wide_part = (each if len(each) == n_steps else each[s.unit] for each in (have, part))
+        return wide_have + wide_part
+
+    summed = Perturbation().parts()
     for perturbation in perturbations:
-        for number, part in enumerate(perturbation.parts()):
-            if part is None:
-                continue
-            have = summed[number]
-            if have is None:
-                summed[number] = part
-            elif len(have) == len(part):
-                summed[number] = have + part
-            else:
-                wide_have = have if len(have) == n_steps else have[s.unit]
-                wide_part = part if len(part) == n_steps else part[s.unit]
-                summed[number] = wide_have + wide_part
+        summed = tuple(added(*pair) for pair in zip(summed, perturbation.parts(), strict=True))
     return Perturbation(*summed)
 
 
@@ -248,21 +241,22 @@ class Steps:
 
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
         """Yield each part of a perturbation with its lever; levers that no perturbation asks for are never made."""
-        if perturbation.left is not None and perturbation.left is perturbation.right:
-            yield perturbation.left, self.by_both
-        else:
-            if perturbation.left is not None:
-                yield perturbation.left, self.by_left
-            if perturbation.right is not None:
-                yield perturbation.right, self.by_right
-        if perturbation.track is not None:
-            yield perturbation.track, self.by_track
-        if perturbation.heading_rad is not None:
-            yield perturbation.heading_rad, self.by_turn
-        if perturbation.along_m is not None:
-            yield perturbation.along_m, self.by_way
-        if perturbation.lateral_m is not None:
-            yield perturbation.lateral_m, self.by_slip
+        both = perturbation.left is perturbation.right
+        for name, lever in _LEVERS.items():
+            part = getattr(perturbation, name)
+            if part is not None and not (both and name == "right"):
+                yield part, self.by_both if both and name == "left" else getattr(self, lever)
+
+
+#: field of a perturbation -> its lever
+_LEVERS: Final = {
+    "left": "by_left",
+    "right": "by_right",
+    "track": "by_track",
+    "heading_rad": "by_turn",
+    "along_m": "by_way",
+    "lateral_m": "by_slip",
+}
 
 
 def steps_of(s: Observations, perturbation: Perturbation) -> Steps:

@@ -56,7 +56,7 @@ def _thinned(path: FloatArray, limit: int) -> FloatArray:
 def _predicted(path: Path, limit: int) -> list[FloatArray]:
     s = path.s
     end_s = s.time_s - _start_s(s)[s.unit]
-    middle = np.column_stack((end_s - 0.5 * s.duration_s, path.x_m, path.y_m))
+    middle = np.column_stack((end_s - 0.5 * s.duration_s, path.steps.x_m, path.steps.y_m))
     paths = []
     for unit, (first, last) in enumerate(pairwise(s.starts)):
         end = np.array([[end_s[last - 1], *path.end[unit, :2]]])

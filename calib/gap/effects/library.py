@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects import calibration, direction, drift, encoder, floor, load, path, reference, steering, turning
+from calib.gap.effects import calibration, drift, encoder, floor, load, path, reference, steering, turning
 from calib.gap.effects.columns import (
     Covariate,
     Declared,
@@ -53,8 +53,8 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     reference.ReferenceLeverArm,
     reference.ReferenceYaw,
     reference.ReferenceLatency,
-    direction.RearDrag,
-    direction.TravelDirection,
+    floor.RearDrag,
+    floor.TravelDirection,
     turning.SideSlip,
     turning.CurveScrub,
     steering.SteeringZero,
@@ -65,7 +65,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     turning.Understeer,
     load.PayloadMass,
     load.PayloadPosition,
-    direction.FloorSlope,
+    floor.FloorSlope,
     floor.FloorZone,
     floor.FloorUndulation,
     path.PathWeave,
@@ -186,7 +186,7 @@ def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
         return None
     _, form, typical, change = best
     away = float(np.nanmax(np.abs(change[:, POSE]), initial=0.0))
-    extent = float(np.max(np.hypot(nominal.x_m, nominal.y_m), initial=1.0))
+    extent = float(np.max(np.hypot(nominal.steps.x_m, nominal.steps.y_m), initial=1.0))
     factor = float(np.clip(DRAWN_SHARE * extent / away, 1.0, MAX_ENLARGEMENT)) if away > 0 else 1.0
     enlarged = predict(observations, [perturbation.scaled(factor) for perturbation in typical])
     return EffectSignature(effect, form, change, enlarged, factor)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
-from calib.gap.effects.quantities import distance_m, start_to_end_frame
+from calib.gap.effects.quantities import start_to_end_frame
 from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel
 from calib.gap.predict import predict
 from calib.types import FloatArray
@@ -54,7 +54,7 @@ class PathWeave(Effect):
 
             def perturbations(path: Path) -> list[Perturbation]:
                 along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
-                distance = shorter * distance_m(path)
+                distance = shorter * path.distance_m
                 at_end = Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)
                 return [at_end, *further]
 
@@ -80,7 +80,7 @@ def _weave_of_logs(observations: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_obs,)."""
     path = predict(observations)
     with np.errstate(divide="ignore", invalid="ignore"):
-        excess = observations.total(np.abs(path.ds_m)) / np.abs(path.line_m) - 1.0
+        excess = observations.total(np.abs(path.steps.ds_m)) / np.abs(path.line_m) - 1.0
     return np.where((np.abs(path.end[:, 2]) < STRAIGHT_RAD) & np.isfinite(excess), excess, 0.0)
 
 
@@ -108,9 +108,9 @@ class IntegrationScheme(Effect):
 
         def form(label: str, back: float) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
-                heading = observations.cumulative(path.turn_rad) - back * path.turn_rad
-                x = path.end[:, 0] - observations.total(path.ds_m * np.cos(heading))
-                y = path.end[:, 1] - observations.total(path.ds_m * np.sin(heading))
+                heading = observations.cumulative(path.steps.turn_rad) - back * path.steps.turn_rad
+                x = path.end[:, 0] - observations.total(path.steps.ds_m * np.cos(heading))
+                y = path.end[:, 1] - observations.total(path.steps.ds_m * np.sin(heading))
                 x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
                 along, lateral = start_to_end_frame(path, x, y)
                 # a laser's simulated distance was taken from the same pose

@@ -101,19 +101,12 @@ def curvature_per_m(observations: Observations) -> FloatArray:
 def path_curvature_per_m(path: Path) -> FloatArray:
     """Return the curvature of each step of a path, as `curvature_per_m`: under the hypothesis, not by the model."""
     tightest = 2.0 / path.s.model.track_m
-    return np.clip(path.s.curvature_of(path.turn_rad, path.ds_m), -tightest, tightest)
+    return np.clip(path.s.curvature_of(path.steps.turn_rad, path.steps.ds_m), -tightest, tightest)
 
 
 def shows_curves(observations: Observations) -> bool:
     """Return whether any observation turns by more than a tenth of a radian in all."""
     return bool((observations.total(np.abs(curvature_per_m(observations) * observations.path_m)) > 0.1).any())
-
-
-def distance_m(path: Path) -> FloatArray:
-    """Return what a perfect laser would read, without any perturbation on the readings, shape (n_obs,)."""
-    observations = path.s
-    x, y = path.end[:, 0], path.end[:, 1]
-    return np.where(observations.axis == 1, x, np.where(observations.axis == 2, np.hypot(x, y), np.abs(path.line_m)))
 
 
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,6 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.gap.effects.quantities import (
-    distance_m,
     end_motion,
     reach,
     standstill_mps,
@@ -42,7 +41,7 @@ class _OfRangefinder(Effect):
 
     def too_much(self, path: Path) -> FloatArray:
         """Return what is read too much, per unit of the parameter, shape (n_obs,)."""
-        return distance_m(path)
+        return path.distance_m
 
 
 class RangefinderScale(_OfRangefinder):

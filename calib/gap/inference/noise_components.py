@@ -42,7 +42,7 @@ def kernels(path: Path) -> FloatArray:
     shapes[1, :, 1, 1] = shapes[1, :, 2, 2] = observations.sigma_xy_m**2
     shapes[2, :, 3, 3] = observations.sigma_theta_rad**2
     for units, part in path.parts():
-        length = np.abs(part.ds_m)
+        length = np.abs(part.steps.ds_m)
         for number, vector in zip((3, 4), _step_vectors(part), strict=True):
             shapes[number, units] = _summed_products(vector, length, part.s.starts)
     calibration = path.calibration

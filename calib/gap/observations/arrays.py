@@ -238,16 +238,14 @@ class Observations:
     @cached_property
     def radius_left_m(self) -> FloatArray:
         """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
-        model = self.model
-        load = self.number("load_left_N") - model.reference_load_N
-        return model.radius_left_m + model.slope_left_m_per_N * np.nan_to_num(load)
+        over_N: FloatArray = np.nan_to_num(self.wheel_loads_N[0] - self.model.reference_load_N)
+        return self.model.radius_left_m + self.model.slope_left_m_per_N * over_N
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
         """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
-        model = self.model
-        load = self.number("load_right_N") - model.reference_load_N
-        return model.radius_right_m + model.slope_right_m_per_N * np.nan_to_num(load)
+        over_N: FloatArray = np.nan_to_num(self.wheel_loads_N[1] - self.model.reference_load_N)
+        return self.model.radius_right_m + self.model.slope_right_m_per_N * over_N
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:

@@ -19,15 +19,13 @@ from calib.gap.observations.assemble import assemble
 from calib.gap.observations.observation import (
     CountsPerRadian,
     Observation,
+    ReferencePoses,
     Setup,
     log_rows,
     observation_from_log,
     observation_from_row,
-)
-from calib.gap.observations.reference_poses import (
-    ReferencePoses,
-    end_pose_of_vehicle,
     poses_are_in_a_map,
+    poses_of_vehicle,
     reference_poses,
     relative_pose,
 )
@@ -221,7 +219,7 @@ def _recorded(run: int, setup: Setup) -> Recorded | None:
         distance = log["range_m"][-1]
     pose = np.array([runs.number(name)[run] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
     # an end pose in a map says nothing without the pose at the start
-    pose = np.full(3, np.nan) if setup.in_map else end_pose_of_vehicle(pose[None, :], campaign.reference)[0]
+    pose = np.full(3, np.nan) if setup.in_map else poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated))
     return Recorded(unit, log, reference_poses(log, setup) if logged else None)

@@ -91,9 +91,14 @@ def diagnose_simulator(
         workers,
         progress,
     )
-    differences = differences_of(runner, _sigma(measured))
+    stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
+    differences = differences_of(runner, np.array([values.min() for values in stated]))
     observations = simulated_observations(measured, differences, differences.nominal)
-    _refuse_without_channel(observations, settings)
+    if not observations.usable.any():
+        raise RefusedError(
+            f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
+            "where distance_m was measured, and sim_x_m, sim_y_m, sim_theta_rad where end poses were"
+        )
 
     def searched(differences: Differences) -> Diagnosis:
         candidates, notes = _candidates(observations, differences, settings, exclude, campaign)
@@ -137,12 +142,6 @@ def _confirmed(
     return fixed(diagnosis, runner, differences, found, rng)
 
 
-def _sigma(measured: Observations) -> FloatArray:
-    """Return the smallest stated uncertainty of distance, x, y and heading, shape (4,)."""
-    each = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
-    return np.array([float(np.min(values)) for values in each])
-
-
 def simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
     """Return the observations with a table of the simulator (n_runs, 4) in place of calib's own model.
 
@@ -166,14 +165,6 @@ def simulated_observations(measured: Observations, differences: Differences, tab
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
-
-
-def _refuse_without_channel(observations: Observations, settings: SimulatorSettings) -> None:
-    if not observations.usable.any():
-        raise RefusedError(
-            f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
-            "where distance_m was measured, and sim_x_m, sim_y_m, sim_theta_rad where end poses were"
-        )
 
 
 def _check_excluded(
@@ -236,16 +227,15 @@ def _is_spanned(rival: Effect, own: Sequence[SimulatorParameter], nominal: Path)
     target = rival.forms(s)
     if not offered or not target:
         return False
-    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-    columns, aim = (_scaled(nominal, forms, sigma) for forms in (offered, target[:1]))
-    wide = np.array([p.largest / p.typical for form in offered for p in form.parameters])
-    normal = (columns * wide).T @ (columns * wide) + np.eye(len(wide))
-    sizes = np.linalg.solve(normal, (columns * wide).T @ aim[:, 0])
-    left = aim[:, 0] - (columns * wide) @ sizes
-    return bool(np.linalg.norm(left) < SPANNED_SHARE * np.linalg.norm(aim[:, 0]))
+    columns, aim = (_scaled(nominal, forms) for forms in (offered, target[:1]))
+    columns = columns * np.array([p.largest / p.typical for form in offered for p in form.parameters])
+    sizes = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ aim[:, 0])
+    return bool(np.linalg.norm(aim[:, 0] - columns @ sizes) < SPANNED_SHARE * np.linalg.norm(aim[:, 0]))
 
 
-def _scaled(path: Path, forms: Sequence[Form], sigma: FloatArray) -> FloatArray:
+def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
     """Return the signatures of forms over the stated uncertainties, shape (n_rows, n_parameters)."""
+    s = path.s
+    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
     whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / sigma[:, :, None]
-    return np.asarray(whole[path.s.usable[:, :4]])
+    return np.asarray(whole[s.usable[:, :4]])

@@ -100,11 +100,10 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     if (scatter > NOISE_SHARE * sigma).any():
         repeats = REPEATS
         more = [Job(parameters, what, repeat) for what, parameters in points for repeat in range(1, REPEATS)]
-        # the second nominal run is taken from what is kept, or known already
-        results = runner.run([job for job in more if (job.what, job.repeat) != (points[0][0], 1)])
-        results.insert(0, again)
-        for number, table in enumerate(results):
-            sets[number // (REPEATS - 1)].append(table)
+        # the second nominal run is known already
+        results = iter([again, *runner.run(more[1:])])
+        for each in sets:
+            each += [next(results) for _ in range(1, REPEATS)]
         within = [difference(table, averaged(tables)) for tables in sets for table in tables]
         scatter = np.sqrt(np.mean(np.stack(within) ** 2, axis=(0, 1)) * REPEATS / (REPEATS - 1))
     else:

@@ -10,10 +10,10 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, HeldOut, closure_of
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
 from calib.gap.decision.sentences import sentence
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
-from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.fit import hypothesis_path, signature_columns, whitened_rows
 from calib.gap.predict import residuals
 from calib.gap.simulator.difference import Differences, averaged, difference
 from calib.gap.simulator.runner import Job, SimulatorRunner
@@ -71,7 +71,12 @@ def fixed(
     """
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
-    held_out = _measured_closure(diagnosis, differences, found, rng)
+    # the gap of the simulator as it is and with the fix set, on all runs
+    nominal = diagnosis.nominal
+    before = residuals(nominal, nominal)
+    change = difference(found.table, differences.nominal)[differences.rows(nominal.s)]
+    after = np.where(nominal.s.usable, before - in_end_frame(nominal, change), 0.0)
+    held_out = closure_of(nominal, diagnosis.noise, before, after, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
     closes = closure.fraction is not None and closure.fraction >= ADEQUATE_CLOSURE
@@ -106,7 +111,8 @@ def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differe
     fitted, noise = diagnosis.fitted, diagnosis.noise
     path, nominal = fitted.path, diagnosis.nominal
     derivative = np.stack([differences.change[each.name] for each in named.values()], axis=2)
-    deviation = _sizes(fitted, named)
+    sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
+    deviation = np.array([sizes[name] for name in named])
     typical = np.array([each.parameter.typical for each in named.values()])
     # what the fit left, and what it took the parameters to change
     theta = [
@@ -146,12 +152,6 @@ def iterated(diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differe
     return best
 
 
-def _sizes(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
-    """Return the fitted deviation of each named parameter, in its unit."""
-    sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
-    return np.array([sizes[name] for name in named])
-
-
 def _channels(diagnosis: Diagnosis, differences: Differences, change: FloatArray) -> FloatArray:
     """Turn a change of the simulator's table (n_runs, 4) into that of the channels, (n_obs, n_channels)."""
     path = diagnosis.fitted.path
@@ -165,19 +165,6 @@ def _run(
     what = "the fix " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
     jobs = [Job(runner.settings.nominal | values, what, repeat) for repeat in range(differences.repeats)]
     return averaged(runner.run(jobs))
-
-
-def _measured_closure(
-    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator
-) -> HeldOut:
-    """Return the gap of the simulator as it is and with the fix set, on all runs."""
-    nominal = diagnosis.nominal
-    before = residuals(nominal, nominal)
-    change = difference(found.table, differences.nominal)
-    by_run = change[differences.rows(nominal.s)]
-    after = before - in_end_frame(nominal, by_run)
-    after = np.where(nominal.s.usable, after, 0.0)
-    return closure_of(nominal, diagnosis.noise, before, after, rng)
 
 
 def _moved(cause: Cause, named: Mapping[str, Declared], values: Mapping[str, float]) -> Cause:
@@ -204,20 +191,19 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
 
 def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis that names no parameter of the simulator, and says so; its closure is on held-out runs."""
-    return replace(diagnosis, sentence=f"{diagnosis.sentence}{_not_in_simulator(diagnosis)}")
-
-
-def _not_in_simulator(diagnosis: Diagnosis) -> str:
-    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
-        return ""
-    if any(name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects):
-        return ""
+    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED} or any(
+        name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects
+    ):
+        return diagnosis
+    named = _of_library(diagnosis)
     if _share_together(diagnosis) > ADEQUATE_CLOSURE:
-        beside = f", as {_of_library(diagnosis)} can" if diagnosis.causes else ""
-        return f" No single parameter of your simulator can do this; several together can{beside}."
-    able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
-    can = f"; {_of_library(diagnosis)} of the library {able}" if diagnosis.causes else ""
-    return f" No parameter of your simulator can do this{can}."
+        beside = f", as {named} can" if diagnosis.causes else ""
+        why = f"No single parameter of your simulator can do this; several together can{beside}."
+    else:
+        able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
+        can = f"; {named} of the library {able}" if diagnosis.causes else ""
+        why = f"No parameter of your simulator can do this{can}."
+    return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
 def _share_together(diagnosis: Diagnosis) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 
 from calib.campaign.log_reading import cache_folder
 from calib.errors import BadFileError, BadInputError, CalibError
-from calib.gap.simulator.settings import SimulatorSettings
+from calib.gap.simulator.settings import PLACES, SimulatorSettings
 from calib.io import sha256_file, write_bytes
 from calib.types import FloatArray, Progress
 
@@ -54,36 +54,32 @@ def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
     except (OSError, UnicodeDecodeError) as error:
         raise BadTableError(f"found an output file that cannot be read ({error}); expected CSV in UTF-8") from error
     try:
-        rows = list(csv.reader(io.StringIO(text)))
+        lines = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
     except csv.Error as error:
         raise BadTableError(f"found {error} in its CSV; expected a header and a row a run") from error
-    header = [name.strip() for name in rows[0]] if rows else []
+    header = [name.strip() for name in lines[0][1]] if lines else []
     columns = [name for name in COLUMNS if name in header]
     if "run_id" not in header or not columns or len(set(header)) < len(header):
         raise BadTableError(
             f"found the columns {', '.join(header)[:120] or 'none'}; expected run_id and some of {', '.join(COLUMNS)}"
         )
-    wanted = {run_id: number for number, run_id in enumerate(run_ids)}
-    values = np.full((len(run_ids), len(COLUMNS)), np.nan)
-    seen: set[str] = set()
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
+    by_run: dict[str, dict[str, str]] = {}
+    for number, row in lines[1:]:
         if len(row) != len(header):
-            raise BadTableError(f"found {len(row)} cells in row {line} of its CSV; expected {len(header)}")
+            raise BadTableError(f"found {len(row)} cells in row {number} of its CSV; expected {len(header)}")
         cells = dict(zip(header, row, strict=True))
         run_id = cells["run_id"].strip()
-        if run_id in seen:
+        if run_id in by_run:
             raise BadTableError(f"found run {run_id[:60]} twice in its CSV; expected a row a run")
-        seen.add(run_id)
-        if run_id in wanted:
-            for name in columns:
-                values[wanted[run_id], COLUMNS.index(name)] = _number(cells[name], name, run_id)
-    missing = [run_id for run_id in run_ids if run_id not in seen]
+        by_run[run_id] = cells
+    missing = [run_id for run_id in run_ids if run_id not in by_run]
     if missing:
         raise BadTableError(
             f"found no row for {len(missing)} of {len(run_ids)} runs ({missing[0]} first); expected all"
         )
+    values = np.full((len(run_ids), len(COLUMNS)), np.nan)
+    for name in columns:
+        values[:, COLUMNS.index(name)] = [_number(by_run[run_id][name], name, run_id) for run_id in run_ids]
     return values
 
 
@@ -272,8 +268,8 @@ class SimulatorRunner:
         with tempfile.TemporaryDirectory(prefix="calib-simulator-", ignore_cleanup_errors=True) as folder:
             parameters, out = Path(folder) / "parameters.json", Path(folder) / "out.csv"
             parameters.write_text(json.dumps(job.parameters), encoding="utf-8")
-            places = {"{campaign}": str(self.campaign), "{parameters}": str(parameters), "{out}": str(out)}
-            arguments = [_filled(part, places) for part in command]
+            paths = (str(self.campaign), str(parameters), str(out))
+            arguments = [_filled(part, dict(zip(PLACES, paths, strict=True))) for part in command]
             tail = self._finished(arguments, job)
             try:
                 values = read_table(out, self.run_ids)
@@ -304,19 +300,17 @@ class SimulatorRunner:
         reader = threading.Thread(target=_drain, args=(process.stdout, kept), daemon=True)
         reader.start()
         deadline = time.monotonic() + self.settings.timeout_s
-        fault = ""
-        while not fault:
-            try:
+        fault, status = "", None
+        while not fault and status is None:
+            with suppress(subprocess.TimeoutExpired):
                 status = process.wait(LOOK_S)
+            if status is None and time.monotonic() > deadline:
+                fault = f"found no end after {self.settings.timeout_s:g} s; expected one, or a larger timeout_s"
+            if self._stop.is_set():
                 break
-            except subprocess.TimeoutExpired:
-                if self._stop.is_set():
-                    fault = "stopped"
-                elif time.monotonic() > deadline:
-                    fault = f"found no end after {self.settings.timeout_s:g} s; expected one, or a larger timeout_s"
         _kill(process)
         reader.join(1.0)
-        if fault == "stopped":
+        if status is None and not fault:
             raise _Stopped
         if fault or status != 0:
             raise self._failed(job, fault or f"found exit status {status}; expected 0", bytes(kept))

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PrivateAttr, ValidationError
 
+from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.gap.effects.effect import Family, Parameter
 from calib.gap.effects.library import REGISTRY
-from calib.limits import SETTINGS_BYTES
 
 #: what the command has to name: each is replaced by a path
 PLACES: Final = ("{campaign}", "{parameters}", "{out}")
@@ -49,26 +47,22 @@ class Declared(BaseModel):
         return REGISTRY[self.effect].family if self.effect else Family.SIMULATOR
 
 
-class Document(BaseModel):
-    """The whole file."""
+class SimulatorSettings(BaseModel):
+    """A simulator: its command and its parameters; the whole file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    command: Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1)]
-    timeout_s: PositiveFloat = 600.0
-    inputs: list[str] = Field(default_factory=list)
-    parameter: Annotated[list[Declared], Field(min_length=1, max_length=MOST_PARAMETERS)]
+    #: arguments with the places of `PLACES`; no shell
+    command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+    timeout_s: PositiveFloat = 600.0  #: of one run
+    inputs: tuple[str, ...] = ()  #: further files whose change makes results stale, relative to the file
+    parameters: Annotated[tuple[Declared, ...], Field(min_length=1, max_length=MOST_PARAMETERS, alias="parameter")]
+    _path: Path = PrivateAttr()
 
-
-@dataclass(frozen=True, slots=True)
-class SimulatorSettings:
-    """A simulator: its command and its parameters."""
-
-    path: Path  #: of the file; the command runs in its folder
-    command: tuple[str, ...]  #: arguments with the places of `PLACES`; no shell
-    timeout_s: float  #: of one run
-    inputs: tuple[str, ...]  #: further files whose change makes results stale, relative to the file
-    parameters: tuple[Declared, ...]
+    @property
+    def path(self) -> Path:
+        """Path of the file; the command runs in its folder."""
+        return self._path
 
     @property
     def nominal(self) -> dict[str, float]:
@@ -78,40 +72,26 @@ class SimulatorSettings:
 
 def read_settings(path: Path) -> SimulatorSettings:
     """Read and check a ``SIM.toml``; BadFileError names the key and what to do."""
-    document = _document(path)
-    for place in PLACES:
-        if not any(place in part for part in document.command):
-            raise BadFileError(
-                path, f"no {place}", f"an argument that holds {place}", "add it to the command", column="command"
-            )
-    names: set[str] = set()
-    for each in document.parameter:
-        wrong = _wrong(each, names)
-        if wrong is not None:
-            raise BadFileError(path, *wrong, column=f"parameter {each.name}")
-        names.add(each.name)
-    return SimulatorSettings(
-        path, tuple(document.command), document.timeout_s, tuple(document.inputs), tuple(document.parameter)
-    )
-
-
-def _document(path: Path) -> Document:
     try:
-        if path.stat().st_size > SETTINGS_BYTES:
-            raise BadFileError(path, "a larger file", f"at most {SETTINGS_BYTES} bytes", "give the settings alone")
-        raw: Any = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadFileError(path, error.strerror or "no file", "a readable file", "give the path of SIM.toml") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadFileError(path, f"{error}"[:120], "TOML in UTF-8", "correct the file") from error
-    try:
-        return Document.model_validate(raw, strict=False)
+        settings = SimulatorSettings.model_validate(load_toml(path, str(path), remedy="give the path of SIM.toml"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         found = "nothing" if first["type"] == "missing" else f"{first['input']!r}"[:60]
         expected = {"missing": "this key", "extra_forbidden": "no such key"}.get(first["type"], first["msg"])
         raise BadFileError(path, found, expected, "see the simulator page of the manual", column=key) from error
+    settings._path = path
+    for place in PLACES:
+        if not any(place in part for part in settings.command):
+            expected = f"an argument that holds {place}"
+            raise BadFileError(path, f"no {place}", expected, "add it to the command", column="command")
+    names: set[str] = set()
+    for each in settings.parameters:
+        wrong = _wrong(each, names)
+        if wrong is not None:
+            raise BadFileError(path, *wrong, column=f"parameter {each.name}")
+        names.add(each.name)
+    return settings
 
 
 def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:

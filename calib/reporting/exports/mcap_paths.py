@@ -21,7 +21,7 @@ from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.observations.from_campaign import measured_poses
-from calib.gap.observations.reference_poses import relative_pose
+from calib.gap.observations.observation import relative_pose
 from calib.gap.predict import Path as PredictedPath
 from calib.reporting.exports import diagnosed
 from calib.types import FloatArray, Progress

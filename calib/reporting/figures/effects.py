@@ -50,9 +50,15 @@ def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: lis
         sizes = np.nansum(signature.change[units] ** 2, axis=1)
         unit = int(units[np.argmax(sizes)])
         part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
-        axes.plot(nominal.x_m[part], nominal.y_m[part], color=GREY, linewidth=0.8)
+        axes.plot(nominal.steps.x_m[part], nominal.steps.y_m[part], color=GREY, linewidth=0.8)
         tint = colour(number)
-        axes.plot(signature.enlarged.x_m[part], signature.enlarged.y_m[part], color=tint, linewidth=1.1, label=name)
+        axes.plot(
+            signature.enlarged.steps.x_m[part],
+            signature.enlarged.steps.y_m[part],
+            color=tint,
+            linewidth=1.1,
+            label=name,
+        )
         axes.plot(*signature.enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x, m", ylabel="y, m")

@@ -74,7 +74,7 @@ class GapArrays:
         _, along, lateral, *_ = np.where(usable, residuals(nominal, nominal), np.nan).T
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
-        xy = np.column_stack((nominal.x_m, nominal.y_m))
+        xy = np.column_stack((nominal.steps.x_m, nominal.steps.y_m))
         paths = tuple(
             np.vstack((np.zeros((1, 2)), xy[first:last], nominal.end[k, :2]))
             for k, (first, last) in enumerate(pairwise(starts))
