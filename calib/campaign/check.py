@@ -36,6 +36,8 @@ CHECKS: Final[dict[str, Check]] = {
         settings.log_clock,
         settings.heading_turns,
         settings.pose_resolution,
+        settings.rounded_values,
+        settings.shifted_sessions,
         counts.swapped_wheels,
         counts.turn_direction,
         counts.clock,
@@ -122,6 +124,30 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
         for level in ("wrong", "suspicious", "info")
     }
     return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
+
+
+#: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
+_OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
+#: checks whose findings a fit and a diagnosis report by themselves, or that change neither
+_NOT_OF_RESULTS: Final = frozenset(
+    {"assumed_values", "missing_values", "load_and_session", "few_loads", "implausible", "clock"}
+)
+#: findings of one check that a result lists
+_MOST_LISTED: Final = 3
+
+
+def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
+    """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
+    kept = campaign.included()
+    lists = [[note for note in campaign.notes if note.code in _OF_READING]]
+    checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
+    lists += [list(check(kept)) for check in (*checks, settings.odd_lengths)]
+    said = []
+    for notes in lists:
+        said += [f"{note.where}: {note.text}." for note in notes[:_MOST_LISTED]]
+        if len(notes) > _MOST_LISTED:
+            said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")
+    return tuple(dict.fromkeys(said))
 
 
 def summarise(campaign: Campaign) -> CampaignContents:

@@ -192,6 +192,19 @@ def _longer(made: Campaign) -> Campaign:
     return with_numbers(made, distance_m=made.runs.number("distance_m") + 0.05)
 
 
+def _longer_in_a_session(made: Campaign) -> Campaign:
+    made = _wandering(made)
+    longer = np.where(made.runs.label("session") == "s2", 1.01, 1.0)
+    return with_numbers(made, distance_m=made.runs.number("distance_m") * longer)
+
+
+def _shifted_sessions(_: Campaign) -> Campaign:
+    """One load a session, and the labels a row off."""
+    made = campaign(crossed=False)
+    labels = {**made.runs.labels, "session": np.roll(made.runs.label("session"), -1)}
+    return replace(made, runs=replace(made.runs, labels=labels))
+
+
 # check, code, level, fault, the run that must be named ("" for the whole campaign)
 FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("missing_values", "missing_counts", "suspicious", _number("counts_left", lambda _: np.nan, 4), ""),
@@ -256,6 +269,10 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("log_clock", "clock_unit", "suspicious", _log("t_s", lambda t: np.multiply(t, 1000.0, out=t)), ""),
     ("heading_turns", "heading_turn", "suspicious", _heading_a_turn_off, "r004"),
     ("pose_resolution", "pose_resolution", "suspicious", _single_precision, ""),
+    ("rounded_values", "rounded_values", "suspicious", _number("distance_m", lambda d: np.round(d, 1)), ""),
+    ("rounded_values", "rounded_values", "suspicious", _number("counts_left", lambda c: np.round(c, -3)), ""),
+    ("shifted_sessions", "shifted_sessions", "suspicious", _shifted_sessions, ""),
+    ("distance_against_pose", "distance_against_pose", "suspicious", _longer_in_a_session, ""),
     ("implausible", "implausible", "wrong", _scaled(4), ""),
     ("implausible", "implausible", "wrong", _number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),

@@ -104,26 +104,31 @@ _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
 
 def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
-    """Compare the distance of nearly straight runs with how far away the reference saw them end."""
+    """Compare the distance of nearly straight runs with how far away the reference saw them end, by session too."""
     runs = campaign.runs
     distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
     # what is off by more is another unit or another row, which other checks report
     straight = _straight(campaign) & (np.abs(distance - away) < 0.05 * away)
-    if straight.sum() < _LEAST_STRAIGHT_RUNS:
-        return
-    longer = (distance - away)[straight]
-    median = float(np.median(longer))
-    error = 1.2533 * robust_spread(longer) / math.sqrt(len(longer))
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    if abs(median) > max(allowed, _SIGMAS * error):
-        text = (
-            f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than that of the "
-            f"reference's end pose (median of {len(longer)} straight runs, standard error {1e3 * error:.2g} mm); "
-            f"expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and what each "
-            "is measured from"
-        )
-        yield column_note("distance_m", text, "distance_against_pose")
+    session = runs.label("session")
+    groups = {"": straight} | {f" in session {name}": straight & (session == name) for name in np.unique(session)}
+    for where, group in groups.items():
+        if group.sum() < (LEAST_RUNS if where else _LEAST_STRAIGHT_RUNS):
+            continue
+        longer = (distance - away)[group]
+        median = float(np.median(longer))
+        error = 1.2533 * robust_spread(longer) / math.sqrt(len(longer))
+        if abs(median) > max(allowed, _SIGMAS * error):
+            text = (
+                f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than that of the "
+                f"reference's end pose{where} (median of {len(longer)} straight runs, standard error {1e3 * error:.2g} "
+                f"mm); expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and "
+                "what each is measured from"
+            )
+            yield column_note("distance_m", text, "distance_against_pose")
+            if not where:
+                return
 
 
 def _bows(campaign: Campaign) -> _Bows | None:

@@ -1,4 +1,4 @@
-"""What changes every answer and shows in no single cell: counts per revolution, clocks, logs that begin late."""
+"""What changes every answer and shows in no single cell: counts per revolution, clocks, late logs, rounded values."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from calib.campaign.checks.design import (
     cell_note,
     column_note,
     listed,
+    load_label,
     per_rev,
     raw_radius_ratio,
+    rolled_m,
     setting_note,
     stated,
     turned_rad,
 )
-from calib.campaign.checks.distances import mirrored_ends
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
+from calib.campaign.references import CLOSED
+from calib.types import FloatArray, IntArray
 
 #: both radii further from nominal than this, alike to `ALIKE`, are a setting rather than two worn wheels
 FAR_FROM_NOMINAL: Final = 0.012
@@ -105,7 +108,8 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
 def odd_lengths(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose distance is far from what their wheels rolled, and logs whose time does not rise."""
     ratio = 0.5 * (raw_radius_ratio(campaign, SIDES[0]) + raw_radius_ratio(campaign, SIDES[1]))
-    if np.isfinite(ratio).sum() >= LEAST_RUNS:
+    # with a radius that was stated, `count_scale` finds them
+    if np.isfinite(ratio).sum() >= LEAST_RUNS and not stated(campaign, "vehicle.wheel_radius_m"):
         ratio = ratio / float(np.nanmedian(ratio))
         for run in np.flatnonzero((ratio > ODD_RATIO) | (ratio < 1.0 / ODD_RATIO)):
             text = f"the distance is {ratio[run]:.3g} times what the wheels rolled; check it, or exclude the run"
@@ -136,17 +140,63 @@ def pose_resolution(campaign: Campaign) -> Iterator[Note]:
     """Find positions that come in steps coarser than the reference: single precision far from the origin."""
     for where, columns in (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns)):
         for name in ("ref_x_m", "ref_y_m"):
-            values = columns.get(name, np.zeros(0))
-            steps = np.diff(np.unique(values[np.isfinite(values)][:MOST_POSES]))
-            if len(steps) < LEAST_RUNS or not steps.min() > COARSE * campaign.reference.sigma_xy_m:
-                continue
-            step_m = float(steps.min())
-            if np.abs(steps / step_m - np.round(steps / step_m)).max() < STEP_ERROR:
+            step_m = _coarse_step(columns.get(name, np.zeros(0)), campaign.reference.sigma_xy_m)
+            if step_m is not None:
                 text = (
                     f"the positions come in steps of {1e3 * step_m:.3g} mm, far above the stated sigma_xy_m; single "
                     "precision far from the origin does this: subtract the origin before the file is written"
                 )
                 yield Note("suspicious", f"{where}, column {name}", text, "pose_resolution")
+
+
+def rounded_values(campaign: Campaign) -> Iterator[Note]:
+    """Find distances, headings and counts in steps far above the uncertainty of a distance or heading."""
+    sigma_m = campaign.rangefinder.sigma_m
+    resolutions = {"distance_m": sigma_m, "ref_theta_rad": campaign.reference.sigma_theta_rad}
+    resolutions |= {f"counts_{side}": sigma_m / float(rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
+    driven = campaign.runs.label("loop") != CLOSED
+    for name, resolution in resolutions.items():
+        step = _coarse_step(campaign.runs.number(name)[driven], resolution)
+        if step is not None:
+            text = (
+                f"the values come in steps of {step:.4g}; expected steps below {COARSE * resolution:.2g}, {COARSE:g} "
+                "standard uncertainties; are they rounded, or nominal?"
+            )
+            yield column_note(name, text, "rounded_values")
+
+
+def _coarse_step(values: FloatArray, resolution: float) -> float | None:
+    """Return the step that all values are multiples of apart, where it is far above a resolution; else None."""
+    steps = np.diff(np.unique(values[np.isfinite(values)][:MOST_POSES]))
+    if len(steps) < LEAST_RUNS or not steps.min() > COARSE * resolution:
+        return None
+    multiples = steps / steps.min()
+    return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
+
+
+def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
+    """Find session labels that are a row off: moved, each session has one load or temperature, and now it has not."""
+    session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
+    for name, values in (("load", load_label(campaign)), ("temperature_C", campaign.runs.number("temperature_C"))):
+        group = np.unique(values, return_inverse=True)[1]
+        if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
+            continue
+        for by in (-1, 1):
+            # the row that leaves the table at one end says nothing
+            inner = slice(None, -1) if by == -1 else slice(1, None)
+            if _constant_within(np.roll(session, by)[inner], group[inner]):
+                text = (
+                    f"each session has one {name} if its labels move by one row {'up' if by == -1 else 'down'}, and "
+                    "as they stand it has not; are the labels a row off?"
+                )
+                yield column_note("session", text, "shifted_sessions")
+                return
+
+
+def _constant_within(session: IntArray, group: IntArray) -> bool:
+    """Return whether every session, of two runs or more on average, has one group."""
+    pairs = np.unique(np.stack([session, group]), axis=1).shape[1]
+    return bool(pairs == len(np.unique(session)) <= len(session) / 2)
 
 
 def late_logs(campaign: Campaign) -> Iterator[Note]:
@@ -161,21 +211,3 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
                 "than the distance; let the log begin before the vehicle moves"
             )
             yield column_note(f"counts_{side}", text, "late_logs")
-
-
-#: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
-_OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
-
-
-def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
-    """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
-    found = [note for note in campaign.notes if note.code in _OF_READING]
-    for check in _OF_RESULTS:
-        found.extend(check(campaign))
-    return tuple(f"{note.where}: {note.text}." for note in found)
-
-
-_OF_RESULTS: Final = (
-    *(counts_per_revolution, late_logs, log_clock, heading_turns),
-    *(pose_resolution, odd_lengths, mirrored_ends),
-)
