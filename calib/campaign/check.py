@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks import counts, design, distances, loads, plausible, settings
+from calib.campaign.checks import counts, design, distances, loads, plausible, poses, settings
 from calib.campaign.model import Campaign, Note
 from calib.types import BoolArray, FloatArray, Progress, silent, stepped
 
@@ -27,7 +27,7 @@ CHECKS: Final[dict[str, Check]] = {
         distances.missing_values,
         distances.distance_span,
         distances.distance_against_log,
-        distances.distance_against_pose,
+        poses.distance_against_pose,
         counts.reversed_wheels,
         counts.count_scale,
         counts.counts_against_log,
@@ -47,8 +47,9 @@ CHECKS: Final[dict[str, Check]] = {
         design.pasted_rows,
         loads.wheel_loads,
         loads.loads_against_payload,
-        distances.mirrored_ends,
-        distances.track_against_bows,
+        poses.mirrored_ends,
+        poses.turned_frame,
+        poses.track_against_bows,
         design.load_and_session,
         design.few_loads,
         plausible.model_against_vehicle,

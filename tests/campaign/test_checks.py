@@ -198,6 +198,20 @@ def _longer_in_a_session(made: Campaign) -> Campaign:
     return with_numbers(made, distance_m=made.runs.number("distance_m") * longer)
 
 
+def _headings_off(made: Campaign) -> Campaign:
+    """By 0.02 rad, in one session."""
+    made = _wandering(made)
+    more = np.where(made.runs.label("session") == "s2", 0.02, 0.0)
+    return with_numbers(made, ref_theta_rad=made.runs.number("ref_theta_rad") + more)
+
+
+def _turned_poses(made: Campaign) -> Campaign:
+    """By 0.02 rad, all of them."""
+    made = _wandering(made)
+    x, y, theta = (made.runs.number(f"ref_{name}") for name in ("x_m", "y_m", "theta_rad"))
+    return with_numbers(made, ref_x_m=x - 0.02 * y, ref_y_m=y + 0.02 * x, ref_theta_rad=theta + 0.02)
+
+
 def _shifted_sessions(_: Campaign) -> Campaign:
     """One load a session, and the labels a row off."""
     made = campaign(crossed=False)
@@ -273,6 +287,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("rounded_values", "rounded_values", "suspicious", _number("counts_left", lambda c: np.round(c, -3)), ""),
     ("shifted_sessions", "shifted_sessions", "suspicious", _shifted_sessions, ""),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer_in_a_session, ""),
+    ("turned_frame", "turned_frame", "suspicious", _headings_off, ""),
+    ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
     ("implausible", "implausible", "wrong", _scaled(4), ""),
     ("implausible", "implausible", "wrong", _number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),

@@ -1,16 +1,14 @@
-"""Distances and end poses: present, in their unit, and in agreement with rangefinder, counts and logs."""
+"""Distances: present, in their unit, and in agreement with rangefinder, counts and logs."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.checks.design import (
     LEAST_RUNS,
-    MOST_OF_THE_RUNS,
     SIDES,
     cell_note,
     column_note,
@@ -19,9 +17,7 @@ from calib.campaign.checks.design import (
     meaning,
     robust_spread,
     rolled_m,
-    setting_note,
     stated,
-    turned_rad,
 )
 from calib.campaign.model import Campaign, Note
 from calib.campaign.references import GYRO_TURN
@@ -82,143 +78,6 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
         if min(abs(distance[run] - known[-1]), abs(distance[run] - (known[-1] - known[0]))) > allowed:
             text = f"found {distance[run]:.4f} m; the log ends at {known[-1]:.4f} m; the log may be cut"
             yield cell_note(campaign, run, "distance_m", text, "distance_disagrees")
-
-
-#: runs that must agree, and standard errors beyond which they do
-_LEAST_STRAIGHT_RUNS: Final = 8
-_SIGMAS: Final = 6.0
-#: a distance is that of the end pose within so many stated uncertainties, and at least so many metres
-_UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
-#: share by which a track may differ before it is reported
-_TRACK_TOLERANCE: Final = 0.05
-#: a run far from the others, in robust spreads, is left aside: its log may be damaged
-_OUTLIER_SPREADS: Final = 5.0
-#: end's offset by the reference, half its heading times the distance, and the bow by the log, in m
-_Bows = tuple[FloatArray, FloatArray, FloatArray]
-#: straight runs whose bows are looked at: more tell no more, and large campaigns need not wait
-_MOST_STRAIGHT_RUNS: Final = 200
-#: a mirrored y leaves less than this share of the scatter where it is mirrored back
-_CLEARER: Final = 0.5
-#: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times
-_OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
-
-
-def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
-    """Compare the distance of nearly straight runs with how far away the reference saw them end, by session too."""
-    runs = campaign.runs
-    distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
-    # what is off by more is another unit or another row, which other checks report
-    straight = _straight(campaign) & (np.abs(distance - away) < 0.05 * away)
-    uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
-    allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    session = runs.label("session")
-    groups = {"": straight} | {f" in session {name}": straight & (session == name) for name in np.unique(session)}
-    for where, group in groups.items():
-        if group.sum() < (LEAST_RUNS if where else _LEAST_STRAIGHT_RUNS):
-            continue
-        longer = (distance - away)[group]
-        median = float(np.median(longer))
-        error = 1.2533 * robust_spread(longer) / math.sqrt(len(longer))
-        if abs(median) > max(allowed, _SIGMAS * error):
-            text = (
-                f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than that of the "
-                f"reference's end pose{where} (median of {len(longer)} straight runs, standard error {1e3 * error:.2g} "
-                f"mm); expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and "
-                "what each is measured from"
-            )
-            yield column_note("distance_m", text, "distance_against_pose")
-            if not where:
-                return
-
-
-def _bows(campaign: Campaign) -> _Bows | None:
-    """Return how far nearly straight runs bow out; None where too few were measured and logged.
-
-    The bow is the end's offset less half the end's heading times the distance. Wheels of unequal radius, which scatter
-    from run to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
-    """
-    runs, logs = campaign.runs, campaign.logs
-    theta = runs.number("ref_theta_rad")
-    used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
-    if len(used) < _LEAST_STRAIGHT_RUNS or not {"counts_left", "counts_right"} <= set(logs.columns):
-        return None
-    used = used[:_MOST_STRAIGHT_RUNS]
-    sensor = campaign.reference
-    offset = runs.number("ref_y_m") - sensor.sensor_x_m * np.sin(theta) - sensor.sensor_y_m * (np.cos(theta) - 1.0)
-    distance = runs.number("distance_m")
-    counted = np.array([_bow(campaign, int(run), float(distance[run])) for run in used])
-    known = np.isfinite(counted)
-    if known.sum() < _LEAST_STRAIGHT_RUNS:
-        return None
-    return offset[used[known]], 0.5 * (distance * theta)[used[known]], counted[known]
-
-
-def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
-    """Return the bow of one run by its log, its wheels as large as the distance says."""
-    log = campaign.logs.of(run)
-    left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in SIDES)
-    along = (left + right) / 2
-    if not np.isfinite(along).all() or along[-1] <= 0.0:
-        return math.nan
-    scale = distance_m / along[-1]
-    heading = scale * (right - left) / campaign.vehicle.track_m
-    middle = (heading[1:] + heading[:-1]) / 2
-    return float(scale * np.diff(along) @ np.sin(middle) - 0.5 * distance_m * heading[-1])
-
-
-def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find a y of the other sign: ends that neither headings nor counts explain, and do with the sign changed."""
-    bows = _bows(campaign)
-    if bows is None:
-        return
-    offset, turned, counted = bows
-    _, error = _slope(counted, offset - turned)
-    mirrored, mirrored_error = _slope(counted, -offset - turned)
-    if mirrored_error < _CLEARER * error and abs(mirrored - 1.0) < max(0.1, _SIGMAS * mirrored_error):
-        text = (
-            f"the ends of {len(offset)} straight runs lie to a side that neither their headings nor their counts say; "
-            "expected y positive to the left; check the sign of ref_y_m"
-        )
-        yield column_note("ref_y_m", text, "mirrored_ends")
-
-
-def track_against_bows(campaign: Campaign) -> Iterator[Note]:
-    """Compare how far nearly straight runs bow out by their logs with how far the reference saw them bow."""
-    bows = _bows(campaign)
-    if bows is None:
-        return
-    offset, turned, counted = bows
-    ratio, error = _slope(counted, offset - turned)
-    if error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
-        return
-    track = campaign.vehicle.track_m
-    hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
-    text = (
-        f"{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of {track:g} m "
-        f"(standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"
-    )
-    yield setting_note("vehicle.track_m", text, "track_against_bows")
-
-
-def _straight(campaign: Campaign) -> BoolArray:
-    """Return which runs ended nearly straight ahead of where they began, in a frame of their own."""
-    runs = campaign.runs
-    x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
-    own_frame = campaign.reference.frame != "map"
-    return own_frame & ~runs.excluded & (distance > 1.0) & (x > 0.5 * distance) & (np.abs(y) < 0.05 * x)
-
-
-def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
-    """Return the slope of a line through the origin and its standard error, runs far from it left aside."""
-    kept = np.ones(len(counted), dtype=bool)
-    for _ in range(2):
-        square = max(float(counted[kept] @ counted[kept]), 1e-300)
-        slope = float(counted[kept] @ measured[kept]) / square
-        residual = measured - slope * counted
-        near = np.abs(residual) <= _OUTLIER_SPREADS * max(robust_spread(residual), 1e-12)
-        kept = near if near.sum() >= _LEAST_STRAIGHT_RUNS else kept
-    square = max(float(counted[kept] @ counted[kept]), 1e-300)
-    return slope, math.sqrt(float(residual[kept] @ residual[kept]) / (kept.sum() - 1) / square)
 
 
 #: a measured radius, track or load may differ from its nominal value by this factor either way
@@ -290,91 +149,3 @@ def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: st
             "distances and counts belong to the same runs?"
         )
         yield implausible_column(f"distance_m, counts_{side}", text)
-
-
-def implausible_poses(campaign: Campaign) -> Iterator[Note]:
-    """Yield end poses and headings in another unit."""
-    runs, own_frame = campaign.runs, campaign.reference.frame != "map"
-    x, y, theta, measured = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad", "distance_m"))
-    rolled = np.abs(rolled_m(campaign, "left") + rolled_m(campaign, "right")) / 2
-    distance = np.where(np.isfinite(measured), measured, rolled)
-    away = np.hypot(x, y)
-    good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
-    if good.sum() >= LEAST_RUNS:
-        far = good & (away > 3 * distance + 1)
-        if far.sum() > MOST_OF_THE_RUNS * good.sum():
-            ratio = float(np.median(away[far] / distance[far]))
-            hint = "are they in millimetres?" if ratio > 300 else "check their unit and frame"
-            text = (
-                f"the end poses lie {ratio:.3g} times as far away as was driven; expected the distance at most; {hint}"
-            )
-            yield implausible_column("ref_x_m, ref_y_m", text)
-        # a corridor's end lies where the rangefinder says
-        straight = good & np.isfinite(measured) & (np.abs(y) < 0.2 * np.abs(x))
-        share = float(np.median(away[straight] / distance[straight])) if straight.sum() >= LEAST_RUNS else 1.0
-        if share < 0.1:
-            text = (
-                f"the end poses of straight runs lie {share:.3g} of the distance away; expected the distance; check "
-                "the unit (km, or distance_m in mm?)"
-            )
-            yield implausible_column("ref_x_m, ref_y_m", text)
-        straight &= np.isfinite(theta) & (np.abs(y) < 0.05 * np.abs(x)) & (away > 0.5 * distance)
-        askew = float(np.median(np.abs(theta[straight]))) if straight.sum() >= LEAST_RUNS else 0.0
-        if askew > 0.15 and own_frame:
-            text = (
-                f"straight runs that end on their line are turned by {askew:.3g} rad (median); expected below 0.15; "
-                "are the headings in degrees?"
-            )
-            yield implausible_column("ref_theta_rad", text)
-    yield from _headings(campaign, distance)
-
-
-def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
-    """Hold headings against those of the counts, unequal wheels set aside: they turn in proportion to the distance.
-
-    Radii that scatter with the load make the small headings of nearly straight runs follow the counts less than once,
-    and never the other way round.
-    """
-    theta, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
-    good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
-    if good.sum() < 2 * LEAST_RUNS:
-        return
-    if np.median(np.abs(turned[good])) >= 1.0:
-        ratio, std = _partial_slope(theta[good], turned[good], [distance[good]])
-        if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
-            return
-        if not -2.0 <= ratio <= -0.5:
-            degrees = abs(abs(ratio) * math.pi / 180 - 1) < 0.3
-            hint = "are they in degrees?" if degrees else "check track_m, counts_per_rev and the heading's unit"
-            text = f"the headings are {ratio:.3g} times those of the counts; expected the same within 2 times; {hint}"
-            yield implausible_column("ref_theta_rad", text)
-            return
-    elif campaign.reference.frame != "map":
-        loads = [campaign.runs.number(f"load_{side}_N")[good] for side in SIDES]
-        by_load = [distance[good] * load for load in loads if np.isfinite(load).all()]
-        ratio, std = _partial_slope(theta[good], turned[good], [distance[good], *by_load])
-        if not ratio < min(_OPPOSED_RATIO, -_OPPOSED_SIGMAS * std):
-            return
-    else:
-        return
-    text = (
-        f"the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' counts "
-        "swapped, or is ref_theta_rad positive to the right?"
-    )
-    yield implausible_column("counts_left, counts_right", text)
-
-
-def _partial_slope(measured: FloatArray, counted: FloatArray, nuisance: Sequence[FloatArray]) -> tuple[float, float]:
-    """Return the slope of `measured` over `counted` beside nuisance columns, and its standard error; else 0 and inf."""
-    design = np.column_stack(nuisance)
-    design = design / np.maximum(np.abs(design).max(axis=0), 1e-300)
-    # loads may come in step with each other: what they explain is set aside at any rank
-    both = np.column_stack([counted, measured])
-    explained, _, rank, _ = np.linalg.lstsq(design, both, rcond=1e-9)
-    counted, measured = (both - design @ explained).T
-    free, square = len(measured) - int(rank) - 1, float(counted @ counted)
-    if free < LEAST_RUNS or square <= 0.0:
-        return 0.0, math.inf
-    slope = float(counted @ measured) / square
-    residual = measured - slope * counted
-    return slope, math.sqrt(float(residual @ residual) / free / square)

@@ -13,8 +13,9 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign.checks.design import SIDES, implausible_column, implausible_setting, per_rev, setting_note
-from calib.campaign.checks.distances import implausible_distances, implausible_poses, off
+from calib.campaign.checks.distances import implausible_distances, off
 from calib.campaign.checks.loads import implausible_loads
+from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.settings import OdometryModel
 from calib.units import split_suffix
