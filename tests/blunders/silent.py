@@ -366,7 +366,6 @@ def mistakes_of_poses_and_logs() -> Iterator[Fault]:
         ("wheelbase_m = 1.0", "wheelbase_m = 1.5"),
         ("cog_x_m = 0.388", "cog_x_m = 0.6"),
         ("mass_kg = 100.0", "mass_kg = 150.0"),
-        ("reference_load_N = 300.0", "reference_load_N = 900.0"),
         ("slope_left_m_per_N = ", "slope_left_m_per_N = 0.00001 # "),
         ("sigma_m = 0.001", "sigma_m = 0.03 # "),
         ("sigma_xy_m = 0.002", "sigma_xy_m = 0.05"),

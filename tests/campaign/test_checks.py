@@ -198,6 +198,14 @@ def _longer_in_a_session(made: Campaign) -> Campaign:
     return with_numbers(made, distance_m=made.runs.number("distance_m") * longer)
 
 
+def _poses_of_two_runs(made: Campaign) -> Campaign:
+    """The end pose of run 4 lies where a run 0.4 m longer ends."""
+    made = _wandering(made)
+    x = made.runs.number("ref_x_m").copy()
+    x[4] += 0.4
+    return with_numbers(made, ref_x_m=x)
+
+
 def _headings_off(made: Campaign) -> Campaign:
     """By 0.02 rad, in one session."""
     made = _wandering(made)
@@ -287,6 +295,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("rounded_values", "rounded_values", "suspicious", _number("counts_left", lambda c: np.round(c, -3)), ""),
     ("shifted_sessions", "shifted_sessions", "suspicious", _shifted_sessions, ""),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer_in_a_session, ""),
+    ("distance_against_pose", "pose_of_another_run", "suspicious", _poses_of_two_runs, "r004"),
     ("turned_frame", "turned_frame", "suspicious", _headings_off, ""),
     ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
     ("implausible", "implausible", "wrong", _scaled(4), ""),

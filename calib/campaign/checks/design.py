@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Note
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
 #: code of the notes about blunders
@@ -129,6 +129,13 @@ def load_label(campaign: Campaign) -> StrArray:
     return np.asarray(["/".join(f"{value:g}" for value in row) for row in zip(*columns, strict=True)], dtype=np.str_)
 
 
+def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
+    """Yield each label and the numbers of its runs."""
+    names, group = np.unique(labels, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    yield from zip(names, np.split(order, np.searchsorted(group[order], np.arange(1, len(names)))), strict=True)
+
+
 def listed(names: StrArray | list[str], limit: int = 6) -> str:
     """Return names as text, shortened where there are many."""
     shown = ", ".join(str(name) for name in names[:limit])
@@ -183,7 +190,7 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
     if len(loads) < 2:
         return
     if len(sessions) >= 2:
-        if all(len(np.unique(label[session == name])) == 1 for name in sessions):
+        if all(len(np.unique(label[members])) == 1 for _, members in groups_of(session)):
             text = (
                 f"each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the "
                 "effect of the load cannot be told apart; drive at least two loads in each session"
@@ -230,14 +237,14 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
     speed = np.round(runs.number("speed_mps"), 3)
     label = load_label(campaign)
     group_of = np.asarray([f"{k}|{w}|{v:g}" for k, w, v in zip(runs.label("kind"), label, speed, strict=True)])
-    names, group = np.unique(group_of, return_inverse=True)
+    groups = [members for _, members in groups_of(group_of)]
     for side in SIDES:
         ratio = raw_radius_ratio(campaign, side)
         ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
         away = np.full(len(ratio), np.nan)
-        for number in range(len(names)):
-            members = (group == number) & np.isfinite(ratio)
-            if members.sum() >= 3:
+        for members in groups:
+            members = members[np.isfinite(ratio[members])]
+            if len(members) >= 3:
                 away[members] = ratio[members] - np.median(ratio[members])
         known = np.isfinite(away)
         if known.sum() < 5:

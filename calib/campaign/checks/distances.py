@@ -29,7 +29,8 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
     """Say which runs lack counts, and which lack both a distance and an end pose."""
     runs = campaign.runs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
-    logged = [campaign.logs.of(run) for run in range(len(runs))]
+    needs_logs = source != "rear" or "ref_x_m" in campaign.logs.columns
+    logged = [campaign.logs.of(run) if needs_logs else {} for run in range(len(runs))]
     for name in (*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ())):
         lacking = np.isnan(runs.number(name)) if source == "rear" else np.asarray([name not in log for log in logged])
         if lacking.any():

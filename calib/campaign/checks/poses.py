@@ -12,7 +12,9 @@ from calib.campaign.checks.design import (
     LEAST_RUNS,
     MOST_OF_THE_RUNS,
     SIDES,
+    cell_note,
     column_note,
+    groups_of,
     implausible_column,
     robust_spread,
     rolled_m,
@@ -27,6 +29,8 @@ _LEAST_STRAIGHT_RUNS: Final = 8
 _SIGMAS: Final = 6.0
 #: a distance is that of the end pose within so many stated uncertainties, and at least so many metres
 _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
+#: a distance that differs from its end pose by so much, and so many times what is allowed, is another run's
+_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: share by which a track may differ before it is reported
 _TRACK_TOLERANCE: Final = 0.05
 #: a run far from the others, in robust spreads, is left aside: its log may be damaged
@@ -61,6 +65,16 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
             "is measured from"
         )
         yield column_note("distance_m", text, "distance_against_pose")
+    apart = np.where(_straight(campaign) & (np.abs(distance - away) < 0.5 * away), distance - away, np.nan)
+    if np.isfinite(apart).sum() < _LEAST_STRAIGHT_RUNS:
+        return
+    apart -= np.nanmedian(apart)
+    for run in np.flatnonzero(np.abs(apart) > max(_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN * allowed)):
+        text = (
+            f"found {distance[run]:.4g} m with an end pose {away[run]:.4g} m away, {apart[run]:+.3g} m against the "
+            "other straight runs; do distance and end pose belong to the same run?"
+        )
+        yield cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
 
 
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
@@ -68,18 +82,18 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
 
     `values`: of each run, NaN where there is none. With the number of runs, the median and its standard error.
     """
-    known = np.isfinite(values)
-    groups = [("in all sessions", known)] + [
-        (f"in session {one}", known & (session == one)) for one in np.unique(session)
-    ]
-    if known.sum() < _LEAST_STRAIGHT_RUNS:
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < _LEAST_STRAIGHT_RUNS:
         return
-    for where, group in groups:
-        median = float(np.median(values[group])) if group.sum() >= LEAST_RUNS else 0.0
-        error = 1.2533 * robust_spread(values[group]) / math.sqrt(max(int(group.sum()), 1))
+    for name, members in (("", known), *groups_of(session[known])):
+        found = values[known[members]] if name else values[known]
+        if len(found) < LEAST_RUNS:
+            continue
+        median = float(np.median(found))
+        error = 1.2533 * robust_spread(found) / math.sqrt(len(found))
         if abs(median) > max(allowed, _SIGMAS * error):
-            yield where, int(group.sum()), median, error
-            if where == groups[0][0]:
+            yield f"in session {name}" if name else "in all sessions", len(found), median, error
+            if not name:
                 return
 
 
