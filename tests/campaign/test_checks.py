@@ -213,6 +213,10 @@ def _headings_off(made: Campaign) -> Campaign:
     return with_numbers(made, ref_theta_rad=made.runs.number("ref_theta_rad") + more)
 
 
+def _sensor_said_to_be_turned(made: Campaign) -> Campaign:
+    return replace(_wandering(made), reference=replace(made.reference, sensor_yaw_rad=0.03))
+
+
 def _turned_poses(made: Campaign) -> Campaign:
     """By 0.02 rad, all of them."""
     made = _wandering(made)
@@ -298,6 +302,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_against_pose", "pose_of_another_run", "suspicious", _poses_of_two_runs, "r004"),
     ("turned_frame", "turned_frame", "suspicious", _headings_off, ""),
     ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
+    ("turned_frame", "turned_frame", "suspicious", _sensor_said_to_be_turned, ""),
     ("implausible", "implausible", "wrong", _scaled(4), ""),
     ("implausible", "implausible", "wrong", _number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),

@@ -110,7 +110,10 @@ def _bows(campaign: Campaign) -> _Bows | None:
         return None
     used = used[np.linspace(0, len(used) - 1, min(len(used), _MOST_STRAIGHT_RUNS)).astype(np.int64)]
     sensor = campaign.reference
-    offset = runs.number("ref_y_m") - sensor.sensor_x_m * np.sin(theta) - sensor.sensor_y_m * (np.cos(theta) - 1.0)
+    # of the vehicle, from the pose of the sensor since its own start
+    along, aside = runs.number("ref_x_m"), runs.number("ref_y_m")
+    offset = np.sin(sensor.sensor_yaw_rad) * along + np.cos(sensor.sensor_yaw_rad) * aside
+    offset -= sensor.sensor_x_m * np.sin(theta) + sensor.sensor_y_m * (np.cos(theta) - 1.0)
     distance = runs.number("distance_m")
     counted = np.full(len(runs), np.nan)
     counted[used] = [_bow(campaign, int(run), float(distance[run])) for run in used]
@@ -169,7 +172,7 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
     """Compare headings with where straight runs end: both agree, however unequal the wheels, in a frame not turned."""
     bows = _bows(campaign)
-    if bows is None or campaign.reference.sensor_yaw_rad != 0.0:
+    if bows is None:
         return
     offset, turned, counted = bows
     angle = 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")
