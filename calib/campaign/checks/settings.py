@@ -60,16 +60,25 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
             yield setting_note(f"encoder, counts_per_rev_{side}", text, "counts_per_rev")
     if not stated(campaign, "vehicle.wheel_radius_m"):
         return
-    ratios = [raw_radius_ratio(campaign, side) for side in SIDES]
+    ratios = [raw_radius_ratio(campaign, side) * _over_model(campaign, side) for side in SIDES]
     if min(np.isfinite(ratio).sum() for ratio in ratios) < LEAST_RUNS:
         return
     left, right = (float(np.nanmedian(ratio)) for ratio in ratios)
     if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
         text = (
-            f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the nominal one; expected within "
+            f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the model's; expected within "
             f"{100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"
         )
         yield setting_note("encoder and vehicle", text, "counts_per_rev")
+
+
+def _over_model(campaign: Campaign, side: str) -> FloatArray:
+    """Return the nominal radius over the one that the model has under the load of each run."""
+    model, load = campaign.model, campaign.runs.number(f"load_{side}_N")
+    slope = model.slope_left_m_per_N if side == "left" else model.slope_right_m_per_N
+    radius = model.radius_left_m if side == "left" else model.radius_right_m
+    changes = slope * np.where(np.isfinite(load), load - model.reference_load_N, 0.0)
+    return np.asarray(campaign.vehicle.wheel_radius_m / np.maximum(radius + changes, 0.1 * radius))
 
 
 def _is_round(counts: float) -> bool:
