@@ -49,6 +49,7 @@ CHECKS: Final[dict[str, Check]] = {
         loads.loads_against_payload,
         poses.mirrored_ends,
         poses.turned_frame,
+        poses.stated_uncertainties,
         poses.track_against_bows,
         design.load_and_session,
         design.few_loads,

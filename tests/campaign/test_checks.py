@@ -206,6 +206,10 @@ def _poses_of_two_runs(made: Campaign) -> Campaign:
     return with_numbers(made, ref_x_m=x)
 
 
+def _with_sigma(**sigma: float) -> Fault:
+    return lambda made: replace(_wandering(made), reference=replace(made.reference, **sigma))
+
+
 def _headings_off(made: Campaign) -> Campaign:
     """By 0.02 rad, in one session."""
     made = _wandering(made)
@@ -300,6 +304,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("shifted_sessions", "shifted_sessions", "suspicious", _shifted_sessions, ""),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer_in_a_session, ""),
     ("distance_against_pose", "pose_of_another_run", "suspicious", _poses_of_two_runs, "r004"),
+    ("stated_uncertainties", "stated_uncertainties", "suspicious", _with_sigma(sigma_xy_m=0.05), ""),
+    ("stated_uncertainties", "stated_uncertainties", "suspicious", _with_sigma(sigma_theta_rad=0.04), ""),
     ("turned_frame", "turned_frame", "suspicious", _headings_off, ""),
     ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
     ("turned_frame", "turned_frame", "suspicious", _sensor_said_to_be_turned, ""),

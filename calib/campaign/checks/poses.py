@@ -19,6 +19,7 @@ from calib.campaign.checks.design import (
     robust_spread,
     rolled_m,
     setting_note,
+    stated,
     turned_rad,
 )
 from calib.campaign.model import Campaign, Note
@@ -31,6 +32,8 @@ _SIGMAS: Final = 6.0
 _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 #: a distance that differs from its end pose by so much, and so many times what is allowed, is another run's
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
+#: scatter and stated uncertainty are the same within this factor
+_OVERSTATED: Final = 4.0
 #: share by which a track may differ before it is reported
 _TRACK_TOLERANCE: Final = 0.05
 #: a run far from the others, in robust spreads, is left aside: its log may be damaged
@@ -167,6 +170,31 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
         f"(standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"
     )
     yield setting_note("vehicle.track_m", text, "track_against_bows")
+
+
+def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
+    """Compare the scatter of straight runs with the uncertainties stated: a diagnosis weighs everything by these."""
+    runs, sigma_xy_m = campaign.runs, campaign.reference.sigma_xy_m
+    distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
+    straight = _straight(campaign) & (np.abs(distance - away) < 0.05 * away)
+    found = [(distance - away)[straight], np.zeros(0)]
+    if (bows := _bows(campaign)) is not None:
+        offset, turned, counted = bows
+        found[1] = (2.0 * (offset - turned - counted) / distance)[np.isfinite(counted)]
+    sigma_theta_rad = campaign.reference.sigma_theta_rad
+    expected = (math.hypot(campaign.rangefinder.sigma_m, sigma_xy_m), sigma_theta_rad)
+    keys = ("rangefinder.sigma_m", "reference.sigma_xy_m"), ("reference.sigma_theta_rad",)
+    for names, values, sigma, unit in zip(keys, found, expected, ("m", "rad"), strict=True):
+        if len(values) < _LEAST_STRAIGHT_RUNS or not all(stated(campaign, name) for name in names):
+            continue
+        scatter = robust_spread(values)
+        # headings scatter by more than the reference's share, since no floor is even
+        if scatter < sigma / _OVERSTATED or (unit == "m" and scatter > sigma * _OVERSTATED):
+            text = (
+                f"found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g} {unit}; "
+                f"expected the same within {_OVERSTATED:g} times; check the unit and the value"
+            )
+            yield setting_note(" and ".join(names), text, "stated_uncertainties")
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
