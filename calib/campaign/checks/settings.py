@@ -60,16 +60,19 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
             yield setting_note(f"encoder, counts_per_rev_{side}", text, "counts_per_rev")
     if not stated(campaign, "vehicle.wheel_radius_m"):
         return
-    ratios = [raw_radius_ratio(campaign, side) * _over_model(campaign, side) for side in SIDES]
-    if min(np.isfinite(ratio).sum() for ratio in ratios) < LEAST_RUNS:
+    ratios = np.stack([raw_radius_ratio(campaign, side) for side in SIDES])
+    if np.isfinite(ratios).sum(axis=1).min() < LEAST_RUNS:
         return
-    left, right = (float(np.nanmedian(ratio)) for ratio in ratios)
-    if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
-        text = (
-            f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the model's; expected within "
-            f"{100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"
-        )
-        yield setting_note("encoder and vehicle", text, "counts_per_rev")
+    over_model = np.stack([_over_model(campaign, side) for side in SIDES])
+    for whose, radii in (("nominal one", ratios), ("model's", ratios * over_model)):
+        left, right = (float(value) for value in np.nanmedian(radii, axis=1))
+        if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
+            text = (
+                f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the {whose}; expected within "
+                f"{100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"
+            )
+            yield setting_note("encoder and vehicle", text, "counts_per_rev")
+            return
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
