@@ -16,10 +16,10 @@ from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import Settings, read_settings
 from calib.errors import CalibError
 from calib.fleet.members import Member, Part, one_line
+from calib.fleet.order import WheelSums
 from calib.fleet.store import Keys, line_of, unsealed
 from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.radius.effective import effective_radii
-from calib.radius.sessions import SessionSums
 from calib.types import FloatArray, StrArray
 
 #: column of the run table that gives the day of a run; any origin
@@ -49,8 +49,8 @@ def _sums_of_part(part: Part, settings: dict[Path, Settings], keys: Keys) -> Par
     day = _days(campaign, radii.run_id, part)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
-    left = SessionSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
-    right = SessionSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
+    left = WheelSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
+    right = WheelSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
     return PartSums(part.name, key, reference, nominal, left, right)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.fleet.order import WheelSums, widened
 from calib.radius.sessions import SessionSums, line_from_sums
 
 WHEELS: Final = ("left", "right")
@@ -27,7 +28,7 @@ class PartSums:
         By which the file is known again.
     reference_load_N, radius_m : float
         From which loads and radii are counted; the model's reference load, the nominal radius.
-    left, right : SessionSums or None
+    left, right : WheelSums or None
         None where `why` says what is wrong.
     why : str
         One line; empty where the file could be used.
@@ -37,22 +38,14 @@ class PartSums:
     key: str
     reference_load_N: float
     radius_m: float
-    left: SessionSums | None
-    right: SessionSums | None
+    left: WheelSums | None
+    right: WheelSums | None
     why: str = ""
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
         """Return what was kept."""
-        return PartSums(**{**value, **{side: _sums(value[side]) for side in WHEELS}})
-
-
-def _sums(value: Mapping[str, Any] | None) -> SessionSums | None:
-    if value is None:
-        return None
-    table = np.array(value["table"], dtype=np.float64).reshape(-1, 8)
-    labels = np.array(value["session"], dtype=np.str_)
-    return SessionSums(labels, table, float(value["load_min_N"]), float(value["load_max_N"]))
+        return PartSums(**{**value, **{side: value[side] and WheelSums.from_dict(value[side]) for side in WHEELS}})
 
 
 @dataclass(frozen=True)
@@ -89,6 +82,8 @@ class WheelLine:
         95 % intervals, as `calib fit` takes them from sessions and runs.
     run_std_m : float
         Scatter of a run.
+    autocorrelation : float
+        Of runs that follow each other, by which the intervals are widened; 0 where none is significant.
     drift : Drift or None
         None where the sessions have no day, or are fewer than four.
     """
@@ -100,6 +95,7 @@ class WheelLine:
     radius_ci95_m: tuple[float, float]
     slope_ci95_m_per_N: tuple[float, float]
     run_std_m: float
+    autocorrelation: float
     drift: Drift | None
 
 
@@ -129,6 +125,7 @@ class VehicleRecord:
             values[f"radius_{side}_ci95_m"] = list(line.radius_ci95_m)
             values[f"slope_{side}_m_per_N"] = line.slope_m_per_N
             values[f"slope_{side}_ci95_m_per_N"] = list(line.slope_ci95_m_per_N)
+            values[f"autocorrelation_{side}"] = line.autocorrelation
             values[f"drift_{side}_m_per_day"] = None if line.drift is None else line.drift.per_day_m
         return values
 
@@ -156,8 +153,8 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
     reference, nominal = next(iter(origins))
-    sums = [reduce(SessionSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
-    n_runs = int(sums[0].n_runs)
+    sums = [reduce(WheelSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
+    n_runs = int(sums[0].runs.n_runs)
     left, right = (_line(of_side, nominal) for of_side in sums)
     if left is None or right is None:
         why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
@@ -165,10 +162,11 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     return VehicleRecord(vehicle, n_runs, reference, left, right)
 
 
-def _line(sums: SessionSums, nominal_m: float) -> WheelLine | None:
-    estimate = line_from_sums(sums)
+def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
+    estimate = line_from_sums(sums.runs)
     if estimate is None:
         return None
+    estimate, autocorrelation = widened(estimate, sums)
     radius, slope = (float(value) for value in estimate.coefficients)
     half_radius, half_slope = (float(value) for value in estimate.half_width(np.eye(2), COVERAGE))
     std = np.sqrt(np.diag(estimate.covariance))
@@ -180,7 +178,8 @@ def _line(sums: SessionSums, nominal_m: float) -> WheelLine | None:
         radius_ci95_m=(nominal_m + radius - half_radius, nominal_m + radius + half_radius),
         slope_ci95_m_per_N=(slope - half_slope, slope + half_slope),
         run_std_m=float(np.sqrt(estimate.run_variance)),
-        drift=_drift(sums, slope),
+        autocorrelation=autocorrelation,
+        drift=_drift(sums.runs, slope),
     )
 
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calib.fleet.order import WheelSums
 from calib.fleet.vehicle import PartSums, VehicleRecord, record_of
 from calib.fleet.view import FleetView, view_of
 from calib.plant.fleet import COUNTS_PER_REV, FleetSize, FleetTruth, PlannedFleet, plan_fleet
-from calib.radius.sessions import SessionSums
 
 NOMINAL_M, REFERENCE_N = 0.1, 300.0
 
@@ -30,7 +30,7 @@ def records_of(fleet: PlannedFleet, rng: np.random.Generator) -> Iterator[Vehicl
         for side in ("left", "right"):
             radius = column["distance_m"] / (2 * np.pi * column[f"counts_{side}"] / COUNTS_PER_REV)
             load = column[f"load_{side}_N"] - REFERENCE_N
-            sides.append(SessionSums.from_runs(column["session"], load, radius - NOMINAL_M, column["day"]))
+            sides.append(WheelSums.from_runs(column["session"], load, radius - NOMINAL_M, column["day"]))
         yield record_of(name, [PartSums(name, "", REFERENCE_N, NOMINAL_M, sides[0], sides[1])])
 
 
