@@ -66,17 +66,20 @@ class Store(Generic[Record]):
             raise BadInputError(
                 f"{self.path.parent}: found {error.strerror}; expected a folder that can be written; choose another"
             ) from error
+        if self.path.exists() and not self.path.is_file():
+            raise BadInputError(f"{self.path}: found no regular file; expected one, or none; take it away")
 
     def read(self) -> dict[str, Record]:
         """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
         kept: dict[str, Record] = {}
         if not self.path.is_file():
             return kept
-        with self.path.open(encoding="utf-8") as stream:
+        # bytes that are no UTF-8 break the seal of their line, and of no other
+        with self.path.open(encoding="utf-8", errors="surrogateescape") as stream:
             for line in stream:
                 try:
                     record = self.from_dict(unsealed(line))
-                except (ValueError, KeyError, TypeError, AttributeError):
+                except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                     continue
                 kept[record.name] = record
         return kept

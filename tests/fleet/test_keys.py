@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from calib.errors import BadInputError
 from calib.fleet import store
 from calib.fleet.run import fit_fleet
 from calib.fleet.store import SUMS
 from calib.fleet.survey import survey_fleet
+from calib.reporting.files import Heads, write_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -94,6 +96,34 @@ def test_a_kept_line_that_was_changed_is_read_anew(fleet: Path, tmp_path: Path) 
     again = fit_fleet(fleet, tmp_path / "out")
     assert (again.n_read, again.n_kept) == (1, 1)
     assert again.to_dict() == right
+
+
+def test_kept_lines_that_are_none_are_read_anew(fleet: Path, tmp_path: Path) -> None:
+    """Bytes that are no UTF-8, a nesting beyond all bounds and other JSON between whole lines: these alone are kept."""
+    right = fit_fleet(fleet, tmp_path / "out").to_dict()
+    kept = tmp_path / "out" / SUMS
+    kept.write_bytes(b"\xff\xfe{}\n" + b"[" * 100_000 + b"\nnull\n[1]\n" + kept.read_bytes())
+    again = fit_fleet(fleet, tmp_path / "out")
+    assert (again.n_read, again.n_kept) == (0, 2)
+    assert again.to_dict() == right
+
+
+def test_a_store_that_is_a_pipe_is_refused_and_never_waited_for(fleet: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    os.mkfifo(tmp_path / "out" / SUMS)
+    with pytest.raises(BadInputError, match="no regular file"):
+        fit_fleet(fleet, tmp_path / "out")
+
+
+def test_a_fleet_of_which_nothing_can_be_fitted_has_its_pages(fleet: Path, tmp_path: Path) -> None:
+    """Settings that are a folder in every vehicle: each is listed, no figure is drawn, the pages are written."""
+    for vehicle in ("v1", "v2"):
+        (fleet / vehicle / "campaign.toml").unlink()
+        (fleet / vehicle / "campaign.toml").mkdir()
+    fitted = fit_fleet(fleet, tmp_path / "out")
+    assert fitted.view.n_failed == 2
+    written = write_fleet(fitted, tmp_path / "out", Heads("fleet", "2026-01-31", False))
+    assert {path.name for path in written} == {"fleet.json", "vehicles.csv", "fleet.pdf", "fleet.html"}
 
 
 def test_links_and_special_files_of_a_vehicle_leave_the_others_alone(fleet: Path, tmp_path: Path) -> None:

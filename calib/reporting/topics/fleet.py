@@ -27,7 +27,7 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
     blocks: list[Block] = [Heading("Fleet"), Facts(facts)]
     if view.populations:
         blocks.append(_population_table(view.populations))
-    if pictures:
+    if pictures and view.n_fitted:
         blocks += _pictures(fleet)
     blocks += _counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers])
     if view.drifting:
