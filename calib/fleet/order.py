@@ -34,7 +34,7 @@ class WheelSums:
         Over pairs of runs that follow each other in a session: their number; sums of the products of load and load,
         load and radius (half of either way), radius and radius; sums of both loads, of both radii.
     whole : array of float, shape (6,)
-        The same over all runs of a file, whatever their session.
+        The same over all runs of a file, sessions disregarded.
     """
 
     runs: SessionSums
