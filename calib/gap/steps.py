@@ -54,6 +54,12 @@ class Perturbation:
         """Return the fields in order."""
         return tuple(getattr(self, field.name) for field in fields(self))
 
+    def is_of_observations(self, s: Observations) -> bool:
+        """Return whether it is the same in all steps of each observation, so that its signature needs no steps."""
+        along = (self.heading_rad, self.along_m, self.lateral_m, self.delay_s)
+        wheels = (part for part in (self.left, self.right, self.track) if part is not None)
+        return all(part is None for part in along) and all(len(part) == len(s) != len(s.unit) for part in wheels)
+
     def part(self, units: slice, s: Observations) -> Perturbation:
         """Return the perturbation of some observations alone, from one of all observations of `s`."""
         n_steps = len(s.unit)

@@ -271,13 +271,27 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
     """
     if not forms:
         return []
-    perturbations = [None if form.by_parts else form.perturbations(path) for form in forms]
     columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
+    along_path: list[tuple[Form, list[Perturbation | None], FloatArray]] = []
+    for form, column in zip(forms, columns, strict=True):
+        whole: list[Perturbation | None] = [None] * len(form.parameters)
+        if not form.by_parts:
+            whole = list(form.perturbations(path))
+            for number, (push, typical) in enumerate(zip(whole, form.typical, strict=True)):
+                # what is the same in all steps of an observation needs none of them
+                if push is not None and push.is_of_observations(path.s):
+                    column[:, :, number], whole[number] = signature(path, push) * typical, None
+        if form.by_parts or any(push is not None for push in whole):
+            along_path.append((form, whole, column))
+    if not along_path:
+        return columns
     for units, part in path.parts():
-        for form, whole, column in zip(forms, perturbations, columns, strict=True):
-            some = form.perturbations(part) if whole is None else [push.part(units, path.s) for push in whole]
-            for number, (push, parameter) in enumerate(zip(some, form.parameters, strict=True)):
-                column[units, :, number] = signature(part, push) * parameter.typical
+        for form, whole, column in along_path:
+            pushes = form.perturbations(part) if form.by_parts else whole
+            for number, (push, typical) in enumerate(zip(pushes, form.typical, strict=True)):
+                if push is not None:
+                    some = push if form.by_parts else push.part(units, path.s)
+                    column[units, :, number] = signature(part, some) * typical
     return columns
 
 

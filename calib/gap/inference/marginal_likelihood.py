@@ -106,11 +106,17 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     -------
     array of float, shape (..., p)
     """
-    eye = np.eye(gram.shape[-1])
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
-    scaled = (gram + ridge * eye) / (size[..., :, None] * size[..., None, :]) + 1e-10 * eye
+    scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
     products: FloatArray = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
     return products
+
+
+def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
+    """Set the diagonal of matrices (..., p, p), in place, and return them."""
+    place = np.arange(matrix.shape[-1])
+    matrix[..., place, place] = value
+    return matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,9 +212,11 @@ def _batch(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -
         empty: FloatArray = base + log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
         return empty
     there = index >= 0
-    gram = sums.gram[:, index[:, :, None], index[:, None, :]] * (there[:, :, None] & there[:, None, :])
-    gram = gram + np.eye(index.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
-    right = sums.right[:, index] * there
+    gram, right = sums.gram[:, index[:, :, None], index[:, None, :]], sums.right[:, index]
+    if not there.all():
+        gram *= there[:, :, None] & there[:, None, :]
+        gram += np.eye(index.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
+        right *= there
     sizes = ridge_solve(gram, right, 1e-2)
     variance = np.where(there, prior_scale(sizes, owner, columns.most[index]) ** 2, 1e-12)
     sign = np.where(there, columns.sign[index], 0)
@@ -240,10 +248,15 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
     """Return log |I + S G| and g^T (S^-1 + G)^-1 g, each shape (...)."""
     root = np.sqrt(variance)
     inner, size = _inner(gram, root)
-    lower = np.linalg.cholesky(inner)
-    solved = np.linalg.solve(lower, (root * right / size)[..., None])[..., 0]
-    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)) + np.log(size)).sum(axis=-1)
-    return log_det, (solved**2).sum(axis=-1)
+    k = inner.shape[-1]
+    # one factor gives both: below it the products stand as a further row, which becomes the solution. Its own square
+    # has to exceed that of the solution, and does, for I + S G is no less than the identity
+    below = np.zeros((*inner.shape[:-2], k + 1, k + 1))
+    below[..., :k, :k], below[..., k, :k] = inner, root * right / size
+    below[..., k, k] = 1.0 + ((root * right) ** 2).sum(axis=-1)
+    lower = np.linalg.cholesky(below)
+    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)[..., :k]) + np.log(size)).sum(axis=-1)
+    return log_det, (lower[..., k, :k] ** 2).sum(axis=-1)
 
 
 def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
@@ -268,9 +281,9 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 
 def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return I + S G scaled to a unit diagonal, so that columns exactly alike do no harm, and the scaling (..., k)."""
-    inner = root[..., :, None] * gram * root[..., None, :] + np.eye(gram.shape[-1])
-    size = np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1))
-    return inner / (size[..., :, None] * size[..., None, :]) + 1e-11 * np.eye(gram.shape[-1]), size
+    size = np.sqrt(root**2 * np.diagonal(gram, axis1=-2, axis2=-1) + 1.0)
+    ratio = root / size
+    return _with_diagonal(gram * (ratio[..., :, None] * ratio[..., None, :]), 1.0 + 1e-11), size
 
 
 def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight: FloatArray) -> FloatArray:

@@ -130,7 +130,8 @@ def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
 
     Own code: statsmodels has the same steps, but its import takes longer than all that is done here.
     """
-    ordered = sorted(lines, key=lambda line: (line.p_value, -line.share))
+    # covariates that vary alike have one p but for rounding, which must not order them
+    ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
     stands = np.maximum.accumulate(stepped) <= FALSE_FINDING_PROBABILITY
     return tuple(
