@@ -233,16 +233,18 @@ class Steps:
         """Return what a perturbation adds to the sums of each observation, to first order, shape (5, n_obs)."""
         s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
         for part, lever in self._levers(perturbation):
-            wide = part if len(part) == len(s.unit) and len(s) != len(s.unit) else part[s.unit]
-            takes_part = wide != 0.0
-            if np.count_nonzero(takes_part) * SPARSE_SHARE < len(wide):
+            if len(part) == len(s):
+                summed[list(lever.sums)] += np.add.reduceat(lever.by_step, s.starts[:-1], axis=1) * part
+                continue
+            takes_part = part != 0.0
+            if np.count_nonzero(takes_part) * SPARSE_SHARE < len(part):
                 # a place on the floor, a stop: most steps have no part in it
                 there = np.flatnonzero(takes_part)
-                some, unit = lever.by_step.take(there, axis=1) * wide[there], s.unit[there]
+                some, unit = lever.by_step.take(there, axis=1) * part[there], s.unit[there]
                 for number, values in zip(lever.sums, some, strict=True):
                     summed[number] += np.bincount(unit, values, len(s))
             else:
-                summed[list(lever.sums)] += np.add.reduceat(lever.by_step * wide, s.starts[:-1], axis=1)
+                summed[list(lever.sums)] += np.add.reduceat(lever.by_step * part, s.starts[:-1], axis=1)
         return summed
 
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
