@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.kinematics.blunders import Fault
+from calib.kinematics.delays import steering_play_rad
 from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
@@ -49,6 +50,8 @@ PLAUSIBLE_TRACK_CHANGE: Final = 0.3
 FEW_OUTLIERS: Final = 0.1
 #: share of runs that the noise cannot explain, from which on the result is doubtful
 MANY_OUTLIERS: Final = 0.25
+#: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
+COPIED_SHARE: Final = 3e-6
 #: a turn of less is not what heading residuals are held against: chance in the reference's heading would be most of it
 LEAST_ROTATION_RAD: Final = 1.0
 
@@ -188,8 +191,11 @@ def judged(
         *impossible,
         *_at_odds(whole, outliers, large),
         *_sideways(position, heading),
+        *_copied(position),
         *_lengths_alone(fitted),
     )
+    if {level, level_of_heading} != {CALIBRATED}:
+        more = (*more, *_steering_play(fitted))
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     # 0 where nothing was measured
     figures = (
@@ -308,6 +314,28 @@ def _sideways(position: Residuals, heading: Residuals) -> list[str]:
         f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
         f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
         "reference's positions are wrong"
+    ]
+
+
+def _steering_play(fitted: Fitted) -> list[str]:
+    """Return a sentence where the recordings disagree on the zero of the steering angle."""
+    play_rad = steering_play_rad(fitted.model, fitted.solution, fitted.parameters)
+    if not play_rad:
+        return []
+    return [
+        f"steering_zero_rad differs between recordings by {1e3 * play_rad:.2g} mrad (standard deviation), beyond "
+        "chance: the steering has play, or does not follow its command; log the angle of the wheels, or predict a "
+        "further recording no better than that"
+    ]
+
+
+def _copied(position: Residuals) -> list[str]:
+    """Return a sentence where the reference is the nominal odometry itself: no instrument agrees with it that well."""
+    if not 0.0 < position.before < COPIED_SHARE * position.travelled:
+        return []
+    return [
+        f"position: the reference agrees with the nominal odometry within {1e6 * position.before:.2g} um: it was "
+        "computed from the counts; give poses of an instrument of its own"
     ]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import Drive, Parameters, first_scales, parameters_of
+from calib.kinematics.drives import STEERING_SCALE, Drive, Parameters, first_scales, parameters_of
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording
@@ -67,6 +67,15 @@ COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four t
 #: factors that a track is stated wrong by: from the middle to a wheel
 TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
 
+#: a step so many times as large as those beside it, and above a revolution, is no motion
+JUMP_FACTOR: Final = 20.0
+#: jumps a run, on average; more are a counter that wraps
+MOST_JUMPS: Final = 2.0
+#: no wheel is steered further
+LARGEST_STEERING_RAD: Final = 2.0
+#: gear ratios tried, near enough to each other for the scale of the steering angle to be found from one of them
+GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
+
 Change = Callable[[Recording], Recording]
 Divide = Callable[["Campaign", Recording], Segments]
 
@@ -79,6 +88,8 @@ class Reading:
     change: Change
     #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
     zeroed: Change | None = None
+    #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
+    refined: Callable[[tuple[float, float]], Reading] | None = None
     #: a setting that it corrects
     setting: Callable[[Campaign], Campaign] | None = None
 
@@ -93,6 +104,8 @@ class Trial:
     plausible: bool
     #: angle by which the reference's displacements are turned against those of the wheels
     turned_rad: float
+    #: fitted mean radius over the nominal one, and scale of the steering angle
+    scales: tuple[float, float] = (1.0, 1.0)
 
 
 def find_blunder(
@@ -121,18 +134,20 @@ def find_blunder(
     as_it_stands = tried(_unchanged)
     # a fit of lengths that no vehicle has explains nothing
     enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share if as_it_stands.plausible else SMALL_SHARE)
-    best: list[tuple[float, Reading]] = []
-    for reading in _readings(recording, per_rev, drive, as_it_stands.turned_rad):
+    best: list[tuple[Trial, Reading]] = []
+    for reading in _readings(recording, per_rev, drive, as_it_stands):
         trial = tried(reading.change, reading.setting)
         if not trial.plausible or trial.share >= enough:
             continue
         without = tried(reading.zeroed) if reading.zeroed else None
         if without is None or not without.plausible or trial.share < CLEARLY_LESS * without.share:
-            best.append((trial.share, reading))
+            best.append((trial, reading))
     if not best:
         return None
-    least = min(share for share, _ in best)
-    chosen = next(reading for share, reading in best if share <= ALIKE * least)
+    least = min(trial.share for trial, _ in best)
+    trial, chosen = next(each for each in best if each[0].share <= ALIKE * least)
+    if chosen.refined is not None:
+        chosen = chosen.refined(trial.scales)
     return chosen.setting(campaign) if chosen.setting else campaign, chosen.change(recording), chosen.blunder
 
 
@@ -164,7 +179,10 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
     near = bool((np.abs(change) < PLAUSIBLE_CHANGE).all()) and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
-    return Trial(_trimmed(share), near and abs(turned) < SAME_WAY_RAD, turned)
+    found = dict(zip(parameters.names, values.tolist(), strict=True))
+    radii = [found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]
+    near = near and abs(turned) < SAME_WAY_RAD
+    return Trial(_trimmed(share), near, turned, (float(np.mean(radii)), found.get(STEERING_SCALE, 1.0)))
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -175,14 +193,17 @@ def _trimmed(squares: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sort(squares)[: max(kept, 1)])))
 
 
-def _readings(recording: Recording, per_rev: float, drive: Drive, turned_rad: float) -> Iterator[Reading]:
+def _readings(recording: Recording, per_rev: float, drive: Drive, as_it_stands: Trial) -> Iterator[Reading]:
     """Yield readings, the simplest first."""
-    yield from _axes(turned_rad)
+    yield from _axes(as_it_stands.turned_rad)
     yield from _units()
     yield from _tracks(drive)
     yield from _wheel_units(per_rev, drive)
+    if not as_it_stands.plausible:
+        yield from _geared()
     yield from _wraps(recording, per_rev)
     yield from _increments(recording)
+    yield from _jumps(recording)
     if recording.steps.steer_rad is not None:
         yield from _steering(recording.steps.steer_rad)
 
@@ -281,6 +302,17 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
             yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
 
 
+def _geared() -> Iterator[Reading]:
+    """Yield counts of an encoder that turns many times a revolution of the wheel."""
+
+    def reading(ratio: float) -> Reading:
+        text = f"counts: found some {ratio:.3g} times the wheel's (the motor's?); correct counts_per_rev"
+        change = _turned(1.0 / ratio)
+        return Reading(Fault("count_gear", text), change, refined=lambda scales: reading(ratio / scales[0]))
+
+    yield from map(reading, GEAR_RATIOS)
+
+
 def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
     """Return sets of wheels with their names: all; of two wheels each by itself, too."""
     if n_wheels != 2:
@@ -322,6 +354,22 @@ def _increments(recording: Recording) -> Iterator[Reading]:
         yield Reading(Fault("count_increments", text), summed)
 
 
+def _jumps(recording: Recording) -> Iterator[Reading]:
+    """Yield counters that start again, or jump: single steps far above those beside them are taken out."""
+    size = np.abs(recording.steps.turned_rad)
+    beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
+    jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
+    n_jumps = int(jumps.any(axis=0).sum())
+    if not 0 < n_jumps <= MOST_JUMPS * len(recording):
+        return
+
+    def without(recording: Recording) -> Recording:
+        return recording.with_turned(np.where(jumps, 0.0, recording.steps.turned_rad))
+
+    text = f"counts: found {n_jumps} jumps of more than a revolution in one sample (a counter that starts again); "
+    yield Reading(Fault("count_jump", text + "join the parts of each run, or leave these runs out"), without)
+
+
 def _steering(steer: FloatArray) -> Iterator[Reading]:
     """Yield steering angles in another unit, of the other sign, or that wrap."""
 
@@ -342,3 +390,11 @@ def _steering(steer: FloatArray) -> Iterator[Reading]:
                 return np.asarray(np.where(angle > 0.5 * full, angle - full, angle))
 
             yield Reading(Fault("steering_wraps", text), steered(unwrapped))
+    if float(np.max(np.abs(steer))) > LARGEST_STEERING_RAD:
+
+        def geared(ratio: float) -> Reading:
+            text = f"steer_rad: found angles some {ratio:.3g} times the wheel's (the motor's?); divide by the gear"
+            change = steered(partial(np.multiply, 1.0 / ratio))
+            return Reading(Fault("steering_gear", text), change, refined=lambda scales: geared(ratio / scales[1]))
+
+        yield from map(geared, GEAR_RATIOS)

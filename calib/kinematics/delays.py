@@ -1,4 +1,4 @@
-"""Delays of the reference by recording, where one common delay does not fit."""
+"""Parameters that differ between recordings: delays of the reference, and the zero of the steering angle."""
 
 from __future__ import annotations
 
@@ -65,33 +65,55 @@ def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tupl
     joint fit; `parameters`: the delay is the last of them. Returns `delays`: in the order driven; empty where the
     recordings do not ask for several; `added_s` (shape (n_runs,)): to be added to the common delay in each run.
     """
-    recording, segments = model.recording, model.segments
-    nothing: tuple[tuple[Delay, ...], FloatArray] = (), np.zeros(len(recording))
-    group = _groups(recording)
-    n_groups = int(group.max()) + 1
-    if not parameters.free[-1] or n_groups < 2:
-        return nothing
-    jacobian, residuals = whitened(solution, parameters.free)
-    by_delay = jacobian[:, :, -1]
-    block = np.unique(segments.block, return_inverse=True)[1]
-    of_block = group[segments.run[np.unique(block, return_index=True)[1]]]
-    information = np.bincount(block, np.square(by_delay).sum(axis=1))
-    pull = np.bincount(block, np.sum(by_delay * residuals, axis=1))
-    size = np.bincount(of_block, information, minlength=n_groups)
-    if np.bincount(of_block, minlength=n_groups).min() < FEWEST_BLOCKS or not (size > 0.0).all():
-        return nothing
-    shift = np.bincount(of_block, pull, minlength=n_groups) / size
-    # about its own delay: what a common shift pulls in each block is no noise
-    about = pull - shift[of_block] * information
-    std = np.sqrt(np.bincount(of_block, np.square(about), minlength=n_groups)) / size
+    recording = model.recording
+    shifts = shifts_of(model, solution, parameters, "delay_s")
+    if shifts is None:
+        return (), np.zeros(len(recording))
+    group, shift, std = shifts
     added = recording.delay_added_s + shift[group]
     first = np.unique(group, return_index=True)[1]
     if not _disagree(added[first], std):
-        return nothing
+        return (), np.zeros(len(recording))
     labels = recording.session if len(np.unique(recording.session)) > 1 else recording.run_id
     common = float(solution.values[-1])
     delays = [Delay(str(labels[at]), common + float(added[at]), float(std[group[at]])) for at in sorted(first)]
     return tuple(delays), added
+
+
+def shifts_of(
+    model: Model, solution: Solution, parameters: Parameters, name: str
+) -> tuple[IntArray, FloatArray, FloatArray] | None:
+    """Return by how much each recording alone would change one parameter of a joint fit.
+
+    `model`: with windows; `name`: of the parameter. Returns the group of each run (n_runs,), and the shift of each
+    group with its standard deviation (n_groups,); None where the parameter is not free or blocks are too few.
+    """
+    group = _groups(model.recording)
+    n_groups = int(group.max()) + 1
+    if name not in parameters.free_names or n_groups < 2:
+        return None
+    jacobian, residuals = whitened(solution, parameters.free)
+    slope = jacobian[:, :, parameters.free_names.index(name)]
+    block = np.unique(model.segments.block, return_inverse=True)[1]
+    of_block = group[model.segments.run[np.unique(block, return_index=True)[1]]]
+    information = np.bincount(block, np.square(slope).sum(axis=1))
+    score = np.bincount(block, np.sum(slope * residuals, axis=1))
+    size = np.bincount(of_block, information, minlength=n_groups)
+    if np.bincount(of_block, minlength=n_groups).min() < FEWEST_BLOCKS or not (size > 0.0).all():
+        return None
+    shift = np.bincount(of_block, score, minlength=n_groups) / size
+    # about its own value: the score of a common shift in each block is no noise
+    about = score - shift[of_block] * information
+    return group, shift, np.sqrt(np.bincount(of_block, np.square(about), minlength=n_groups)) / size
+
+
+def steering_play_rad(model: Model, solution: Solution, parameters: Parameters) -> float:
+    """Return the standard deviation of the steering angle's zero between recordings; 0 where they agree."""
+    shifts = shifts_of(model, solution, parameters, "steering_zero_rad")
+    if shifts is None or not _disagree(shifts[1], shifts[2]):
+        return 0.0
+    _, shift, std = shifts
+    return float(np.sqrt(max(float(np.var(shift, ddof=1)) - float(np.mean(np.square(std))), 0.0)))
 
 
 def _groups(recording: Recording) -> IntArray:

@@ -98,6 +98,7 @@ class Recording:
             heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
         turns = np.nan_to_num((turn_rad - heading) / (2.0 * np.pi))
         off = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
+        off &= np.abs(turn_rad) < MOST_TURNS_RAD
         if off.mean() > FEW_OFF:
             off[:] = False
         heading[off] += 2.0 * np.pi * np.rint(turns[off])
@@ -127,6 +128,8 @@ class Recording:
 FEW_OFF: Final = 0.25
 #: how near to a whole turn: the wheels of a nominal vehicle tell a few turns to this part of one
 WHOLE_TURN: Final = 0.1
+#: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
+MOST_TURNS_RAD: Final = 10.0 * np.pi
 #: poses of a run that make a reference a continuous one
 MANY_POSES: Final = 20
 

@@ -128,6 +128,92 @@ def _rounded_metres(recording: Recording) -> None:
     each_reference(lambda p: np.round(p, 0))(recording)
 
 
+def _half_of_the_runs(change: Change) -> Change:
+    """Return a change of every second run: two people, or two days, with other settings."""
+
+    def altered(recording: Recording) -> None:
+        change(Recording(recording.runs[1::2], recording.drive, recording.settings))
+
+    return altered
+
+
+def _counter_reset(recording: Recording) -> None:
+    """Every counter starts again from zero halfway."""
+    for run in recording.runs:
+        for name in COUNTS:
+            half = len(run.log[name]) // 2
+            run.log[name][half:] -= run.log[name][half]
+
+
+def _samples_lost(recording: Recording) -> None:
+    """A tenth of a second of counts is lost every second: the totals fall behind."""
+    for run in recording.runs:
+        kept = np.arange(len(run.log["t_s"])) % 20 >= 2
+        for name in COUNTS:
+            run.log[name] = np.cumsum(np.diff(run.log[name], prepend=0.0) * kept)
+
+
+def _unsigned(recording: Recording) -> None:
+    """One channel of each encoder is read: steps are counted, their direction is not."""
+    each_column(COUNTS, lambda c: np.cumsum(np.abs(np.diff(c, prepend=c[0]))))(recording)
+
+
+def _one_for_both(recording: Recording) -> None:
+    for run in recording.runs:
+        run.log["counts_left"] = run.log["counts_right"].copy()
+
+
+def _own_odometry(recording: Recording) -> None:
+    """The reference was computed from the counts, by the nominal vehicle."""
+    for run in recording.runs:
+        left, right = (np.diff(run.log[name], prepend=0.0) * _METRES_PER_COUNT for name in COUNTS)
+        turn = (right - left) / NOMINAL_TRACK_M
+        theta = np.cumsum(turn)
+        x, y = (np.cumsum(0.5 * (left + right) * f(theta - 0.5 * turn)) for f in (np.cos, np.sin))
+        run.log |= {"ref_x_m": x, "ref_y_m": y, "ref_theta_rad": theta}
+        run.end = np.array([x[-1], y[-1], theta[-1]])
+
+
+def _in_a_map(recording: Recording) -> None:
+    """End poses in the hall's frame, each run from another start, taken for the run's own."""
+    rng = np.random.default_rng(5)
+    for run in recording.runs:
+        x, y, theta = rng.uniform(-3.0, 3.0, 3)
+        c, s = np.cos(theta), np.sin(theta)
+        place = np.array([x, y, theta])
+        _change_reference(run, lambda p, c=c, s=s, at=place: p @ [[c, s, 0], [-s, c, 0], [0, 0, 1]] + at)
+
+
+def _ends_at_the_start(recording: Recording) -> None:
+    for run in recording.runs:
+        _change_reference(run, lambda p: p[:1] + 0.0 * p)
+        run.end = 0.0 * run.end
+
+
+def _slow_clock(recording: Recording) -> None:
+    """The reference's clock loses a tenth: its poses are those of a later time."""
+    for run in recording.runs:
+        t_s = run.log["t_s"]
+        for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"):
+            run.log[name] = np.interp(0.9 * t_s, t_s, run.log[name])
+        run.end = np.array([run.log[name][-1] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
+
+
+def _backwards_in_time(recording: Recording) -> None:
+    """The reference's file is sorted the other way round."""
+    for run in recording.runs:
+        for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"):
+            run.log[name] = run.log[name][::-1].copy()
+        run.end = np.array([run.log[name][-1] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
+
+
+def _marker_turned(recording: Recording) -> None:
+    """The marker is glued on at 40 degrees and its yaw is given as the vehicle's at the end, not at the start."""
+    for run in recording.runs:
+        run.log["ref_theta_rad"][1:] += 0.7
+        run.end = run.end + np.array([0.0, 0.0, 0.7])
+
+
 _METRES_PER_COUNT: Final = 2 * np.pi * NOMINAL_RADIUS_M / COUNTS_PER_REV
 _RADIANS_PER_COUNT: Final = 2 * np.pi / COUNTS_PER_REV
 
@@ -180,6 +266,28 @@ DIFFERENTIAL: Final[dict[str, Change]] = {
     "track in millimetres": _setting("vehicle", "track_m", NOMINAL_TRACK_M * 1e3),
     "diameter as radius": _setting("vehicle", "wheel_radius_m", NOMINAL_RADIUS_M * 2),
     "time in milliseconds": each_column(("t_s",), lambda t: t * 1e3),
+    "every second run in millimetres": _half_of_the_runs(columns_times(1e3, 1e3, 1.0)),
+    "heading of every second run in degrees": _half_of_the_runs(columns_times(1.0, 1.0, 180.0 / np.pi)),
+    "wheels exchanged in every second run": _half_of_the_runs(_swapped),
+    "y mirrored in every second run": _half_of_the_runs(columns_times(1.0, -1.0, -1.0)),
+    "left wheel 5 % larger in every second run": _half_of_the_runs(counts_times(1 / 1.05, 1.0)),
+    "counters reset halfway": _counter_reset,
+    "a tenth of the counts lost": _samples_lost,
+    "counts without direction": _unsigned,
+    "right counts in both columns": _one_for_both,
+    "reference by the vehicle's own odometry": _own_odometry,
+    "end poses in the hall's frame": _in_a_map,
+    "end poses of the start": _ends_at_the_start,
+    "reference's clock 10 % slow": _slow_clock,
+    "reference sorted backwards": _backwards_in_time,
+    "marker turned after the start": _marker_turned,
+    "heading as the quaternion's z": each_reference(lambda p: np.column_stack([p[:, :2], np.sin(0.5 * p[:, 2])])),
+    "y of a camera squeezed by 8 %": columns_times(1.0, 0.92, 1.0),
+    "positions in degrees of latitude": columns_times(1 / 111_111.0, 1 / 111_111.0, 1.0),
+    "counts of the motor's shaft": counts_times(20.0, 20.0),
+    "wheelbase as track": _setting("vehicle", "track_m", 0.40),
+    "radius in inches": _setting("vehicle", "wheel_radius_m", NOMINAL_RADIUS_M / 0.0254),
+    "signed 16 bit counter, not unwrapped": each_column(COUNTS, lambda c: np.mod(c + 2.0**15, 2.0**16) - 2.0**15),
 }
 
 #: blunders of a tricycle
@@ -193,4 +301,8 @@ TRICYCLE: Final[dict[str, Change]] = {
     "tricycle axes turned by 30 degrees": axes_turned(30.0),
     "tricycle positions in millimetres": columns_times(1e3, 1e3, 1.0),
     "wheelbase in centimetres": _setting("vehicle", "wheelbase_m", 40.0),
+    "steering stays at zero": each_column(("steer_rad",), lambda a: 0.0 * a),
+    "steering of the motor's shaft": each_column(("steer_rad",), lambda a: 12.0 * a),
+    "steering 0.3 rad off its zero": each_column(("steer_rad",), lambda a: a + 0.3),
+    "steering as its tangent": each_column(("steer_rad",), np.tan),
 }

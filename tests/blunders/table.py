@@ -70,6 +70,10 @@ NAMES: Final = {
     "diameter as radius": {"radius_factor"},
     "steering in degrees": {"steering_unit"},
     "steering reversed": {"reversed_steering"},
+    "counters reset halfway": {"count_jump"},
+    "counts of the motor's shaft": {"count_gear", "radius_factor"},
+    "steering of the motor's shaft": {"steering_gear"},
+    "radius in inches": {"radius_factor"},
     "absolute steering encoder that wraps": {"steering_wraps"},
 }
 #: an estimate nearer than this to the truth is no harm (relative)

@@ -19,6 +19,9 @@ NAMES = (
     "a robot that strafes",
     "half the track as track",
     "steering in degrees",
+    "counters reset halfway",
+    "steering of the motor's shaft",
+    "reference by the vehicle's own odometry",
 )
 
 

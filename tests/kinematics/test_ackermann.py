@@ -201,6 +201,18 @@ def test_geometry_finds_slip_in_fast_turns(tmp_path: Path) -> None:
     assert found["understeer_s2_per_m2"].value > 10.0 * found["understeer_s2_per_m2"].std
 
 
+def test_a_steering_that_does_not_repeat_is_said_with_its_size(tmp_path: Path) -> None:
+    """Each recording has a steering zero of its own, by a servo's play: no geometry holds for all, and it says why."""
+    rng, play_rad = np.random.default_rng(4), 0.03
+    folder = spoilt(campaign(tmp_path / "car", Truth()), "steer_rad", lambda angle: angle + rng.normal(0.0, play_rad))
+    found = estimate_geometry(read_campaign(folder), using="windows")
+    assert not found.passed
+    (said,) = (reason for reason in found.why if "differs between recordings" in reason)
+    size_mrad = float(said.partition(" by ")[2].split()[0])
+    # twelve recordings know a standard deviation to a fifth; the robust fit sees the far ones less
+    assert size_mrad == pytest.approx(1e3 * play_rad, rel=0.6)
+
+
 def test_derivatives_are_those_of_the_motion() -> None:
     """Against central differences, forward and in oversteer."""
     rng = np.random.default_rng(3)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,10 @@ STEERING_ZERO_RAD = -0.0153
 GRIPS_MPS = 1.7
 #: speed over which the drive is taken to have begun, and the bins of the table
 MOVES_MPS, BIN_MPS = 0.05, 0.25
+#: a recording's own steering zero is taken from its part below this speed
+SLOW_MPS = 0.75
+#: predictions of the curvature: nominal, geometry of the other recordings, the same with the own steering zero
+ERRORS = ("before", "after", "by_own")
 #: nominal; speeds are stated in m/s, so that it only scales the counts
 RADIUS_M = 0.03
 
@@ -109,8 +114,19 @@ def held_out(campaign: Campaign) -> pd.DataFrame:
         )
         speed, measured, before = curvatures(campaign, int(run), nominal)
         after = curvatures(campaign, int(run), fitted)[2]
-        rows.append(pd.DataFrame({"speed": speed, "measured": measured, "before": before, "after": after}))
+        # the servo's play: one angle a recording, from its own slow part alone
+        slow = speed < SLOW_MPS
+        angle = np.arctan(fitted.wheelbase_m * np.column_stack([measured, after])[slow])
+        own = replace(fitted, zero_rad=fitted.zero_rad + float(np.median(angle[:, 0] - angle[:, 1])))
+        by_own = np.where(slow, np.nan, curvatures(campaign, int(run), own)[2])
+        columns = {"speed": speed, "measured": measured, "before": before, "after": after, "by_own": by_own}
+        rows.append(pd.DataFrame(columns))
     return pd.concat(rows, ignore_index=True)
+
+
+def _rms(errors: pd.Series) -> float:
+    """Return the root mean square of the errors that are known."""
+    return float(np.sqrt(np.mean(np.square(errors.dropna()))))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -122,16 +138,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(estimate_geometry(campaign).summary())
     table = held_out(campaign)
     print("\ncurvature of recordings held out, 1/m: root mean square error in each bin of speed")
-    print("speed m/s   n  measured  nominal off  geometry off")
+    print(f"(own zero: steering zero of the recording itself, from speeds below {SLOW_MPS} m/s)")
+    print("speed m/s   n  measured  nominal off  geometry off  own zero off")
     for low in np.arange(0.0, GRIPS_MPS, BIN_MPS):
         part = table[(table.speed >= low) & (table.speed < low + BIN_MPS)]
         if len(part) < 5:
             continue
-        errors = [float(np.sqrt(np.mean(np.square(part[name] - part.measured)))) for name in ("before", "after")]
+        errors = [_rms(part[name] - part.measured) for name in ERRORS]
         middle = float(part.measured.abs().mean())
-        print(f"{low:4.2f}-{low + BIN_MPS:4.2f} {len(part):4d} {middle:9.3f} {errors[0]:12.3f} {errors[1]:13.3f}")
-    for name in ("before", "after"):
-        print(f"all, {name}: {float(np.sqrt(np.mean(np.square(table[name] - table.measured)))):.3f} 1/m")
+        figures = " ".join(f"{error:13.3f}" for error in errors)
+        print(f"{low:4.2f}-{low + BIN_MPS:4.2f} {len(part):4d} {middle:9.3f} {figures}")
+    for name in ERRORS:
+        print(f"all, {name}: {_rms(table[name] - table.measured):.3f} 1/m")
 
 
 if __name__ == "__main__":
