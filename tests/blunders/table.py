@@ -74,6 +74,7 @@ NAMES: Final = {
     "counts of the motor's shaft": {"count_gear", "radius_factor"},
     "steering of the motor's shaft": {"steering_gear"},
     "radius in inches": {"radius_factor"},
+    "positions in degrees of latitude": {"radius_factor"},
     "absolute steering encoder that wraps": {"steering_wraps"},
 }
 #: an estimate nearer than this to the truth is no harm (relative)

@@ -20,9 +20,13 @@ import yaml
 from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
+from calib.kinematics.delays import steering_play_rad
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import RearShaft, rear_shaft
+from calib.kinematics.recording import recording_of
+from calib.kinematics.segments import window_segments
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
 from tests.real.recordings import available
 
@@ -201,16 +205,17 @@ def test_geometry_finds_slip_in_fast_turns(tmp_path: Path) -> None:
     assert found["understeer_s2_per_m2"].value > 10.0 * found["understeer_s2_per_m2"].std
 
 
-def test_a_steering_that_does_not_repeat_is_said_with_its_size(tmp_path: Path) -> None:
-    """Each recording has a steering zero of its own, by a servo's play: no geometry holds for all, and it says why."""
-    rng, play_rad = np.random.default_rng(4), 0.03
-    folder = spoilt(campaign(tmp_path / "car", Truth()), "steer_rad", lambda angle: angle + rng.normal(0.0, play_rad))
-    found = estimate_geometry(read_campaign(folder), using="windows")
-    assert not found.passed
-    (said,) = (reason for reason in found.why if "differs between recordings" in reason)
-    size_mrad = float(said.partition(" by ")[2].split()[0])
-    # twelve recordings know a standard deviation to a fifth; the robust fit sees the far ones less
-    assert size_mrad == pytest.approx(1e3 * play_rad, rel=0.6)
+@pytest.mark.parametrize("play_rad", [0.0, 0.03])
+def test_the_play_of_a_steering_is_the_scatter_of_its_zero_between_recordings(tmp_path: Path, play_rad: float) -> None:
+    """Each recording has a steering zero of its own, by a servo's play."""
+    rng, folder = np.random.default_rng(4), campaign(tmp_path / "car", Truth(), runs=6)
+    read = read_campaign(spoilt(folder, "steer_rad", lambda angle: angle + rng.normal(0.0, play_rad)))
+    recording = recording_of(read, "shaft")
+    drive = drive_of(read, "shaft", recording)
+    fitted = fit_parameters(read, drive, recording, window_segments(recording, 60), sensor=True)
+    found = steering_play_rad(fitted.model, fitted.solution, fitted.parameters)
+    # six recordings know a standard deviation to a third; without play nothing beyond the noise of a recording's zero
+    assert found == pytest.approx(play_rad, rel=0.7, abs=2e-3)
 
 
 def test_derivatives_are_those_of_the_motion() -> None:
