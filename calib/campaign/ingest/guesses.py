@@ -17,8 +17,15 @@ from calib.types import FloatArray
 from calib.units import split_suffix
 
 _COUNTS: Final = (
-    r"(impuls|count|enc|geber|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber|quad|q|odo|motor|raw)"
+    r"(impuls|count|enc|geber|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber|quad|q|odo|motor|raw"
+    r"|codeu?r|codificador|compteur|contador|contatore|roue|rueda|ruota)"
 )
+#: sides of a vehicle, short and long
+_LEFT: Final = r"(l|li|links|left|gauche|izq|izquierd[ao]|sx|sinistr[ao])"
+_RIGHT: Final = r"(r|re|rechts|right|droite?|der|derech[ao]|dx|destr[ao])"
+#: what a force on a wheel is called, and what stands between it and the side
+_FORCE: Final = r"(last|load|force|effort|charge|poids|fuerza|carga|forza|carico|kraft|f)"
+_ON_WHEEL: Final = r"((normal|vertical|on|at|the|de|sur|en|la|sulla|della|sul)e?_)*((rad|wheel|roue|rueda|ruota)_)?"
 _PLACE: Final = r"(hallen|hall|boden|floor|luft|air|raum|room|ambient|umgebungs?|aussen|reifen|tyre|tire)"
 
 #: column of the run table -> what its name may look like, letters lower and umlauts spelt out
@@ -37,28 +44,33 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     ("kind", r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)"),
     (
         "load_left_N",
-        r"(rad|wheel|waage|scale)?_?(last|load)?_?(links|left)|((rad|wheel)_?)?(last|load)_?(li|l)|f_?(left|l)",
+        r"(rad|wheel|waage|scale)?_?(last|load)?_?(links|left)|((rad|wheel)_?)?(last|load)_?(li|l)|f_?(left|l)"
+        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)",
     ),
     (
         "load_right_N",
-        r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)",
+        r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)"
+        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)",
     ),
     (
         "payload_x_m",
-        r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)|x_(of_)?(the_)?(payload|load)",
+        r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)|x_(of_)?(the_)?(payload|load)"
+        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?x",
     ),
     (
         "payload_y_m",
-        r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*|y_(of_)?(the_)?(payload|load)",
+        r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*|y_(of_)?(the_)?(payload|load)"
+        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?y",
     ),
     (
         "payload_kg",
         r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last|massa)"
         r"|(charge|carga|carico)(_(utile|util))?"
+        r"|(mass|masse|gewicht|weight|load|masa|massa)_(on|auf|in|sur|en|su)_.*"
         r"|(mass|masse|gewicht|weight)_(of_)?(the_)?(zuladung|nutzlast|ladung|payload|load|last)"
         r"|(zuladung|nutzlast|ladung|payload|load|last)s?_?(masse|mass|gewicht|weight)",
     ),
-    ("speed_mps", r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v)"),
+    ("speed_mps", r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v|vitesse.*|velocidad.*|velocita.*)"),
     ("temperature_C", rf"({_PLACE}_?)?temp(eratur[ea]?)?(_.*)?"),
     ("minutes_under_load", r"(standzeit|minutes?_under_load|dwell.*)"),
     (
@@ -66,8 +78,8 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
         r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o|longueur|trajet|distancia|recorrido|distanza|percorso)"
         r"(_.*)?|travel(led)?",
     ),
-    ("counts_left", _COUNTS + r".*_?(l|li|links|left)"),
-    ("counts_right", _COUNTS + r".*_?(r|re|rechts|right)"),
+    ("counts_left", rf"{_COUNTS}.*(_?{_LEFT}|_g)"),
+    ("counts_right", rf"{_COUNTS}.*(_?{_RIGHT}|_d)"),
     ("ref_x_m", r"(ref|mocap|tracker|end|ziel|final)_?x"),
     ("ref_y_m", r"(ref|mocap|tracker|end|ziel|final)_?y"),
     (
@@ -80,17 +92,20 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
 _TRACKER: Final = r"(ref|mocap|pose|pos|tracker|vicon|optitrack|qualisys|motive)"
 _SPEED: Final = r"(vel|velocity|speed|geschwindigkeit)"
 _LOG: Final[Sequence[tuple[str, str]]] = (
-    ("t_s", r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?)(_.*)?"),
+    (
+        "t_s",
+        r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?|horodatage|temps|tiempo|tempo)(_.*)?",
+    ),
     ("counts_front_left", r".*(front_?(l|left)|v_?l|vorn.*links)"),
     ("counts_front_right", r".*(front_?(r|right)|v_?r|vorn.*rechts)"),
     ("counts_rear_left", r".*((rear|back)_?(l|left)|h_?l|hinten.*links)"),
     ("counts_rear_right", r".*((rear|back)_?(r|right)|h_?r|hinten.*rechts)"),
     ("counts_front", _COUNTS + r".*_?(front|vorn|vorne|v)"),
-    ("counts_left", r"(" + _COUNTS + r".*_?)?(l|li|links|left)"),
-    ("counts_right", r"(" + _COUNTS + r".*_?)?(r|re|rechts|right)"),
-    ("steer_rad", r".*(steer|lenk).*"),
+    ("counts_left", rf"({_COUNTS}.*_?)?{_LEFT}|{_COUNTS}.*_g"),
+    ("counts_right", rf"({_COUNTS}.*_?)?{_RIGHT}|{_COUNTS}.*_d"),
+    ("steer_rad", r".*(steer|lenk|braquage|sterzo).*"),
     ("speed_rear_mps", rf"{_SPEED}_?(encoder|enc|rear|shaft|drive|antrieb)|(encoder|rear|shaft|drive)_?{_SPEED}"),
-    ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke).*"),
+    ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke|telemetr[eo]).*"),
     ("ref_x_m", rf"({_TRACKER}_?)?x(_?true)?"),
     ("ref_y_m", rf"({_TRACKER}_?)?y"),
     ("gyro_z_radps", r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)"),
@@ -104,13 +119,13 @@ _BEHIND: Final = re.compile(
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
 _AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
-    "left": re.compile(r"(?:^|_)(l|li|left|links|linkes|linker|lhs)(?=_|$)"),
-    "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs)(?=_|$)"),
+    "left": re.compile(r"(?:^|_)(l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao])(?=_|$)"),
+    "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"),
 }
 
 #: directions along a corridor, in words: plain, or as `plain_text` gives them
 _DIRECTIONS: Final = (
-    ("out", r"out|hin(fahrt|weg)?|vor(waerts)?|forward|fwd|there|outbound|a|ab|a->b|aller|ida|andata|>|\+"),
+    ("out", r"out|hin(fahrt|weg)?|vor(waerts)?|forward|fwd|there|forth|outbound|a|ab|a->b|aller|ida|andata|>|\+"),
     ("back", r"backward(s)?|bwd|back|(zu)?rueck(waerts|fahrt|weg)?|her|ret(urn|our)?|inbound|vuelta|ritorno|reverse"),
     ("back", r"b|ba|b->a|<"),
 )
@@ -183,7 +198,7 @@ def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> 
     for target, pattern in words:
         if not re.fullmatch(pattern, stem):
             continue
-        if target.startswith("load_") and unit is None and not re.search(r"las|loa|^f", stem):
+        if target.startswith("load_") and unit is None and not re.search(rf"las|loa|^f|^{_FORCE}_", stem):
             # a side alone is a wheel of any kind
             continue
         if unit is None or target.startswith("counts_") or unit in units_for(target):

@@ -32,17 +32,29 @@ _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)
 #: one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 
-_CLOCK: Final = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?"
-_ZONE: Final = r"\s*(Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
-_ISO: Final = re.compile(rf"(\d{{4}})-(\d{{2}})-(\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII)
-_DAY_FIRST: Final = re.compile(rf"(\d{{1,2}})\.(\d{{1,2}})\.(\d{{4}})[T ]+{_CLOCK}{_ZONE}", re.ASCII)
-_TIME_OF_DAY: Final = re.compile(_CLOCK, re.ASCII)
+_CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?"
+_ZONE: Final = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _HALF_DAY_NS: Final = 43_200 * NS_PER_S
+#: name of a time format -> its form
+_TIMES: Final = {
+    "iso8601": re.compile(
+        rf"(?P<year>\d{{4}})(?P<mark>[-/])(?P<month>\d{{2}})(?P=mark)(?P<day>\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII
+    ),
+    "day_first": re.compile(
+        rf"(?P<day>\d{{1,2}})\.(?P<month>\d{{1,2}})\.(?P<year>\d{{4}})[T ]+{_CLOCK}{_ZONE}", re.ASCII
+    ),
+    "slashes": re.compile(
+        rf"(?P<day>\d{{1,2}})/(?P<month>\d{{1,2}})/(?P<year>\d{{4}}),?[T ]+{_CLOCK}(\s*(?P<half>[AP]M))?{_ZONE}",
+        re.ASCII | re.IGNORECASE,
+    ),
+    "time_of_day": re.compile(_CLOCK, re.ASCII),
+}
 
 #: name of a time format -> an example
 TIME_FORMATS: Final = {
     "iso8601": "2026-05-04T10:15:30.250+02:00",
     "day_first": "04.05.2026 10:15:30,250",
+    "slashes": "04/05/2026 10:15:30.250",
     "time_of_day": "10:15:30.250",
 }
 
@@ -50,6 +62,7 @@ TIME_FORMATS: Final = {
 FORMAT_NAMES: Final = {
     "iso8601": "ISO 8601 (year-month-day, hours:minutes:seconds)",
     "day_first": "day.month.year hours:minutes:seconds",
+    "slashes": "day/month/year hours:minutes:seconds",
     "time_of_day": "times of day (hours:minutes:seconds)",
 }
 
@@ -272,7 +285,10 @@ def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray)
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
         columns[name] = (time_ns - time_ns[0]) / NS_PER_S
-        text = f"times were read as {FORMAT_NAMES[form]}"
+        words = FORMAT_NAMES[form]
+        if form == "slashes" and month_before_day(cells):
+            words = words.replace("day/month", "month/day")
+        text = f"times were read as {words}"
         notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
     if used_comma:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
@@ -305,33 +321,45 @@ def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, lin
 def time_format(text: str) -> str | None:
     """Return the name of the format that a text is written in (of `TIME_FORMATS`), or None."""
     clean = text.strip()
-    if _ISO.fullmatch(clean):
-        return "iso8601"
-    if _DAY_FIRST.fullmatch(clean):
-        return "day_first"
-    return "time_of_day" if _TIME_OF_DAY.fullmatch(clean) and clean.count(":") == 2 else None
+    found = next((name for name, form in _TIMES.items() if form.fullmatch(clean)), None)
+    return None if found == "time_of_day" and clean.count(":") != 2 else found
 
 
-def moment_ns(text: str) -> int:
+def moment_ns(text: str, *, month_first: bool = False) -> int:
     """Return one time as nanoseconds since 1970 (UTC where no zone is named), or since midnight for a time of day.
 
-    Raises ValueError where the text is none of `TIME_FORMATS`, or names no day of the calendar.
+    `month_first`: whether the month stands before the day between slashes. Raises ValueError where the text is none of
+    `TIME_FORMATS`, or names no day of the calendar.
     """
     clean = text.strip()
-    if match := _ISO.fullmatch(clean):
-        year, month, day = int(match[1]), int(match[2]), int(match[3])
-    elif match := _DAY_FIRST.fullmatch(clean):
-        day, month, year = int(match[1]), int(match[2]), int(match[3])
-    elif match := _TIME_OF_DAY.fullmatch(clean):
-        return _since_midnight_ns(match.groups())
-    else:
+    match = next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)
+    if match is None:
         raise ValueError(f"{clean[:40]!r} is no time")
+    part = match.groupdict()
+    hour, minute, second = (int(part[name] or 0) for name in ("hour", "minute", "second"))
+    half = (part.get("half") or "").upper()
+    if half:
+        hour = hour % 12 + (12 if half == "PM" else 0)
+    if hour > 24 or minute > 59 or second > 60:
+        raise ValueError("no time of day")
+    since_midnight = (hour * 3600 + minute * 60 + second) * NS_PER_S + int((part["fraction"] or "").ljust(9, "0"))
+    if "year" not in part:
+        return since_midnight
+    year, month, day = (int(part[name]) for name in ("year", "month", "day"))
+    if month_first and match.re is _TIMES["slashes"]:
+        month, day = day, month
     days = int(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(np.int64))
     zone_s = 0
-    if match[8] not in {None, "Z", "UTC"}:
-        digits = match[8][1:].replace(":", "").ljust(4, "0")
-        zone_s = (int(digits[:2]) * 3600 + int(digits[2:]) * 60) * (-1 if match[8][0] == "-" else 1)
-    return (days * 86_400 - zone_s) * NS_PER_S + _since_midnight_ns(match.groups()[3:7])
+    if part["zone"] not in {None, "Z", "UTC"}:
+        digits = part["zone"][1:].replace(":", "").ljust(4, "0")
+        zone_s = (int(digits[:2]) * 3600 + int(digits[2:]) * 60) * (-1 if part["zone"][0] == "-" else 1)
+    return (days * 86_400 - zone_s) * NS_PER_S + since_midnight
+
+
+def month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
+    """Return whether times between slashes name the month first: some cell has a day beyond 12 in second place."""
+    matches = (_TIMES["slashes"].fullmatch(str(cell).strip()) for cell in cells)
+    return any(int(match["month"]) > 12 for match in matches if match)
 
 
 def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
@@ -342,20 +370,14 @@ def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int |
     """
     out = np.zeros(len(cells), dtype=np.int64)
     passed_ns = 0
+    month_first = len(cells) > 0 and time_format(str(cells[0])) == "slashes" and month_before_day(cells)
     for index, cell in enumerate(cells):
         try:
-            out[index] = moment_ns(str(cell)) + passed_ns
+            out[index] = moment_ns(str(cell), month_first=month_first) + passed_ns
         except ValueError:
             return out, index
-        if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIME_OF_DAY.fullmatch(str(cell).strip()):
+        if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIMES["time_of_day"].fullmatch(str(cell).strip()):
             # a time of day that falls by more than half a day has passed midnight
             passed_ns += 2 * _HALF_DAY_NS
             out[index] += 2 * _HALF_DAY_NS
     return out, None
-
-
-def _since_midnight_ns(parts: Sequence[str | None]) -> int:
-    hour, minute, second = (int(part or 0) for part in parts[:3])
-    if hour > 24 or minute > 59 or second > 60:
-        raise ValueError("no time of day")
-    return (hour * 3600 + minute * 60 + second) * NS_PER_S + int((parts[3] or "").ljust(9, "0"))
