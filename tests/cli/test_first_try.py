@@ -39,7 +39,6 @@ ROBOT = {
     "^#drive = .*": 'drive = "differential"',
     "^#track_m = .*": "track_m = 0.16",
     "^#wheel_radius_m = .*": "wheel_radius_m = 0.033",
-    "^#counts_per_rev = .*": "counts_per_rev = 4096",
     "^#sigma_xy_m = .*": "sigma_xy_m = 0.0005",
     "^#sigma_theta_rad = .*": "sigma_theta_rad = 0.001",
 }

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as MappingType
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -14,7 +14,7 @@ import numpy as np
 from calib.campaign.counters import LogStack, detect_wrap_bits
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, with_lookups
+from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
 from calib.campaign.model import Border, Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
@@ -75,21 +75,22 @@ class _Ingestion:
     recordings: dict[str, MappedLog] = field(default_factory=dict)
     segments: list[Segment] = field(default_factory=list)
 
-    def read_log(self, path: Path) -> MappedLog:
-        log = read_mapped(path, self.mapping, self.settings.encoder, self.border)
-        files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-        self.hashes |= {str(file): sha256_file(file) for file in files}
+    def read_log(self, files: MappingType[str, Path]) -> MappedLog:
+        log = read_mapped(files, self.mapping, self.settings.encoder, self.border)
+        for path in files.values():
+            parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+            self.hashes |= {str(part): sha256_file(part) for part in parts}
         return log
 
-    def read_logs(self, files: Iterable[tuple[int, Path]]) -> dict[int, MappedLog]:
+    def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
         """Read logs of one run each; range and poses are turned into its start frame where the mapping says so."""
         columns = self.mapping.log.columns
         distance = "range_m" in columns and columns["range_m"].from_start is True
         stated = any(name.startswith("ref_") and line.from_start is True for name, line in columns.items())
         poses = stated and self.settings.reference.frame != "map"
         logs = {}
-        for index, path in stepped(list(files), self.progress, "logs"):
-            log = self.read_log(path)
+        for index, files in stepped(list(logs_of_runs.items()), self.progress, "logs"):
+            log = self.read_log(files)
             turned = from_start(log.columns, poses=poses, distance=distance)
             logs[index] = replace(log, columns=turned, from_start=distance or poses)
         return logs
@@ -171,28 +172,34 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     if work.mapping.cut is not None:
         if not files:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
-        read = {path: work.read_log(path) for path in stepped(files, work.progress, "recordings")}
+        read = {path: work.read_log({"": path}) for path in stepped(files, work.progress, "recordings")}
         runs, logs, work.recordings, work.segments = segment_recordings(
             runs, table, read, work.mapping, work.settings, work.border
         )
-    elif runs is None:
-        # each file is a run of its own, called by the file's name
-        names = object_array([path.stem for path in files])
-        raw = RawTable({"run_id": names}, np.arange(1, len(files) + 1, dtype=np.int64))
-        runs = mapped_runs(raw, work.mapping, "the files given", work.border)
-        logs = work.read_logs(enumerate(files))
     else:
-        matched, missing = match_logs(runs, files, work.mapping.log, str(first), work.border)
-        logs = work.read_logs(matched.items())
-        runs = _without_logs(runs, missing, str(first), work.border)
+        shown = str(first)
+        matched = None
+        if runs is None:
+            # each file is a run of its own, called by the file's name, unless several are one
+            several = runs_of_files(files, work.mapping.log)
+            names = object_array(several or [path.stem for path in files])
+            shown = "the files given"
+            raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))
+            runs = mapped_runs(raw, work.mapping, shown, work.border)
+            matched = None if several else {index: {"": path} for index, path in enumerate(files)}
+        missing: dict[int, str] = {}
+        if matched is None:
+            matched, missing = match_logs(runs, files, work.mapping.log, shown, work.border)
+        logs = work.read_logs(matched)
+        runs = _without_logs(runs, missing, shown, work.border)
     _exchange_wheels(runs, logs, work)
     runs = _with_ends(runs, logs)
     encoder = _with_wrap_bits(logs, work)
     stack = LogStack(len(runs))
     for index in sorted(logs):
         stack.add(index, {name: values for name, values in logs[index].columns.items() if name != "cut"})
-    shown = {index: (str(runs.run_id[index]), log.shown) for index, log in logs.items()}
-    finished = stack.finished(encoder, shown, work.border)
+    named = {index: (str(runs.run_id[index]), log.shown) for index, log in logs.items()}
+    finished = stack.finished(encoder, named, work.border)
     return replace(work.settings, encoder=encoder).campaign(runs, finished, notes=tuple(work.border.notes))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -74,7 +75,8 @@ class ColumnContents:
         if self.kind == "number":
             low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
             ends = dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))
-            text += " to ".join(ends) + (f" {self.unit}" if self.unit and "[" not in self.name else "")
+            in_name = re.search(r"[\[(][^\[\]()]*[\])]$", self.name)
+            text += " to ".join(ends) + (f" {self.unit}" if self.unit and not in_name else "")
         elif self.kind == "time":
             spans = [c.high for c in alike if c.high]
             span = f", {min(spans):.4g} to {max(spans):.4g} s long" if spans else ""

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
-from calib.campaign.ingest.proposal_log import log_lines
+from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import QUOTED, file_lines, table_lines
 from calib.campaign.ingest.runs import listed_files
 from calib.campaign.model import LOG_COLUMNS
@@ -139,7 +139,11 @@ def describe(sources: Sequence[Path]) -> Description:
         )
     kinds: dict[str, list[Path]] = {}
     for path in paths:
-        kinds.setdefault(f"{path.parent}/*{path.suffix.lower()}", []).append(path)
+        kinds.setdefault(re.sub(r"\d+", "#", str(path)), []).append(path)
+    if len(kinds) > _ALL_READ:
+        kinds = {}
+        for path in paths:
+            kinds.setdefault(f"{path.parent}/*{path.suffix.lower()}", []).append(path)
     chosen: list[Path] = []
     for members in kinds.values():
         chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
@@ -184,12 +188,15 @@ def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | No
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
     """Return the lines of the mapping; `table`: the run table, where there is one."""
-    lines = [f"name = {QUOTED.encode(Path((table or logs[0]).name).stem)}"]
+    named_by = Path((table or logs[0]).name)
+    # of several recordings the folder
+    title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem
+    lines = [f"name = {QUOTED.encode(title)}"]
     bits = next((column.wrap_bits for log in logs for column in log.columns if column.wrap_bits), None)
     own = log_lines(logs) if logs else []
     named = {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
     named |= {line.partition(" ")[0] for line in own}
-    lines += _settings_lines(bits, named)
+    lines += _settings_lines(bits, named, own)
     if "ref_x_m" in named:
         lines += ["", "[reference]", "#sigma_xy_m =   # standard uncertainty of a position"]
         lines += ["#sigma_theta_rad =   # standard uncertainty of a heading"]
@@ -200,20 +207,24 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
         lines += own
     recordings = [log for log in logs if log.recording]
     if len(recordings) > 1 and table is None:
-        lines += ["", "#[cut]" + " " * 21 + "# each recording is a run; where one holds many: ", '#by = "stops"']
+        lines += ["", "#[cut]" + " " * 21 + "# each recording is a run; where one holds many:", '#by = "stops"']
     elif recordings and (table is None or len(logs) == 1):
         lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
         lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
     return lines
 
 
-def _settings_lines(bits: int | None, named: set[str]) -> list[str]:
+def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
     """Return the sections of vehicle and instruments, each key a remark, with those of wheels other than two rear ones.
 
-    `bits`: the counters' width where it shows; `named`: calib's columns that the logs have.
+    `bits`: the counters' width where it shows; `named`: calib's columns that the logs have; `own`: their lines.
     """
+    turned = [line for line in own if line.startswith("counts_")]
+    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
     drive, vehicle, encoder = _OTHER_WHEELS.get(wheels, ("", (), ()))
+    if any(SKID_STEER in line for line in turned):
+        drive = 'drive = "skid"   # both wheels of a side turn alike'
     lines: list[str] = []
     for section in _STATED_SECTIONS:
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
@@ -226,6 +237,9 @@ def _settings_lines(bits: int | None, named: set[str]) -> list[str]:
                 continue
             if key == "counts_per_rev" and wheels == "speed_rear_mps":
                 lines += encoder
+                continue
+            if key == "counts_per_rev" and as_angles:
+                lines.append("counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in")
                 continue
             [meaning] = re.findall(rf"^#{key} .*# (.*)", BLANK_SETTINGS, re.MULTILINE)
             lines.append(f"#{key} =   # {meaning}")

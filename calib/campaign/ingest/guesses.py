@@ -208,10 +208,9 @@ def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> 
 
 def side_of(name: str) -> str | None:
     """Return ``left`` or ``right`` where a name says the side: ``Geber_links``, ``encoderLeft``, ``QL``."""
-    split = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", re.split(r"[:/]", name)[-1])
-    stem = stem_and_unit(split)[0].replace(".", "_")
-    for side, pattern in _SIDES.items():
-        if pattern.search(stem):
+    for part in (re.split(r"[:/]", name)[-1], re.sub(r"[:/]", "_", name)):
+        stem = stem_and_unit(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", part))[0].replace(".", "_")
+        if side := next((side for side, pattern in _SIDES.items() if pattern.search(stem)), None):
             return side
     return None
 

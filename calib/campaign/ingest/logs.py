@@ -1,30 +1,27 @@
-"""Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks.
-
-The reference and the rangefinder lag behind the wheels by the peak of the correlation of their speeds.
-"""
+"""Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Mapping as MappingType
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from calib.campaign.counters import detect_wrap_bits, unwrap
+from calib.campaign.ingest.lags import Lag, Lines, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
-from calib.campaign.ingest.runs import resolved, without_unit
+from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs_file import log_column, refuse_incomplete
-from calib.campaign.model import LOG_COLUMNS, Border
+from calib.campaign.model import LOG_COLUMNS, Border, Note
 from calib.campaign.readers import RawTable, Recording, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import Stream, WantedColumns, check_not_empty, joined_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Encoder, converted, recognise, second_column
 from calib.errors import BadFileError
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 
 #: name under which the column that tells the runs is kept
 CUT_COLUMN: Final = "cut"
@@ -32,36 +29,6 @@ CUT_COLUMN: Final = "cut"
 _LATE_START_S: Final = 1.0
 #: an angle that spans more than one turn by this share does not start again at each turn
 _ONE_TURN: Final = 1.001
-#: blocks of the jackknife that gives a lag's interval
-_JACKKNIFE_BLOCKS: Final = 12
-#: grid points of a correlation; a long recording takes wider steps
-_MAX_GRID_POINTS: Final = 40_000
-#: ratio of the grid's step to the wheels' (the golden section): the grid stays in step with neither stream
-_GRID_RATIO: Final = 0.6180339887498949
-#: half the window over which a speed is taken, since it comes from differences of rounded readings
-_SPEED_WINDOW_S: Final = 0.2
-#: correlation of two speeds below which no lag is given
-_LEAST_CORRELATION: Final = 0.5
-#: least change of speed, as a share of it, that shows a lag
-_LEAST_SPEED_CHANGE: Final = 0.02
-#: samples of another stream below which no lag is estimated
-_LEAST_LAG_SAMPLES: Final = 20
-#: spacing of the poses of a travelled distance, wide enough that their noise lengthens it little
-_POSE_SPACING_S: Final = 0.1
-
-
-#: calib's column -> its source
-Lines = MappingType[str, MappedColumn]
-
-
-@dataclass(frozen=True, slots=True)
-class Lag:
-    """By how much a stream lags behind another."""
-
-    #: positive where the second stream's clock is late
-    lag_s: float
-    #: 95 % interval, by leaving out each twelfth of the recording in turn
-    ci95_s: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,39 +50,45 @@ class MappedLog:
     from_start: bool = False
 
 
-def read_mapped(path: Path, mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
-    """Read one log or recording, sampled at the wheels' times.
+def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
+    """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `path`: the file, or the folder of a rosbag2 recording; `encoder`: counts a revolution, and the counter's width
-    where it is known; `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or
-    the file has no clock or no wheels.
+    `files`: one file, or the folder of a rosbag2 recording, under an empty name; or the files that a run's log consists
+    of, by the names that ``log.files`` gives them. `encoder`: counts a revolution, and the counter's width where it is
+    known; `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has
+    no clock or no wheels.
     """
+    path = next(iter(files.values()))
     shown = str(path)
     lines = {name: line for name, line in mapping.log.columns.items() if line.column}
     if mapping.cut is not None and mapping.cut.column:
         lines[CUT_COLUMN] = MappedColumn(column=mapping.cut.column)
-    sources = {line.column for line in lines.values()}
     lags: dict[str, Lag] = {}
     bits = encoder.wrap_bits
-    if holds_recording(path):
-        recording = read_recording(path, shown, WantedColumns(frozenset(sources)) if lines else None)
-        _check_columns(recording.column_names, lines, path, mapping.shown)
+    if "" not in files or holds_recording(path):
+        if "" in files:
+            recording = _recording(path, shown, lines, mapping)
+        else:
+            recording = gathered(files, lines, mapping)
+            lines = resolved({name: line for name, line in lines.items() if name != "t_s"}, recording.column_names)
+            _refuse_missing(recording.column_names, lines, shown, mapping)
         base = _wheel_stream(recording, lines, shown)
         recording, bits = _unwrapped(recording, lines, base, bits)
         if base.time_ns is not None:
             _note_clocks(recording, base, shown, border)
-            lags = _estimate_lags(recording, lines, base, shown, border)
+            lags = estimate_lags(recording, lines, base, shown, border)
         raw = _joined(recording, base, lines, lags if mapping.log.lag == "remove" else {}, shown)
+        raw = _of_all_wheels(raw, lines, shown, border)
         border.notes.extend(recording.notes)
     else:
-        layout = mapping.log.layout
+        sources = {line.column for line in lines.values()}
 
         def wanted(name: str) -> bool:
             return name in sources or without_unit(name) in sources or log_column(name).name in LOG_COLUMNS
 
-        raw = read_table(path, shown, wanted, layout)
+        raw = read_table(path, shown, wanted, mapping.log.layout)
         lines = resolved(lines, raw.columns)
-        _check_columns(tuple(raw.columns), lines, path, mapping.shown)
+        _refuse_missing(raw.columns, lines, shown, mapping, row=1)
         border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
@@ -131,22 +104,70 @@ def read_mapped(path: Path, mapping: Mapping, encoder: Encoder, border: Border) 
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
 
 
-def _check_columns(names: Sequence[str], lines: Lines, path: Path, mapping: str) -> None:
-    """Refuse a file without a column that the mapping names, listing those it has."""
-    shown, is_recording = str(path), holds_recording(path)
-    missing = [name for name, line in lines.items() if line.column not in names]
-    if missing and is_recording:
-        # only the columns named were read
+def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
+    """Return the mapped columns of a recording."""
+    wanted = WantedColumns(line.column for line in lines.values())
+    recording = read_recording(path, shown, wanted if lines else None)
+    if any(line.column not in recording.column_names for line in lines.values()):
+        # only the columns named were read: which there are, the whole file says
         whole = read_recording(path, shown)
         check_not_empty(whole, shown)
-        names = whole.column_names
-        missing = [name for name in missing if lines[name].column not in names]
-    if missing:
-        name = missing[0]
-        found = f"no column {lines[name].column!r}, only {', '.join(names)[:300]}"
-        remedy = f"correct log.{name} in {mapping}; 'calib ingest --describe' lists the columns"
-        row = None if is_recording else 1
-        raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
+        _refuse_missing(whole.column_names, lines, shown, mapping)
+    return recording
+
+
+def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
+    """Return the files of one run as streams of a recording: each with its own clock, columns called ``name:column``.
+
+    Raises BadFileError where a file has no times.
+    """
+    streams: list[Stream] = []
+    notes: list[Note] = []
+    clock = lines.get("t_s", MappedColumn(column="t_s"))
+    for tag, path in files.items():
+        sources = {line.column.removeprefix(f"{tag}:") for line in lines.values()} | {clock.column}
+
+        def wanted(name: str, sources: set[str] = sources) -> bool:
+            return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
+
+        raw = read_table(path, str(path), wanted, mapping.log.layout)
+        own = next((name for name in raw.columns if log_column(name).name == "t_s"), clock.column)
+        time = whole_name(clock.column, raw.columns)
+        time = time if time in raw.columns else whole_name(own, raw.columns)
+        if time not in raw.columns:
+            found, expected = f"no column {clock.column!r} for the times", "times in each file of a run"
+            remedy = f"correct log.t_s in {mapping.shown}"
+            raise BadFileError(str(path), found, expected, remedy, row=1, column="t_s")
+        line = clock.model_copy(update={"column": time})
+        match = recognise(line.target("t_s"), LOG_COLUMNS, further=False)
+        factor = 1.0 if time in raw.epochs else match.factor * line.scale("t_s")
+        time_ns = raw.epochs.get(time, 0) + np.rint(raw.columns[time] * factor * NS_PER_S).astype(np.int64)
+        order = np.argsort(time_ns, kind="stable")
+        columns = {f"{tag}:{name}": cells[order] for name, cells in raw.columns.items() if name != time}
+        streams.append(Stream(tag, "file", columns, time_ns[order], "times of the file"))
+        notes += raw.notes
+    return Recording(tuple(streams), tuple(notes))
+
+
+def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Mapping, row: int | None = None) -> None:
+    """Refuse a file without a column that the mapping names, listing those it has."""
+    known = list(names)
+    for name, line in lines.items():
+        if line.column not in known:
+            found = f"no column {line.column!r}, only {', '.join(known)[:300]}"
+            remedy = f"correct log.{name} in {mapping.shown}; 'calib ingest --describe' lists the columns"
+            raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
+
+
+def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:
+    """Return the samples at which every wheel is known: streams of two wheels begin, end and pause by themselves."""
+    wheels = [raw.columns[line.column] for name, line in lines.items() if name.startswith(("counts_", "speed_"))]
+    known = np.isfinite(np.sum(wheels, axis=0)) if wheels else np.ones(len(raw.line), dtype=np.bool_)
+    if known.all() or not known.any():
+        return raw
+    text = f"{int((~known).sum())} sample(s) at which another wheel has none near in time were omitted"
+    border.say(shown, text, "one_wheel")
+    return raw.select(known)
 
 
 def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
@@ -267,128 +288,3 @@ def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border)
                 text += "; the spans do not meet: the clocks differ"
                 level = "suspicious"
         border.say(f"{shown}, {stream.name}", text, "clock", level=level)
-
-
-def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[FloatArray, int | None]:
-    """Return counts without overflows, and the counter's width; None where none is seen."""
-    offsets = np.asarray([0, len(counts)])
-    width = bits or detect_wrap_bits(counts, offsets)
-    return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
-
-
-def _estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
-    """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
-
-    `lines`: calib's column -> the recording's; `base`: the wheels' stream. Returns ``reference`` and ``range_m`` -> the
-    lag, where there is one.
-    """
-    wheels = [
-        base.columns[line.column]
-        for name, line in lines.items()
-        if name.startswith("counts_") and line.column in base.columns and line.unit_kind in {"counts", "angle"}
-    ]
-    if not wheels or base.time_ns is None:
-        return {}
-    origin = int(base.time_ns[0])
-    time = (base.time_ns - origin) / NS_PER_S
-    turned = np.mean([continuous_counts(counts)[0] for counts in wheels], axis=0)
-    travelled = np.cumsum(np.abs(np.diff(turned, prepend=turned[:1])))
-    lags: dict[str, Lag] = {}
-    for name, columns in (("reference", ("ref_x_m", "ref_y_m")), ("range_m", ("range_m",))):
-        sources = [lines[column].column for column in columns if column in lines]
-        stream = recording.stream_of(sources[0]) if len(sources) == len(columns) else None
-        if stream is None or stream.name == base.name or not set(sources) <= set(stream.columns):
-            continue
-        if stream.time_ns is None or len(stream) < _LEAST_LAG_SAMPLES:
-            continue
-        other = _travelled(stream, np.column_stack([stream.columns[source] for source in sources]))
-        lag = estimate_lag(time, travelled, (stream.time_ns - origin) / NS_PER_S, other)
-        if lag is None:
-            continue
-        lags[name] = lag
-        low, high = lag.ci95_s
-        text = f"the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels"
-        text += f" (95 %: {1e3 * low:+.1f} .. {1e3 * high:+.1f}, by their speeds)"
-        border.say(f"{shown}, {stream.name}", text, "lag")
-    return lags
-
-
-def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
-    """Return the distance travelled through positions of shape (n_samples, 1 or 2), at every sample."""
-    stride = max(1, round(_POSE_SPACING_S * stream.contents().rate_Hz))
-    index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
-    steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
-    total = np.concatenate(([0.0], np.cumsum(steps)))
-    return np.asarray(np.interp(np.arange(len(positions)), index, total), dtype=np.float64)
-
-
-def estimate_lag(
-    time_s: FloatArray,
-    travelled: FloatArray,
-    other_time_s: FloatArray,
-    other_travelled: FloatArray,
-    *,
-    largest_s: float = 2.0,
-) -> Lag | None:
-    """Estimate by how much the second stream lags behind the first.
-
-    Both speeds are taken by central differences on one grid, smoothed alike; the lag is the peak of their correlation,
-    found on the grid and then between its points.
-
-    Parameters
-    ----------
-    time_s, travelled : array of float, shape (n_samples,)
-        A travelled distance (or a heading) of the first stream, at its own times.
-    other_time_s, other_travelled : array of float, shape (n_other,)
-        The same of the second.
-    largest_s : float
-        Largest lag looked for.
-
-    Returns
-    -------
-    Lag or None
-        None where the speeds change too little to tell, or do not correlate.
-    """
-    from scipy.optimize import minimize_scalar
-    from scipy.stats import t as student
-
-    start, end = max(time_s[0], other_time_s[0]), min(time_s[-1], other_time_s[-1])
-    own_step, other_step = float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s)))
-    step = max(own_step, other_step, 1e-3)
-    if not end - start > 4 * largest_s:
-        return None
-    # an interpolated distance is less noisy between samples: a grid in step with one stream would prefer such a lag
-    grid = np.arange(start + largest_s, end - largest_s, max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS))
-    half_window = max(_SPEED_WINDOW_S, step)
-
-    def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
-        """Return the mean speed over the window around each time."""
-        late, early = (np.interp(at + sign * half_window, times, distance) for sign in (1.0, -1.0))
-        return np.asarray((late - early) / (2 * half_window), dtype=np.float64)
-
-    own = speed(grid, time_s, travelled)
-    if not np.std(own) > _LEAST_SPEED_CHANGE * np.mean(np.abs(own)):
-        return None
-
-    def correlation(lag: float, keep: BoolArray) -> float:
-        there, here = speed(grid[keep] + lag, other_time_s, other_travelled), own[keep]
-        spread = float(np.std(here) * np.std(there))
-        return float(np.mean((here - here.mean()) * (there - there.mean())) / spread) if spread > 0 else 0.0
-
-    everything = np.ones(len(grid), dtype=np.bool_)
-    candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01))
-    rough = candidates[int(np.argmax([correlation(lag, everything) for lag in candidates]))]
-    bounds = (rough - max(0.05, 2.0 * step), rough + max(0.05, 2.0 * step))
-
-    def peak(keep: BoolArray) -> float:
-        found = minimize_scalar(lambda lag: -correlation(lag, keep), bounds=bounds, options={"xatol": 1e-6})
-        return float(found.x)
-
-    lag = peak(everything)
-    if correlation(lag, everything) < _LEAST_CORRELATION:
-        return None
-    # the 95 % interval, with each block of the grid held out in turn
-    block = np.arange(len(grid)) * _JACKKNIFE_BLOCKS // len(grid)
-    estimates = np.asarray([peak(block != number) for number in range(_JACKKNIFE_BLOCKS)])
-    half = float(student.ppf(0.975, _JACKKNIFE_BLOCKS - 1) * np.std(estimates) * np.sqrt(_JACKKNIFE_BLOCKS - 1))
-    return Lag(lag, (lag - half, lag + half))

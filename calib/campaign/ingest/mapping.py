@@ -18,6 +18,7 @@
 
     [log]                              # the same for logs and recordings, and the file that holds a run's log
     file = "run_{n:02}.csv"            # {run_id}, or {n}: the number in the run's name; {date}, {time}, *
+    files = {enc = "enc_{n}.csv", laser = "laser_{n}.csv"}   # or several, joined by time: counts_left = "enc:left"
     swapped = ["Run 12"]               # runs whose left and right encoder were exchanged
     t_s = {column = "time", unit = "ms"}
     counts_left = "EncL"
@@ -55,6 +56,11 @@ _LOG_FILE: Final = (
     "a name that holds {run_id} or {n}, beside them {date}, {time} or * for any text, "
     'as "run_{run_id}.csv", "Run_{n:02}.csv" or "{date}_{time}_TR{n}.csv"'
 )
+_LOG_FILES: Final = (
+    'names and patterns that hold {run_id} or {n}, as {left = "run{n:02}_left.csv", right = "run{n:02}_right.csv"}; '
+    'columns are then called counts_left = "left:ticks"'
+)
+_OF_A_RUN: Final = r"\{(run_id|n(:0?\d+)?)\}"
 _BRACKET: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 _NOT_NEGATIVE: Final = "a number, not below 0"
 
@@ -212,7 +218,11 @@ class LogSection(_Section):
     """``[log]``: the columns of logs and recordings, and how a run's log is found."""
 
     #: name of a run's log, with ``{run_id}`` or ``{n}``
-    file: str | None = Field(default=None, pattern=r"\{(run_id|n(:0?\d+)?)\}", description=_LOG_FILE)
+    file: str | None = Field(default=None, pattern=_OF_A_RUN, description=_LOG_FILE)
+    #: where a run's log is several files: a name for each -> its pattern; columns are called ``name:column`` then
+    files: dict[Annotated[str, Field(pattern=r"^\w+$")], Annotated[str, Field(pattern=_OF_A_RUN)]] = Field(
+        default_factory=dict, description=_LOG_FILES
+    )
     #: how ``{n}`` is read from the run's name
     run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')

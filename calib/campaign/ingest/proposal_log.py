@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
 from calib.campaign.ingest.guesses import BEHAVIOURS, RISES, count_unit, guessed_log_column, side_of, stem_and_unit
-from calib.campaign.ingest.proposal_table import entry, unit_remark
+from calib.campaign.ingest.proposal_table import entry, files_of_a_run, unit_remark
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.recording import StreamContents
 from calib.campaign.readers.sheets import UNNAMED
 from calib.campaign.settings import recognise
-from calib.units import SUFFIXES, split_suffix
+from calib.units import split_suffix, unit_named
 
 #: letters of a name that alone is no evidence of a wheel: l, r, li, re
 _SHORT_NAME: Final = 2
@@ -46,7 +47,8 @@ _CORNERS: Final = {
 }
 #: share of its span by which two wheels of a side differ at most that are coupled: they slip, they do not steer
 _COUPLED: Final = 0.02
-_SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
+#: remark on the wheels of a vehicle that steers by its sides' speeds
+SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
@@ -54,12 +56,46 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
 
     `logs`: all logs and recordings; the width of a counter counts where any log alike shows it.
     """
+    several = {tag: part for tag, (_, part) in files_of_a_run(logs).items()}
+    if several:
+        return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
     alike = [other for other in logs if other.alike(log)]
-    columns = [
-        replace(column, wrap_bits=next((one.columns[at].wrap_bits for one in alike if one.columns[at].wrap_bits), None))
-        for at, column in enumerate(log.columns)
-    ]
+    columns = _with_bits(log, alike)
+    lines, found = _column_lines(log, columns)
+    return [*lines, *_missing(lines, found, logs), *_kinds(logs)]
+
+
+def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
+    """Return the lines for the columns of a run's several files, called ``name:column``, and for the times in each."""
+    columns: list[ColumnContents] = []
+    streams: list[StreamContents] = []
+    clock = None
+    for tag, part in parts.items():
+        alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
+        of_part = _with_bits(part, alike)
+        time = next((c for c in of_part if guessed_log_column(c.name) == "t_s"), None)
+        time = time or next((c for c in of_part if c.even), None)
+        clock = clock or time
+        own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
+        streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
+        columns += own
+    log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
+    lines, found = _column_lines(log, columns)
+    if clock is not None:
+        lines.insert(0, _line("t_s", clock, log))
+        found["t_s"] = clock
+    return [*lines, *_missing(lines, found, logs)]
+
+
+def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
+    """Return the columns of a log, with the width of a counter where any log alike shows it."""
+    widths = [[one.columns[at].wrap_bits for one in alike] for at in range(len(log.columns))]
+    return [replace(c, wrap_bits=next(filter(None, w), None)) for c, w in zip(log.columns, widths, strict=True)]
+
+
+def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
+    """Return the lines for the columns of a log, times first, and calib's columns that were found."""
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
@@ -82,8 +118,7 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             lines.append(_line(target, column, log))
     lines += _wheel_lines(found, columns, streams)
-    # times first
-    return [*sorted(lines, key=lambda line: not line.startswith("t_s")), *_missing(lines, found, logs), *_kinds(logs)]
+    return sorted(lines, key=lambda line: not line.startswith("t_s")), found
 
 
 def _may_be(
@@ -108,9 +143,9 @@ def _may_be(
 def _line(target: str, column: ColumnContents, log: FileContents) -> str:
     """Return the line for what is no wheel, with the unit that its name, the file or its numbers give."""
     needs, remark = split_suffix(target)[1], ""
-    named = stem_and_unit(column.name)[1]
-    unit = named or (column.unit if column.unit in SUFFIXES and column.unit != needs else None)
-    if needs and unit is None and column.unit != needs and column.kind != "time":
+    own = unit_named(column.unit)
+    unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
+    if needs and unit is None and own != needs and column.kind != "time":
         unit, remark = needs, unit_remark(target)
         if target == "t_s":
             unit = _time_unit(column)
@@ -149,7 +184,7 @@ def _wheel_lines(
         if column.kind == "number" and column.low == column.high:
             lines.append(f"#{line}   # never changes")
         elif stream is not None or unit or recognise(column.name, LOG_COLUMNS).name != wheel:
-            lines.append(line + (why if stream is not None and remark != _SKID_STEER and why else remark or why))
+            lines.append(line + (why if stream is not None and remark != SKID_STEER and why else remark or why))
     return lines
 
 
@@ -165,7 +200,7 @@ def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
         for side, (front, rear) in _CORNERS.items():
             found[side] = found.pop(front)
             del found[rear]
-        return _SKID_STEER
+        return SKID_STEER
     return ""
 
 

@@ -10,9 +10,15 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
-from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
+from calib.campaign.ingest.guesses import (
+    direction_of,
+    guessed_log_column,
+    guessed_table_column,
+    plain_text,
+    stem_and_unit,
+)
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
-from calib.campaign.ingest.runs import run_number
+from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.write import to_toml
@@ -67,6 +73,9 @@ def table_lines(table: FileContents) -> list[str]:
         directions = [direction_of(text) for text in column.texts]
         is_direction = 0 < len(directions) <= 2 and all(directions)
         name = "direction" if is_direction else guessed_table_column(column.name)
+        if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
+            # a heading in words: E and W, north and south
+            name = "direction"
         if column in passed_over or name is None or name in named or not _may_be(name, column):
             unused.append(column.name)
             continue
@@ -143,19 +152,54 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
     return len(shared) >= min(2, len(by.texts)) > 0
 
 
+def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
+    """Return the several files that a run's log consists of: a name for each -> its pattern and the first such file.
+
+    Empty where a run has one file, or the names do not say which files belong together.
+    """
+    groups: dict[str, list[FileContents]] = {}
+    for log in logs if not any(log.recording for log in logs) else ():
+        groups.setdefault(re.sub(r"\d+", "#", Path(log.name).name), []).append(log)
+    patterns = {name: name_pattern([Path(log.name).stem for log in group]) for name, group in groups.items()}
+    whole = [pattern for pattern in patterns.values() if pattern]
+    # files that each hold the wheels are runs of their own: run_1_out, run_1_back
+    wheels = sum("counts_left" in {guessed_log_column(c.name) for c in group[0].columns} for group in groups.values())
+    if not 1 < len(groups) == len(whole) or wheels > 1:
+        return {}
+    pairs = zip(whole, groups.values(), strict=True)
+    if not set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs)):
+        return {}
+    before = len(_common_start(whole))
+    behind = len(_common_start([pattern[before:][::-1] for pattern in whole]))
+    tags = [re.sub(r"\W+", "_", pattern[before : len(pattern) - behind]).strip("_") for pattern in whole]
+    if len({*tags, ""}) != len(tags) + 1:
+        tags = [f"file{number}" for number in range(1, len(tags) + 1)]
+    return {
+        tag: (pattern + Path(group[0].name).suffix, group[0])
+        for tag, pattern, group in zip(tags, whole, groups.values(), strict=True)
+    }
+
+
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
-    """Return the pattern of the logs' names, where the runs' names do not say them."""
-    if table is None or len(logs) < 2:
+    """Return the patterns of the logs' names, where the runs' names do not say them."""
+    several = files_of_a_run(logs)
+    if several:
+        files = {tag: pattern for tag, (pattern, _) in several.items()}
+        line = to_toml({"files": [files]}).strip().replace("[{", "{").replace("}]", "}")
+        lines = [line + "   # the files of a run, joined by time"]
+    elif table is None or len(logs) < 2:
         return []
-    column = next((part for part in table.columns if guessed_table_column(part.name) == "run_id"), None)
-    stems = [Path(log.name).stem for log in logs]
+    columns = table.columns if table is not None else ()
+    column = next((part for part in columns if guessed_table_column(part.name) == "run_id"), None)
     run_ids = column.texts if column is not None and column.kind == "text" else ()
-    if run_ids and run_ids[0] in stems:
-        return []
-    pattern = name_pattern(stems)
-    if pattern is None:
-        return ['#file = "{run_id}.csv"   # the log of a run']
-    lines = [f"file = {QUOTED.encode(pattern + Path(logs[0].name).suffix)}"]
+    if not several:
+        stems = [Path(log.name).stem for log in logs]
+        if run_ids and run_ids[0] in stems:
+            return []
+        pattern = name_pattern(stems)
+        if pattern is None:
+            return ['#file = "{run_id}.csv"   # the log of a run']
+        lines = [f"file = {QUOTED.encode(pattern + Path(logs[0].name).suffix)}"]
     if run_ids and run_number(run_ids[0], None) is not None:
         pattern = re.sub(r"\d+(?!.*\d)", "{n}", run_ids[0])
         lines.append(f"run = {QUOTED.encode(pattern)}   # the number in a run's name")

@@ -258,14 +258,17 @@ _PARTS: Final = {
 }
 
 
-def expected_name(log: LogSection, run_id: str) -> str | None:
+def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
     """Return the name of a run's log by the pattern; None where there is no pattern, or no number in the run's name.
+
+    `pattern`: of ``log.files``; else ``log.file``.
 
     ``{date}``, ``{time}`` and ``*`` stay as they are: `fits_name` compares.
     """
-    if log.file is None:
+    pattern = pattern or log.file
+    if pattern is None:
         return None
-    name = log.file.replace("{run_id}", run_id)
+    name = pattern.replace("{run_id}", run_id)
     if "{n" not in name:
         return name
     number = run_number(run_id, log.run)
@@ -286,7 +289,7 @@ def fits_name(name: str, wanted: str) -> bool:
 
 def match_logs(
     runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
-) -> tuple[dict[int, Path], dict[int, str]]:
+) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Find the log of each run.
 
     Parameters
@@ -304,8 +307,8 @@ def match_logs(
 
     Returns
     -------
-    matched : dict of int to Path
-        Number of a run -> its log.
+    matched : dict of int to dict of str to Path
+        Number of a run -> the files of its log, by the names of ``log.files``, a single one under an empty name.
     missing : dict of int to str
         Number of a run whose log was expected and is not there -> the name that was looked for.
 
@@ -320,23 +323,28 @@ def match_logs(
         return BadFileError(shown, found, "one log for the run", remedy, row=int(runs.line[index]), column="log")
 
     named = runs.labels.get("log")
-    matched: dict[int, Path] = {}
+    matched: dict[int, dict[str, Path]] = {}
     missing: dict[int, str] = {}
+    patterns: dict[str, str | None] = {**log.files} or {"": log.file}
     for index, run_id in enumerate(map(str, runs.run_id)):
-        wanted = (expected_name(log, run_id) or "") if named is None else str(named[index])
-        if not wanted and named is not None:
-            continue
-        fitting = [path for path in files if (fits_name(path.name, wanted) if wanted else path.stem == run_id)]
-        if len(fitting) > 1:
-            raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
-        if fitting:
-            matched[index] = fitting[0]
-        elif wanted or files:
-            missing[index] = wanted or f"{run_id}.*"
+        found: dict[str, Path] = {}
+        for tag, pattern in patterns.items():
+            wanted = (expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
+            if not wanted and named is not None:
+                continue
+            fitting = [path for path in files if (fits_name(path.name, wanted) if wanted else path.stem == run_id)]
+            if len(fitting) > 1:
+                raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
+            if fitting:
+                found[tag] = fitting[0]
+            elif wanted or files:
+                missing.setdefault(index, wanted or f"{run_id}.*")
+        if found and index not in missing:
+            matched[index] = found
     if files and missing and not matched:
         index, name = next(iter(missing.items()))
         raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
-    _note_unused(set(matched.values()), files, border)
+    _note_unused({path for found in matched.values() for path in found.values()}, files, border)
     return matched, missing
 
 
@@ -349,3 +357,18 @@ def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None
             border.say(str(path), f"holds the same bytes as {twin} and was omitted", "repeated_log")
         else:
             border.say(str(path), "belongs to no run of the table and was omitted", "unused_source")
+
+
+def run_in(name: str, pattern: str) -> str | None:
+    """Return what a file's name holds where a pattern has ``{n}`` or ``{run_id}``; None where it does not fit."""
+    parts = re.split(r"(\{date\}|\{time\}|\*|\{run_id\}|\{n(?::0?\d+)?\})", pattern)
+    signs = {**_PARTS, "{run_id}": r"(?P<run>.+)"}
+    form = "".join(signs.get(part, r"0*(?P<run>\d+)" if part[:2] == "{n" else re.escape(part)) for part in parts)
+    match = re.fullmatch(form, name, re.IGNORECASE)
+    return match["run"] if match else None
+
+
+def runs_of_files(files: Sequence[Path], log: LogSection) -> list[str]:
+    """Return the runs that files belong to by the patterns of ``log.files``, in the order of their names."""
+    found = {run_in(path.name, pattern) for path in files for pattern in log.files.values()} - {None}
+    return sorted(filter(None, found), key=lambda run: (run_number(run, None) or 0, run))

@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts
+from calib.campaign.ingest.lags import continuous_counts
+from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
 from calib.campaign.ingest.mapping import Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, with_number
 from calib.campaign.model import Border, RunTable
