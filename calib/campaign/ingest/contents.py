@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,6 +34,8 @@ _LISTED_TEXTS: Final = 6
 _FEW_ROWS: Final = 40
 #: properties of a recording that are listed
 _LISTED_PROPERTIES: Final = 12
+#: names of a first column that calib knows by chance
+_LEAST_NAMES: Final = 2
 #: characters that list the columns of another sheet
 _LISTED_SHEET: Final = 200
 #: characters of a remark's line
@@ -110,6 +112,8 @@ class FileContents:
     sheet: str = ""
     #: other sheets that hold tables, by their names
     others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
+    #: whether each run stands in a column of its own
+    runs_in_columns: bool = field(default=False, metadata={"json": False})
 
     def alike(self, other: FileContents) -> bool:
         """Return whether another file has the same columns."""
@@ -153,15 +157,43 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
     try:
         raw = read_table(path, shown, lambda _: True, layout)
     except BadFileError:
-        # texts among the columns: as read, and each column looked at by itself
-        raw = read_table(path, shown, None, layout)
+        layout, raw = _as_read(path, shown, layout)
     texts = read_table(path, shown, None, layout).columns if raw.epochs else raw.columns
     evidence = comma_evidence(list(raw.columns.values()))
     columns = tuple(_column_contents(name, raw, shown, evidence, texts[name]) for name in raw.columns)
     remarks = [
         note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
     ]
-    return FileContents(shown, False, len(raw.line), columns, tuple(remarks))
+    if layout.runs_in_columns:
+        remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")
+    contents = FileContents(shown, False, len(raw.line), columns, tuple(remarks))
+    return replace(contents, runs_in_columns=layout.runs_in_columns)
+
+
+def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
+    """Return a table with texts among its columns as read, turned where each run stands in a column of its own.
+
+    It does where the first column has more names of what a run table holds than the header.
+    """
+    turned = replace(layout, runs_in_columns=True)
+    other = None
+    with suppress(BadFileError):
+        other = read_table(path, shown, None, turned)
+    try:
+        raw = read_table(path, shown, None, layout)
+    except BadFileError:
+        # the values of a first row may be there twice, the names of a first column are not
+        if other is None or len(_known(other.columns)) <= _LEAST_NAMES:
+            raise
+        return turned, other
+    if other is not None and len(_known(other.columns)) > max(_LEAST_NAMES, len(_known(raw.columns))):
+        return turned, other
+    return layout, raw
+
+
+def _known(names: Iterable[str]) -> set[str]:
+    """Return the columns of a run table that names may mean."""
+    return {target for name in names if (target := guessed_table_column(name))}
 
 
 def _column_contents(

@@ -8,6 +8,7 @@
 
     [table]                            # calib column = column of the laboratory's run table
     file = "runs.xlsx"                 # beside the mapping, where no table is among the sources
+    runs_in = "columns"                # where each run stands in a column of its own
     sheet = "Runs"                     # sheet, header_row, units_row are found where not named
     run_id = "Run no."
     distance_m = {column = "Distance", unit = "mm"}
@@ -34,7 +35,7 @@ Columns that already carry calib's names, with any known unit, need no line.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
@@ -212,6 +213,12 @@ class TableSection(_Section):
     """``[table]``: the columns of the run table."""
 
     file: str | None = Field(default=None, description="the name of the run table, relative to the mapping")
+    runs_in: Literal["rows", "columns"] = Field(default="rows", description='"rows" or "columns"')
+
+    @property
+    def layout(self) -> Layout:
+        """Sheet, rows, and whether each run stands in a column."""
+        return replace(super().layout, runs_in_columns=self.runs_in == "columns")
 
 
 class LogSection(_Section):

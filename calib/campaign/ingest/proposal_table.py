@@ -64,6 +64,8 @@ def table_lines(table: FileContents) -> list[str]:
     lines, own, unused = [], [], []
     if table.sheet:
         lines.append(f"sheet = {QUOTED.encode(table.sheet)}")
+    if table.runs_in_columns:
+        lines.append('runs_in = "columns"')
     sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
     dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
-import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows, tidy
+from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
 from calib.campaign.readers.table import (
     HEADER_ROWS,
     LARGEST_VALUE,
@@ -25,6 +23,7 @@ from calib.campaign.readers.table import (
     find_header,
     is_number,
 )
+from calib.campaign.readers.text import find_delimiter, split_cells, tidy, utf8
 from calib.errors import BadFileError
 from calib.types import FloatArray
 
@@ -40,8 +39,7 @@ NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
 #: rows that suffice to show a header in the first of them
 _FEW_ROWS: Final = 8
-#: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, and a zero with a sign,
-#: which is a zero with a sign among decimals and a plain one among whole numbers
+#: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, a zero with a sign
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 #: beyond it a float64 no longer holds every whole number
@@ -69,10 +67,12 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
-    above = _split([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
+    above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
-        head = heading(_split(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above)
+        head = heading(
+            split_cells(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above
+        )
         _check_names(head.names, shown, skipped + 1)
         end = start
         for _ in range(head.n_rows):
@@ -162,7 +162,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         # most logs begin with their header, and a few rows as wide as it and of numbers show it
         lines = _first_lines(data, _FEW_ROWS)
         usual = _first_delimiter(lines)
-        rows = _split(lines, usual)
+        rows = split_cells(lines, usual)
         if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
     lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
@@ -172,28 +172,16 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
             raise BadFileError(shown, f"{len(lines)} rows", expected, "correct header_row of the mapping")
         return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
     usual = _first_delimiter(lines)
-    header = find_header(_split(lines, usual))
+    header = find_header(split_cells(lines, usual))
     if header == 0:
         return usual, 0
     delimiter = find_delimiter(lines)
     if delimiter != usual:
-        header = find_header(_split(lines, delimiter))
+        header = find_header(split_cells(lines, delimiter))
     if header is None and layout.lab:
         # rows of numbers alone, beneath remarks
         return delimiter, next((at for at, line in enumerate(lines) if line.strip()), 0)
     return (delimiter, header) if header else (usual, 0)
-
-
-def find_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that splits the most consecutive lines into one number of cells, more than one.
-
-    `lines`: the first lines of the file.
-    """
-    filled = [line for line in lines if line.strip()][:HEADER_ROWS]
-    # the first of equals is taken: commas as regular as semicolons are decimal
-    regular = {mark: _longest_stretch([len(row) for row in _split(filled, mark)]) for mark in (";", "\t", ",")}
-    best = max(regular, key=lambda mark: regular[mark])
-    return best if regular[best] else ","
 
 
 def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
@@ -209,11 +197,6 @@ def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
     return marks == line * (len(marks) // len(line))
 
 
-def _longest_stretch(counts: Sequence[int]) -> int:
-    """Return the length of the longest stretch of equal counts above one."""
-    return max((len(list(stretch)) for count, stretch in itertools.groupby(counts) if count > 1), default=0)
-
-
 def _first_delimiter(lines: list[str]) -> str:
     return next((mark for mark in (";", "\t") if lines and mark in lines[0]), ",")
 
@@ -227,15 +210,6 @@ def _first_lines(data: bytes, n_lines: int) -> list[str]:
             end = _HEAD_BYTES
             break
     return data[:end].decode("utf-8", errors="ignore").splitlines()[:n_lines]
-
-
-def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    try:
-        rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
-    except csv.Error:
-        rows = []
-    # a cell over several lines would shift the numbers of the rows
-    return rows if len(rows) == len(lines) else [line.split(delimiter) for line in lines]
 
 
 def _read_numeric(
@@ -364,34 +338,3 @@ def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
     if delimiter == "," and len(cells) > len(names):
         return "export with semicolons where commas are decimal, or quote the cell; name header_row if it stands lower"
     return "complete or remove the row; the file may have been cut"
-
-
-def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
-    notes: list[Note] = []
-    encoding = None
-    if data.startswith(codecs.BOM_UTF8):
-        data = data[3:]
-        notes.append(Note("info", shown, "a UTF-8 byte order mark was skipped", "encoding"))
-    elif data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif b"\0" in data[:2000]:
-        even, odd = data[0:2000:2].count(0), data[1:2000:2].count(0)
-        encoding = "utf-16-le" if odd > 20 * (even + 1) else "utf-16-be" if even > 20 * (odd + 1) else None
-    try:
-        if encoding:
-            data = data.decode(encoding).encode("utf-8")
-            notes.append(Note("info", shown, "the text is UTF-16", "encoding"))
-        elif not data.isascii():
-            data.decode("utf-8")
-    except UnicodeError:
-        if encoding:
-            raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        data = data.decode("latin-1").encode("utf-8")
-        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
-    if b"\0" in data:
-        row = data[: data.index(b"\0")].count(b"\n") + 1
-        raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)
-    if b"\r" in data and b"\n" not in data:
-        data = data.replace(b"\r", b"\n")
-    return data, notes

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.campaign.readers.table import (
     EMPTY,
-    HEADER_ROWS,
     Layout,
     RawTable,
     Wanted,
@@ -320,76 +319,3 @@ def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
             for at, cell in enumerate(row):
                 out.setdefault(at, set()).add(_shape(str(cell).strip()))
     return out
-
-
-_REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
-_BLANKS: Final = re.compile(rb"[ \t]+")
-#: bytes in which it is seen how the cells are separated
-_HEAD_BYTES: Final = 1 << 16
-#: lines of numbers that show that blanks separate the cells
-_LEAST_LINES: Final = 2
-
-
-def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text file with the lines that hold no cells emptied, so that rows keep their numbers, and notes.
-
-    Lines that begin with ``#`` are remarks, but for the one right above the numbers where it names as many columns.
-    Runs of blanks become tabs where nothing else separates the cells.
-    """
-    notes: list[Note] = []
-    if layout.skip_rows:
-        lines = data.split(b"\n")
-        for row in layout.skip_rows:
-            lines[row - 1 : row] = [b""] * len(lines[row - 1 : row])
-        data = b"\n".join(lines)
-    if _REMARK.search(data):
-        data, n_remarks = _without_remarks(data)
-        text = f"{n_remarks} line(s) that begin with # are remarks"
-        notes += [Note("info", shown, text, "remarks")] if n_remarks else []
-    if _by_blanks(data):
-        data = b"\n".join(_BLANKS.sub(b"\t", line.strip()) for line in data.split(b"\n"))
-        notes.append(Note("info", shown, "columns are separated by blanks", "delimiter"))
-    return data.rstrip(b"\n") + b"\n" if data.strip() else data, notes
-
-
-def _without_remarks(data: bytes) -> tuple[bytes, int]:
-    head = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
-    first = next((at for at, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")), None)
-    names = None
-    if first:
-        above = max((at for at, line in enumerate(head[:first]) if line.strip()), default=None)
-        if above is not None and _names(head[above], head[first]):
-            names = above
-    remarks = _REMARK.findall(data)
-    if names is None:
-        return _REMARK.sub(b"", data), len(remarks)
-    lines = data.split(b"\n", names + 1)
-    text = lines[names].lstrip()[1:].lstrip(b" ") + b"\n"
-    before = _REMARK.sub(b"", b"\n".join(lines[:names]) + (b"\n" if names else b""))
-    return before + text + _REMARK.sub(b"", lines[-1]), len(remarks) - 1
-
-
-def _names(remark: str, below: str) -> bool:
-    """Return whether a remark names the columns of the line below it."""
-    for separator in (";", "\t", ",", None):
-        cells = [cell.strip() for cell in remark.strip()[1:].strip().split(separator)]
-        numbers = [cell.strip() for cell in below.strip().split(separator)]
-        if len(cells) == len(numbers) > 1 and any(map(is_number, numbers)):
-            return not any(is_number(cell) for cell in cells if cell)
-    return False
-
-
-def _by_blanks(data: bytes) -> bool:
-    """Return whether nothing but blanks separates the cells: numbers, as many in every line."""
-    lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
-    if len(data) > _HEAD_BYTES:
-        lines.pop()
-    lines = [line.strip() for line in lines if line.strip()][-HEADER_ROWS:]
-    lines = lines[-max(_LEAST_LINES, len(lines) // 2) :]
-    if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
-        return False
-    rows = [line.split() for line in lines]
-    widths = {len(row) for row in rows}
-    return (
-        widths != {1} and len(widths) == 1 and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -77,6 +78,8 @@ class Layout:
     units_row: int | None = None
     #: rows that are not read
     skip_rows: tuple[int, ...] = ()
+    #: whether each run stands in a column of its own, the names of what was measured in the first
+    runs_in_columns: bool = False
     #: whether the file is as a laboratory keeps it (`calib.campaign.readers.sheets`), not one of a campaign
     lab: bool = False
 
@@ -149,6 +152,12 @@ def is_number(cell: Any) -> bool:
         return True
     text = str(cell).strip().replace("−", "-")
     return bool(_POINT_OR_COMMA.fullmatch(text)) or time_format(text) is not None
+
+
+def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """Return a table of a run a column as one of a run a row; rows with one cell at most, such as a title, go."""
+    columns = map(list, itertools.zip_longest(*(row for row in rows if len(filled_cells(row)) > 1)))
+    return [column for column in columns if filled_cells(column)]
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:

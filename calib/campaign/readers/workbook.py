@@ -23,8 +23,10 @@ from calib.campaign.readers.table import (
     RawTable,
     Wanted,
     check_header,
+    filled_cells,
     find_header,
     object_array,
+    turned,
 )
 from calib.errors import BadFileError
 from calib.limits import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, refuse_beyond
@@ -39,9 +41,9 @@ _OTHER_BYTES: Final = 8 << 20
 _BLOCK_BYTES: Final = 1 << 20
 #: column, row, and whether the cell ends at once and so holds nothing
 _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9]{1,7})[\"'][^<>]*?(/?)>")
-#: first column, first and last row of merged cells
+#: first column and row, last column and row of merged cells
 _MERGED: Final = re.compile(
-    rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):[A-Z]{1,3}([0-9]{1,7})[\"']"
+    rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):([A-Z]{1,3})([0-9]{1,7})[\"']"
 )
 _ROW: Final = re.compile(rb"<(?:\w{1,20}:)?row\b")
 _LISTED: Final = re.compile(rb"<(?:\w{1,20}:)?sheet\s")
@@ -135,7 +137,12 @@ def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> 
             for number, values in enumerate(sheet.iter_rows(max_row=last_row or None, values_only=True), start=1)
             if number not in layout.skip_rows
         }
-        notes = _fill_merged(numbered, path, getattr(sheet, "_worksheet_path", ""), shown) if layout.lab else []
+        notes: list[Note] = []
+        if layout.lab:
+            part = getattr(sheet, "_worksheet_path", "")
+            notes = _fill_merged(numbered, path, part, shown, across=layout.runs_in_columns)
+        if layout.runs_in_columns:
+            numbered = dict(enumerate(turned(list(numbered.values())), start=1))
         filled = [(number, cells) for number, cells in numbered.items() if any(cell is not None for cell in cells)]
         header_at = _header_index(filled, layout, shown)
         if header_at is None and (first.rows or not filled):
@@ -157,8 +164,11 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
     return index
 
 
-def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str) -> list[Note]:
-    """Fill cells merged over several rows with what the first of them holds, in place, and note where."""
+def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, *, across: bool) -> list[Note]:
+    """Fill cells merged over several rows with what the first of them holds, in place, and note where.
+
+    `across`: over several columns instead, but for titles: rows that hold nothing else.
+    """
     from openpyxl.utils import column_index_from_string
 
     n_filled = 0
@@ -167,12 +177,15 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str) 
         blocks = _blocks(archive, entry) if entry else ()
         merges = [match for block in blocks for match in _MERGED.findall(block)]
     bottom = max(rows, default=0)
-    places = sum(max(0, min(int(last), bottom) - int(first)) for _, first, last in merges)
+    places = sum(max(0, min(int(last), bottom) - int(first)) for _, first, _, last in merges)
     refuse_beyond(places, SHEET_CELLS, shown=shown, what="merged cells", remedy=_REMEDY)
-    for letters, first, last in merges:
-        column = column_index_from_string(letters.decode()) - 1
-        value = rows[int(first)][column] if int(first) in rows and column < len(rows[int(first)]) else None
-        for number in range(int(first) + 1, min(int(last), bottom) + 1):
+    titles = {number for number, cells in rows.items() if len(filled_cells(cells)) < 2}
+    for letters, first, last_letters, last in merges:
+        top, (left, right) = int(first), (column_index_from_string(one.decode()) - 1 for one in (letters, last_letters))
+        value = rows[top][left] if top in rows and left < len(rows[top]) else None
+        below = [(number, left) for number in range(top + 1, min(int(last), bottom) + 1)]
+        beside = [(top, column) for column in range(left + 1, min(right + 1, len(rows.get(top, ()))))]
+        for number, column in beside if across and top not in titles else () if across else below:
             if value is not None and number in rows and column < len(rows[number]) and rows[number][column] is None:
                 rows[number][column] = value
                 n_filled += 1

@@ -186,8 +186,99 @@ def test_a_description_prints_what_stands_in_the_file(tmp_path: Path) -> None:
 
 
 def test_other_kinds_of_logs_are_said(tmp_path: Path) -> None:
-    """One file a run is read: what to do with two of them stands in the proposal."""
+    """Files whose names do not say which belong together: what to do with them stands in the proposal."""
     (tmp_path / "enc_1.csv").write_text("t,enc_left,enc_right\n" + "".join(f"{k},{9 * k},{8 * k}\n" for k in range(50)))
-    (tmp_path / "cam_1.csv").write_text("t,x,y,yaw\n" + "".join(f"{k},{9 * k}.5,{8 * k},0\n" for k in range(50)))
-    text = describe([tmp_path / "enc_1.csv", tmp_path / "cam_1.csv"]).to_toml()
-    assert "2 kinds of logs (enc_1.csv, cam_1.csv)" in text and "join them by time" in text
+    (tmp_path / "cam_2.csv").write_text("t,x,y,yaw\n" + "".join(f"{k},{9 * k}.5,{8 * k},0\n" for k in range(50)))
+    text = describe([tmp_path / "enc_1.csv", tmp_path / "cam_2.csv"]).to_toml()
+    assert "2 kinds of logs (enc_1.csv, cam_2.csv)" in text and "join them by time" in text
+
+
+def _split(folder: Path, n_runs: int = 3) -> tuple[list[np.ndarray], Path]:
+    """Write runs of three files each: one a wheel and a rangefinder, each with a clock of its own in nanoseconds."""
+    epoch_ns, driven = 1_779_095_400_000_000_000, []
+    (folder / "data").mkdir(parents=True)
+    for run in range(1, n_runs + 1):
+        time = np.arange(400) / 20
+        left, right = 100.0 * np.arange(400) + run, 101.0 * np.arange(400)
+        driven.append(right)
+        start = epoch_ns + run * 600_000_000_000
+        parts = {
+            "enc_left": ("ticks", time, left % 2**16),
+            # a node that begins 120 ms later
+            "enc_right": ("ticks", time + 0.12, np.interp(time + 0.12, time, right, right=np.nan) % 2**16),
+            "laser": ("dist_mm", time[::4], 2000.0 + 5.0 * np.arange(400)[::4]),
+        }
+        for name, (column, at, values) in parts.items():
+            known = np.isfinite(values)
+            rows = [f"{start + round(1e9 * t)},{x:.0f}\n" for t, x in zip(at[known], values[known], strict=True)]
+            (folder / "data" / f"T{run:03}_{name}.csv").write_text(f"stamp_ns,{column}\n" + "".join(rows))
+    rows = [f"T{run:03},{run}\n" for run in range(1, n_runs + 1)]
+    (folder / "trials.csv").write_text("trial,mass on deck (kg)\n" + "".join(rows))
+    return driven, folder
+
+
+@pytest.mark.parametrize("with_table", [True, False])
+def test_the_files_of_a_run_are_joined_by_time(with_table: bool, tmp_path: Path) -> None:
+    """As proposed: counts of both wheels at the same times, distances from the start; with a run table or without."""
+    driven, lab = _split(tmp_path / "lab")
+    sources = [lab / "trials.csv", lab / "data"] if with_table else [lab / "data"]
+    text = describe(sources).to_toml()
+    assert 'enc_left = "T{n:03}_enc_left.csv"' in text and 'counts_right = "enc_right:ticks"' in text, text
+    (tmp_path / "m.toml").write_text(text)
+    made = ingest(sources, tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert made.n_logs == len(made.campaign.runs) == len(driven)
+    assert {Path(name).name for name in made.sources} >= {"T001_enc_left.csv", "T001_enc_right.csv", "T001_laser.csv"}
+    for run, right in enumerate(driven):
+        log = made.campaign.logs.of(run)
+        # samples before the right wheel's first are omitted
+        counts = log["counts_right"] - log["counts_right"][0]
+        assert len(right) - 5 < len(counts) < len(right)
+        np.testing.assert_allclose(counts, right[3:][: len(counts)] - right[3], atol=1.01)
+        np.testing.assert_allclose(np.diff(log["counts_left"]), 100.0)
+        measured = log["range_m"][np.isfinite(log["range_m"])]
+        np.testing.assert_allclose(np.diff(measured), 0.005, atol=1e-6)
+
+
+def test_a_run_without_one_of_its_files_is_said(tmp_path: Path) -> None:
+    _, lab = _split(tmp_path / "lab")
+    (lab / "data" / "T002_laser.csv").unlink()
+    sources = [lab / "trials.csv", lab / "data"]
+    (tmp_path / "m.toml").write_text(describe(sources).to_toml())
+    made = ingest(sources, tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert made.campaign.runs.excluded.tolist() == [False, True, False]
+    assert any("no log T002_laser.csv was found" in note.text for note in made.notes)
+
+
+@pytest.mark.parametrize("kind", ["xlsx", "csv"])
+def test_runs_may_stand_in_columns(kind: str, tmp_path: Path) -> None:
+    """A merged title, units in the second column, days merged over the runs of each: proposed, and read, as rows."""
+    rows: list[list[object]] = [
+        ["Campaign of AGV-7", None, None, None, None, None],
+        ["Run", None, "R1", "R2", "R3", "R4"],
+        ["Date", None, "2026-05-18", None, "2026-05-19", None],
+        ["Direction", None, "forth", "back", "forth", "back"],
+        ["Payload", "kg", 0, 50, 100, 150],
+        ["Distance", "mm", 40865.1, 39666.5, 37316.6, 37319.9],
+    ]
+    path = tmp_path / f"protocol.{kind}"
+    if kind == "xlsx":
+        import openpyxl
+
+        book = openpyxl.Workbook()
+        for row in rows:
+            book.active.append(row)
+        for cells in ("A1:F1", "C3:D3", "E3:F3"):
+            book.active.merge_cells(cells)
+        book.save(path)
+    else:
+        rows[2] = ["Date", None, "2026-05-18", "2026-05-18", "2026-05-19", "2026-05-19"]
+        path.write_text("\n".join(";".join("" if cell is None else str(cell) for cell in row) for row in rows) + "\n")
+    text = describe([path]).to_toml()
+    assert 'runs_in = "columns"' in text
+    (tmp_path / "m.toml").write_text(text)
+    runs = ingest([path], tmp_path / "c", mapping=tmp_path / "m.toml").campaign.runs
+    assert runs.run_id.tolist() == ["R1", "R2", "R3", "R4"]
+    assert runs.label("session").tolist() == ["2026-05-18"] * 2 + ["2026-05-19"] * 2
+    assert runs.label("direction").tolist() == ["out", "back"] * 2
+    assert runs.number("payload_kg").tolist() == [0.0, 50.0, 100.0, 150.0]
+    np.testing.assert_allclose(runs.number("distance_m"), [40.8651, 39.6665, 37.3166, 37.3199])
