@@ -57,12 +57,12 @@ def read(source: Path | str, *, mapping: Path | str | None = None) -> Campaign:
 
 
 @checked
-def describe(sources: Sequence[Path | str]) -> Description:
+def describe(sources: Sequence[Path | str] | Path | str) -> Description:
     """Say what is in files of any laboratory, and propose a mapping of their columns.
 
     Parameters
     ----------
-    sources : sequence of Path or str
+    sources : Path or str, or a sequence of them
         Tables, logs and recordings, or folders of them.
 
     Returns
@@ -77,18 +77,22 @@ def describe(sources: Sequence[Path | str]) -> Description:
     """
     from calib.campaign.ingest.describe import describe as described
 
-    return described([Path(source) for source in sources])
+    return described(_paths(sources))
 
 
 @checked
 def ingest(
-    sources: Sequence[Path | str], into: Path | str, *, mapping: Path | str | None = None, force: bool = False
+    sources: Sequence[Path | str] | Path | str,
+    into: Path | str,
+    *,
+    mapping: Path | str | None = None,
+    force: bool = False,
 ) -> Campaign:
     """Make a campaign folder out of files of any laboratory, and read it.
 
     Parameters
     ----------
-    sources : sequence of Path or str
+    sources : Path or str, or a sequence of them
         The run table first, where there is one; then logs or recordings, or folders of them. They are only read.
     into : Path or str
         The campaign folder to make.
@@ -110,13 +114,13 @@ def ingest(
     from calib.campaign.ingest.build import ingest as ingested
     from calib.campaign.read import read_campaign
 
-    made = ingested(
-        [Path(source) for source in sources],
-        Path(into),
-        mapping=None if mapping is None else Path(mapping),
-        force=force,
-    )
+    named = None if mapping is None else Path(mapping)
+    made = ingested(_paths(sources), Path(into), mapping=named, force=force)
     return replace(read_campaign(made.folder), notes=made.notes)
+
+
+def _paths(sources: Sequence[Path | str] | Path | str) -> list[Path]:
+    return [Path(source) for source in ([sources] if isinstance(sources, Path | str) else sources)]
 
 
 @checked

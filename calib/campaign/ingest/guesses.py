@@ -113,7 +113,7 @@ _LOG: Final[Sequence[tuple[str, str]]] = (
 )
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
-    r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|raw|geber|rad|drive|shaft|total))+$"
+    r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
 )
 #: first letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle of its own
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")

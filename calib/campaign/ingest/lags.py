@@ -57,8 +57,23 @@ def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[Floa
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
     """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
 
-    `lines`: calib's column -> the recording's; `base`: the wheels' stream. Returns ``reference`` and ``range_m`` -> the
-    lag, where there is one.
+    Parameters
+    ----------
+    recording : Recording
+        With the columns that the mapping names.
+    lines : mapping of str to MappedColumn
+        Calib's column -> the recording's.
+    base : Stream
+        The wheels' stream.
+    shown : str
+        The recording's name in messages.
+    border : Border
+        Takes the notes.
+
+    Returns
+    -------
+    dict of str to Lag
+        ``reference`` and ``range_m`` -> the lag, where there is one.
     """
     wheels = [
         base.columns[line.column]

@@ -122,3 +122,54 @@ def test_a_file_without_names_is_read_by_its_columns_numbers(tmp_path: Path) -> 
     made = ingest([tmp_path / "log.csv"], tmp_path / "c", mapping=mapping).campaign
     np.testing.assert_array_equal(made.logs.columns["counts_right"], counts[1])
     np.testing.assert_allclose(made.logs.columns["t_s"], time)
+
+
+def test_a_skid_steered_robot_is_proposed_with_its_drive(tmp_path: Path) -> None:
+    """Four joints, those of a side alike, and a tracker's transform: drive, angles and the units of the messages."""
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE).types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
+    names = [f"{end}_{side}_wheel_joint" for end in ("front", "rear") for side in ("left", "right")]
+    still = {"velocity": np.zeros(0), "effort": np.zeros(0)}
+    messages: list[tuple[str, str, dict[str, object]]] = []
+    for k in range(80):
+        turned = np.asarray([0.1 * k, 0.12 * k] * 2)
+        joints = {"header": header, "name": names, "position": turned, **still}
+        messages.append(("/platform/joint_states", "sensor_msgs/msg/JointState", joints))
+        place = types["geometry_msgs/msg/Transform"](
+            types["geometry_msgs/msg/Vector3"](0.01 * k, 0.0, 0.2),
+            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+        )
+        pose = {"header": header, "child_frame_id": "jackal", "transform": place}
+        messages.append(("/vicon/jackal", "geometry_msgs/msg/TransformStamped", pose))
+    text = describe([_write_bag(tmp_path / "bag", messages)]).to_toml()
+    for line in (
+        'drive = "skid"   # both wheels of a side turn alike',
+        "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in",
+        'ref_x_m = "/vicon/jackal[map>jackal]:x"',
+        "#     /vicon/jackal[map>jackal]:x: 0 to 0.79 m",
+    ):
+        assert line in text.splitlines(), text
+
+
+def test_wheels_in_topics_of_their_own_begin_apart(tmp_path: Path) -> None:
+    """The samples at which both are known are kept, and that is said."""
+    kind = "std_msgs/msg/Int32"
+    messages: list[tuple[str, str, dict[str, object]]] = []
+    for k in range(200):
+        messages.append(("/left_wheel_ticks", kind, {"data": 10 * k}))
+        messages += [("/right_wheel_ticks", kind, {"data": 11 * k})] if k > 4 else []
+    bag = _write_bag(tmp_path / "bag", messages)
+    text = (
+        describe([bag])
+        .to_toml()
+        .replace('by = "stops"', 'by = "times"\ntimes = [[0.5, 6.0]]')
+        .replace("min_stop_s", "#")
+    )
+    (tmp_path / "m.toml").write_text(text)
+    made = ingest([bag], tmp_path / "c", mapping=tmp_path / "m.toml")
+    log = made.campaign.logs.of(0)
+    slope = np.polyfit(log["counts_left"], log["counts_right"], 1)[0]
+    assert slope == pytest.approx(1.1, abs=0.01)
+    assert any("another wheel has none near in time" in note.text for note in made.notes)

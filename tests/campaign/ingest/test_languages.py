@@ -9,6 +9,7 @@ import pytest
 
 from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
+from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.read import read_campaign
 
 VEHICLE = '\n[vehicle]\ndrive = "differential"\ntrack_m = 0.5\nwheel_radius_m = 0.1\nmass_kg = 100.0\n'
@@ -61,3 +62,44 @@ def test_a_table_of_unknown_words_beside_logs_is_the_run_table(tmp_path: Path) -
     description = describe(sources)
     assert description.table is not None
     assert description.table.name.endswith("runs.csv")
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "target"),
+    [
+        ("Effort roue gauche [N]", "Effort roue droite [N]", "load_{}_N"),
+        ("Carga rueda izquierda [kg]", "Carga rueda derecha [kg]", "load_{}_N"),
+        ("Carico ruota sx [N]", "Carico ruota dx [N]", "load_{}_N"),
+        ("Force on wheel left [N]", "Force on wheel right [N]", "load_{}_N"),
+    ],
+)
+def test_forces_on_wheels_are_found(left: str, right: str, target: str) -> None:
+    assert guessed_table_column(left) == target.format("left")
+    assert guessed_table_column(right) == target.format("right")
+
+
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("Codeur gauche [imp]", "counts_left"),
+        ("Codeur D", "counts_right"),
+        ("Encoder izquierdo", "counts_left"),
+        ("ruota_dx", "counts_right"),
+        ("Télémètre [mm]", "range_m"),
+        ("Horodatage", "t_s"),
+        ("Tempo [s]", "t_s"),
+        ("grid", None),
+        ("speed", None),
+    ],
+)
+def test_columns_of_logs_are_found(name: str, target: str | None) -> None:
+    assert guessed_log_column(name) == target
+
+
+def test_a_heading_in_words_is_the_direction(tmp_path: Path) -> None:
+    """Which way is out, the proposal asks."""
+    (tmp_path / "t.csv").write_text(
+        "trial;heading;travel [m]\n" + "".join(f"T{k};{'EW'[k % 2]};4{k}.5\n" for k in range(6))
+    )
+    text = describe([tmp_path / "t.csv"]).to_toml()
+    assert 'direction = {column = "heading", values = {E = "out", W = "back"}}   # "out" or "back"' in text

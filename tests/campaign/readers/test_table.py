@@ -148,3 +148,27 @@ def test_a_time_of_day_runs_on_over_midnight() -> None:
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(ValueError):
         moment_ns(text)
+
+
+@pytest.mark.parametrize(
+    ("cells", "words"),
+    [
+        (("18/05/2026 10:15:30,250", "18/05/2026 10:15:31"), "day/month/year"),
+        (("05/18/2026, 10:15:30.250 AM", "05/18/2026, 10:15:31 AM"), "month/day/year"),
+        (("2026/05/18 10:15:30.250", "2026/05/18 10:15:31"), "ISO 8601"),
+    ],
+)
+def test_days_between_slashes_are_read_by_the_cell_that_shows_their_order(
+    cells: tuple[str, str], words: str, tmp_path: Path
+) -> None:
+    """The same moment in three countries; seconds from the first, and the order is said."""
+    (tmp_path / "log.csv").write_text("when;x\n" + "".join(f"{cell};1\n" for cell in cells))
+    table = read_table(tmp_path / "log.csv", "log", lambda _: True)
+    assert table.epochs["when"] == moment_ns("2026-05-18T10:15:30.250Z")
+    np.testing.assert_array_equal(table.columns["when"], [0.0, 0.75])
+    assert any(words in note.text for note in table.notes)
+
+
+@pytest.mark.parametrize(("text", "hour"), [("12:05:00 AM", 0), ("12:05:00 PM", 12), ("1:05:00 pm", 13)])
+def test_half_days_are_read(text: str, hour: int) -> None:
+    assert moment_ns(f"05/18/2026 {text}", month_first=True) == moment_ns(f"2026-05-18T{hour:02}:05:00Z")
