@@ -165,6 +165,11 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     if table is None and work.mapping.table_file is not None:
         first = work.mapping.table_file
         table = _run_table(first, work)
+    elif table is None and first.is_dir() and work.mapping.table.columns:
+        # the table of a folder stands beside its logs, or beside folders of them
+        beside = [path for path in files if path.parent == first and not holds_recording(path)]
+        tables = ((path, _run_table(path, work, named=True)) for path in beside)
+        first, table = next(((path, found) for path, found in tables if found is not None), (first, None))
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
     if table is not None:
         table, work.mapping = with_lookups(table, work.mapping, first, work.border)
@@ -203,13 +208,18 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     return replace(work.settings, encoder=encoder).campaign(runs, finished, notes=tuple(work.border.notes))
 
 
-def _run_table(path: Path, work: _Ingestion) -> RawTable | None:
-    """Return a source as run table; None where it is a log or recording."""
+def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
+    """Return a source as run table; None where it is a log or recording.
+
+    `named`: whether it has to have the column that names runs.
+    """
     if not path.exists():
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
     if path.is_dir() or holds_recording(path):
         return None
     raw = read_table(path, str(path), None, work.mapping.table.layout)
+    if named and not names_runs(raw, work.mapping):
+        return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
     if not mapped and not names_runs(raw, work.mapping):
         log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}

@@ -227,13 +227,23 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
         if is_bag_folder(source) or source.is_file():
             files.append(source)
         elif source.is_dir():
-            files += [
-                path
-                for path in sorted(source.iterdir())
-                if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)
-            ]
+            files += _files_inside(source)
         else:
             raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
+    return files
+
+
+def _files_inside(folder: Path) -> list[Path]:
+    """Return the files of a folder that calib reads, and those of the folders in it where it has one at most.
+
+    That is a run table beside folders of logs; campaigns among them are left out.
+    """
+    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]
+    if len(files) < 2:
+        for path in inside:
+            is_logs = path.is_dir() and not path.is_symlink() and path not in files
+            files += _files_inside(path) if is_logs and not (path / "campaign.toml").is_file() else []
     return files
 
 

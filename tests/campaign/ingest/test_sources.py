@@ -282,3 +282,19 @@ def test_runs_may_stand_in_columns(kind: str, tmp_path: Path) -> None:
     assert runs.label("direction").tolist() == ["out", "back"] * 2
     assert runs.number("payload_kg").tolist() == [0.0, 50.0, 100.0, 150.0]
     np.testing.assert_allclose(runs.number("distance_m"), [40.8651, 39.6665, 37.3166, 37.3199])
+
+
+def test_a_folder_may_hold_the_table_beside_a_folder_of_logs(tmp_path: Path) -> None:
+    """The laboratory's folder alone is named; a campaign made inside it is no source."""
+    driven, lab = _split(tmp_path / "lab")
+    (lab / "old").mkdir()
+    (lab / "old" / "campaign.toml").write_text('name = "old"\n')
+    (lab / "old" / "runs.csv").write_text("run_id\na\n")
+    description = describe([lab])
+    assert description.table is not None and description.table.name.endswith("trials.csv")
+    assert description.n_files == 1 + 3 * len(driven)
+    (tmp_path / "m.toml").write_text(description.to_toml())
+    made = ingest([lab], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert made.campaign.runs.run_id.tolist() == ["T001", "T002", "T003"]
+    assert made.campaign.runs.number("payload_kg").tolist() == [1.0, 2.0, 3.0]
+    assert made.n_logs == len(driven)
