@@ -24,7 +24,7 @@ from calib.campaign.ingest.guesses import (
 )
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
-from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, numbers, time_format
+from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, numbers
 from calib.errors import BadFileError
 from calib.types import IntArray
 
@@ -202,7 +202,7 @@ def _column_contents(
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
         high, first = float(np.nanmax(cells)), str(texts[0]).strip()
-        words = FORMAT_NAMES[time_format(first) or "iso8601"]
+        words = format_words(texts) or FORMAT_NAMES["iso8601"]
         return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,))
     if cells.dtype == object:
         filled = filled_cells(cells.tolist())
@@ -210,8 +210,8 @@ def _column_contents(
         if not filled:
             return ColumnContents(name, "empty", n_empty=n_empty)
         first = str(filled[0])
-        if form := time_format(first):
-            return ColumnContents(name, "time", n_empty=n_empty, form=FORMAT_NAMES[form], texts=(first,))
+        if form := format_words(filled):
+            return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(first,))
     try:
         values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence)
     except BadFileError:

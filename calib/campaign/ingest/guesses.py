@@ -45,12 +45,12 @@ _TABLE: Final[Sequence[tuple[str, str]]] = (
     (
         "load_left_N",
         r"(rad|wheel|waage|scale)?_?(last|load)?_?(links|left)|((rad|wheel)_?)?(last|load)_?(li|l)|f_?(left|l)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)",
+        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)|{_LEFT}_{_ON_WHEEL}{_FORCE}",
     ),
     (
         "load_right_N",
         r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)",
+        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)|{_RIGHT}_{_ON_WHEEL}{_FORCE}",
     ),
     (
         "payload_x_m",
@@ -153,8 +153,9 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
     stem, unit = split_suffix(spelled(in_words))
     if unit is None and (bracket := _UNIT.fullmatch(in_words)):
-        # of a unit that is not known, or of a counter
-        stem = bracket[1]
+        # a side, a unit that is not known, or one of a counter
+        is_side = re.fullmatch(rf"{_LEFT}|{_RIGHT}", plain_text(bracket[2]))
+        stem = f"{bracket[1]}_{bracket[2]}" if is_side else bracket[1]
     return plain_text(re.sub(r"[.\s\-]+", "_", stem)).strip("_"), unit
 
 
@@ -198,7 +199,7 @@ def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> 
     for target, pattern in words:
         if not re.fullmatch(pattern, stem):
             continue
-        if target.startswith("load_") and unit is None and not re.search(rf"las|loa|^f|^{_FORCE}_", stem):
+        if target.startswith("load_") and unit is None and not re.search(rf"las|loa|^f|(^|_){_FORCE}(_|$)", stem):
             # a side alone is a wheel of any kind
             continue
         if unit is None or target.startswith("counts_") or unit in units_for(target):

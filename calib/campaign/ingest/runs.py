@@ -236,7 +236,7 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
 def _files_inside(folder: Path) -> list[Path]:
     """Return the files of a folder that calib reads, and those of the folders in it where it has one at most.
 
-    That is a run table beside folders of logs; campaigns among them are left out.
+    That is a run table beside folders of logs; campaigns among them are omitted.
     """
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]

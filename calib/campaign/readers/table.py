@@ -160,6 +160,13 @@ def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
     return [column for column in columns if filled_cells(column)]
 
 
+def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
+    """Return in words how times are written, the first of which names the format; empty where it is no time."""
+    form = time_format(str(cells[0]))
+    month_first = form == "slashes" and month_before_day(cells)
+    return FORMAT_NAMES.get(form or "", "").replace("day/month", "month/day" if month_first else "day/month")
+
+
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
     """Return the index of the row that names the columns, or None where no row does so better than the first.
 
@@ -294,10 +301,7 @@ def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray)
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
         columns[name] = (time_ns - time_ns[0]) / NS_PER_S
-        words = FORMAT_NAMES[form]
-        if form == "slashes" and month_before_day(cells):
-            words = words.replace("day/month", "month/day")
-        text = f"times were read as {words}"
+        text = f"times were read as {format_words(cells)}"
         notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
     if used_comma:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))

@@ -71,6 +71,7 @@ def test_a_table_of_unknown_words_beside_logs_is_the_run_table(tmp_path: Path) -
         ("Carga rueda izquierda [kg]", "Carga rueda derecha [kg]", "load_{}_N"),
         ("Carico ruota sx [N]", "Carico ruota dx [N]", "load_{}_N"),
         ("Force on wheel left [N]", "Force on wheel right [N]", "load_{}_N"),
+        ("Left wheel load (lbf)", "Right wheel load (lbf)", "load_{}_N"),
     ],
 )
 def test_forces_on_wheels_are_found(left: str, right: str, target: str) -> None:
@@ -85,6 +86,7 @@ def test_forces_on_wheels_are_found(left: str, right: str, target: str) -> None:
         ("Codeur D", "counts_right"),
         ("Encoder izquierdo", "counts_left"),
         ("ruota_dx", "counts_right"),
+        ("Counter A (left)", "counts_left"),
         ("Télémètre [mm]", "range_m"),
         ("Horodatage", "t_s"),
         ("Tempo [s]", "t_s"),
