@@ -19,11 +19,13 @@ from calib.reporting.exports import diagnosed
 from calib.reporting.exports.pose_spread import (
     ALPHAS,
     DEFAULT_ALPHA,
+    MODELS,
     POSE,
     UPDATE_MIN_A_RAD,
     UPDATE_MIN_D_M,
-    Spread,
-    ratios,
+    Fitted,
+    fitted,
+    form_ratios,
     sizes_of,
     spread_of,
     undetermined,
@@ -35,6 +37,10 @@ FEWEST_RUNS: Final = 20
 #: rate and speed at which the variances of a twist are stated
 RATE_HZ: Final = 50.0
 SPEED_MPS: Final = 1.0
+#: names of the three ratios
+CHANNELS: Final = ("along", "lateral", "heading")
+#: a ratio by the form of AMCL's model that is further from 1 is pointed out
+FORM_TOLERANCE: Final = 0.1
 #: digits of a variance
 DIGITS: Final = 4
 
@@ -49,7 +55,8 @@ class MotionNoise:
     alphas: dict[str, float]
     undetermined: tuple[str, ...]  #: alphas that these runs say nothing of
     walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
-    ratios: FloatArray  #: observed over predicted standard deviation, along, aside, heading, shape (3,)
+    held_out: Fitted  #: observed over predicted standard deviation of runs held out, with intervals
+    form: FloatArray  #: the same ratios by the form of AMCL's model alone, shape (3,)
 
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
@@ -68,6 +75,11 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
         listed = ", ".join(noise.undetermined)
         notes.append(
             f"these runs say nothing of {listed}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
+        )
+    if np.abs(np.log(noise.form)).max() > np.log(1.0 + FORM_TOLERANCE):
+        notes.append(
+            f"AMCL's model cannot spread as these runs do, observed over predicted is {_listed(noise.form)}: errors "
+            "stay the same during a run and differ between runs; look for their cause with calib diagnose"
         )
     lines = _lines(noise, campaign.name, named, simulated=campaign.simulated)
     return (Artifact("nav2_odometry.yaml", "".join(f"{line}\n" for line in lines).encode(), tuple(notes)),)
@@ -88,33 +100,20 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
             "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
         )
     residuals = diagnosis.held_out.after[units][:, POSE]
-    path = diagnosis.correction.path
-    amcl, walk = spread_of(path, units, walk=False), spread_of(path, units, walk=True)
-    sizes = sizes_of(amcl, residuals)
-    unknown = undetermined(amcl, sizes)
-    stated = {name: DEFAULT_ALPHA if name in unknown else float(size) for name, size in zip(ALPHAS, sizes, strict=True)}
+    amcl, walk, constant = (spread_of(diagnosis.correction.path, units, model) for model in MODELS)
+    found = fitted(amcl, residuals, observations.labels["kind"][units])
+    unknown = undetermined(amcl, found.sizes)
+    alphas = dict(zip(ALPHAS, map(float, found.sizes), strict=True))
     return MotionNoise(
         n_runs=int(units.sum()),
         length_m=float(np.median(observations.length_m[units])),
         turn_rad=_median_turn(diagnosis, units),
-        alphas=stated,
+        alphas={**alphas, **dict.fromkeys(unknown, DEFAULT_ALPHA)},
         undetermined=unknown,
         walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
-        ratios=_checked(amcl, residuals),
+        held_out=found,
+        form=form_ratios(amcl, (walk, constant), residuals),
     )
-
-
-def _checked(spread: Spread, residuals: FloatArray) -> FloatArray:
-    """Return observed over predicted standard deviation, predicted from the other half of the runs, shape (3,)."""
-    halves = []
-    half = np.arange(len(residuals)) % 2 == 0
-    for mine, others in ((half, ~half), (~half, half)):
-        fitted = sizes_of(
-            Spread(spread.names, spread.components[:, others], spread.reference[others]), residuals[others]
-        )
-        kept = Spread(spread.names, spread.components[:, mine], spread.reference[mine])
-        halves.append(ratios(kept, fitted, residuals[mine]))
-    return np.asarray(np.mean(halves, axis=0))
 
 
 def _median_turn(diagnosis: Diagnosis, units: BoolArray) -> float:
@@ -123,15 +122,19 @@ def _median_turn(diagnosis: Diagnosis, units: BoolArray) -> float:
 
 
 def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> list[str]:
-    along, aside, heading = noise.ratios
     growth = noise.walks["along"], noise.walks["heading"]
     twist = [growth[0] * SPEED_MPS * RATE_HZ, growth[1] * SPEED_MPS * RATE_HZ]
     lines = [
         f"# campaign: {ascii_line(campaign)}; odometry corrected by: {ascii_line(corrected)}",
         f"# from {noise.n_runs} end poses of runs that the correction was not fitted on: {noise.length_m:.3g} m and "
         f"{noise.turn_rad:.3g} rad in the median; for much longer ways measure longer ones",
-        f"# observed over predicted standard deviation, each half by the other: along {along:.2f}, aside {aside:.2f}, "
-        f"heading {heading:.2f}",
+        "# observed over predicted standard deviation, each tenth of the runs by the others, with 95 % interval:",
+        "# "
+        + ", ".join(
+            f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})"
+            for name, ratio, (low, high) in zip(CHANNELS, noise.held_out.ratios, noise.held_out.interval, strict=True)
+        ),
+        f"# by the form of AMCL's model alone, which has no errors that stay during a run: {_listed(noise.form)}",
     ]
     if simulated:
         lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
@@ -159,6 +162,10 @@ def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool
         f"{number(_rounded(twist[1]))}]",
     ]
     return lines
+
+
+def _listed(values: FloatArray) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in zip(CHANNELS, values, strict=True))
 
 
 def _rounded(value: float) -> float:

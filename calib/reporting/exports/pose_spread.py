@@ -6,13 +6,17 @@ has it) splits the motion between two updates into a turn, a way and a turn, eac
     turn: alpha1 turn^2 + alpha2 way^2      way: alpha3 way^2 + alpha4 (turn_1^2 + turn_2^2)
 
 so the covariance of an end pose is linear in the four alphas. The same holds of a random walk of distance and heading,
-whose variances grow with the way. Both are estimated from end poses of runs that the correction has not seen, the
-uncertainty of the reference beside them.
+whose variances grow with the way, and of errors that stay the same during a run. All are estimated from end poses of
+runs that the correction has not seen, the uncertainty of the reference beside them.
+
+Errors that stay the same during a run (a radius that differs from run to run) cannot be drawn step by step. Round a
+square they add up in heading and partly cancel in position, so no alphas spread as these runs do: `form_ratios`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,7 +24,7 @@ import numpy as np
 
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, StrArray
 
 #: motion between two updates of the filter: the defaults of nav2_amcl
 UPDATE_MIN_D_M: Final = 0.25
@@ -31,10 +35,15 @@ SHORTEST_WAY_M: Final = 0.01
 POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 WALKS: Final = ("along", "heading")
+CONSTANT: Final = ("scale", "curvature", "turn scale")
 #: the value that nav2_amcl has where nothing is stated
 DEFAULT_ALPHA: Final = 0.2
 #: a component that at its usual size adds less than this share to every variance shows nothing
 LEAST_SHARE: Final = 0.1
+#: runs are held out in so many parts: each is predicted by nine tenths of the others of its kind
+FOLDS: Final = 10
+#: coverage of the interval of a ratio
+COVERAGE: Final = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +110,19 @@ def walk_components(poses: FloatArray) -> FloatArray:
     return np.stack((_outer(_directions(middle[:, 2], end), way), _outer(_levers(middle, end), way)))
 
 
+def constant_components(poses: FloatArray) -> FloatArray:
+    """Return the covariance of the end of a path (n, 3) that errors of 1 which stay during the run make, (3, 3, 3).
+
+    A relative error of the way, an error of the curvature (1/m), and a relative error of the turns.
+    """
+    step = np.diff(poses, axis=0)
+    way = np.hypot(step[:, 0], step[:, 1])
+    middle, end = 0.5 * (poses[:-1] + poses[1:]), poses[-1]
+    levers = _levers(middle, end)
+    moved = np.stack((way @ _directions(middle[:, 2], end), way @ levers, step[:, 2] @ levers))
+    return np.asarray(np.einsum("ci,cj->cij", moved, moved))
+
+
 def _updates(poses: FloatArray) -> list[int]:
     """Return where the filter updates: after a way or a turn since the update before; both ends of the path."""
     kept = [0]
@@ -117,10 +139,18 @@ def _wrapped(angle: FloatArray) -> FloatArray:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def spread_of(path: Path, units: BoolArray, *, walk: bool) -> Spread:
-    """Return the components of AMCL's model, or of random walks, on the paths of some observations (n_obs,)."""
+#: model of the noise -> names and covariances of its components
+MODELS: Final[dict[str, tuple[tuple[str, ...], Callable[[FloatArray], FloatArray]]]] = {
+    "amcl": (ALPHAS, amcl_components),
+    "walk": (WALKS, walk_components),
+    "constant": (CONSTANT, constant_components),
+}
+
+
+def spread_of(path: Path, units: BoolArray, model: str) -> Spread:
+    """Return the components of a model of `MODELS` on the paths of some observations (n_obs,)."""
     s, steps = path.s, path.steps
-    component = walk_components if walk else amcl_components
+    names, component = MODELS[model]
     found = []
     for unit in np.flatnonzero(units).tolist():
         part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
@@ -129,31 +159,32 @@ def spread_of(path: Path, units: BoolArray, *, walk: bool) -> Spread:
     reference = np.zeros((len(found), 3, 3))
     reference[:, 0, 0] = reference[:, 1, 1] = s.sigma_xy_m[units] ** 2
     reference[:, 2, 2] = s.sigma_theta_rad[units] ** 2
-    return Spread(WALKS if walk else ALPHAS, np.stack(found, axis=1), reference)
+    return Spread(names, np.stack(found, axis=1), reference)
 
 
-def sizes_of(spread: Spread, residuals: FloatArray) -> FloatArray:
+def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
     """Return the sizes of the components (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
 
-    Likeliest with each of along, aside and heading by itself: what a filter's particles spread over shall be right in
-    each, and runs that scatter as a whole tie aside and heading more closely than noise of every step does.
+    Likeliest with each of along, lateral and heading by itself: what a filter's particles spread over shall be right in
+    each. `begin`: sizes near the solution, for a shorter search.
     """
     from scipy.optimize import minimize
 
-    components = np.einsum("cuii->cui", spread.components)
-    reference = np.einsum("uii->ui", spread.reference)
-    square = residuals**2
+    components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), -1)
+    reference = np.einsum("uii->ui", spread.reference).ravel()
+    square = residuals.ravel() ** 2
     # in the unit that makes each component as large as the residuals: one step of the search fits all
-    unit = 1.0 / np.maximum(np.mean(components / np.mean(square, axis=0), axis=(1, 2)), 1e-30)
+    relative = components.reshape(len(components), -1, 3) / np.mean(residuals**2, axis=0)
+    unit = 1.0 / np.maximum(np.mean(relative, axis=(1, 2)), 1e-30)
+    scaled = unit[:, None] * components
 
     def misfit(sizes: FloatArray) -> tuple[float, FloatArray]:
-        variance = reference + np.einsum("c,cui->ui", sizes * unit, components)
+        variance = reference + sizes @ scaled
         value = 0.5 * float(np.sum(np.log(variance) + square / variance))
-        gradient = 0.5 * np.einsum("ui,cui->c", (1.0 - square / variance) / variance, components)
-        return value, gradient * unit
+        return value, 0.5 * scaled @ ((1.0 - square / variance) / variance)
 
-    begin = np.full(len(unit), 1.0 / len(unit))
-    found = minimize(misfit, begin, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
+    start = np.full(len(unit), 1.0 / len(unit)) if begin is None else begin / unit
+    found = minimize(misfit, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
     return np.asarray(found.x * unit)
 
 
@@ -168,7 +199,57 @@ def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:
     return tuple(names)
 
 
-def ratios(spread: Spread, sizes: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return observed over predicted standard deviation, along, aside and in heading, shape (3,)."""
-    predicted = np.mean(np.einsum("uii->ui", spread.covariance(sizes)), axis=0)
-    return np.asarray(np.sqrt(np.mean(residuals**2, axis=0) / predicted))
+def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return observed over predicted standard deviation along, lateral, in heading (3,); variance as residuals."""
+    return np.asarray(np.sqrt(np.mean(residuals**2, axis=0) / np.mean(variance, axis=0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Sizes of the components, and observed over predicted standard deviation of runs that they were not fitted on."""
+
+    sizes: FloatArray
+    #: along, lateral, heading, shape (3,)
+    ratios: FloatArray
+    #: interval of each, shape (3, 2): what the true ratio may be, by the chance of these runs
+    interval: FloatArray
+
+
+def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
+    """Fit the sizes, and hold each tenth of the runs of every kind (n_obs,) against the sizes that the others give.
+
+    Sizes at their bound of zero take from the others, and few runs more often show too little scatter than too much:
+    the sizes are raised until runs held out scatter as predicted in the mean of the three.
+    """
+    from scipy.stats import t
+
+    full = sizes_of(spread, residuals)
+    fold = np.empty(len(residuals), dtype=np.int64)
+    fold[np.argsort(kinds, kind="stable")] = np.arange(len(residuals)) % FOLDS
+    reference = np.einsum("uii->ui", spread.reference)
+    added = np.empty_like(residuals)
+    for number in range(FOLDS):
+        held = fold == number
+        sizes = sizes_of(spread.of(~held), residuals[~held], begin=full)
+        added[held] = np.einsum("c,cuii->ui", sizes, spread.components[:, held])
+    raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
+    variance = reference + raised * added
+    found = ratios(variance, residuals)
+    # of the ratio of two means, linearised: heavy tails count by what they are
+    off = residuals**2 - found**2 * variance
+    relative = np.sqrt(np.sum(off**2, axis=0)) / np.sum(residuals**2, axis=0)
+    half = float(t.ppf(0.5 + 0.5 * COVERAGE, len(residuals) - 1)) * 0.5 * relative
+    return Fitted(raised * full, found, np.column_stack((found * np.exp(-half), found * np.exp(half))))
+
+
+def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -> FloatArray:
+    """Return the ratios (3,) that AMCL's model would have with infinitely many such runs: the bias by its form.
+
+    `others`: random walks and errors constant during a run, which together describe the scatter.
+    """
+    components = np.concatenate([other.components for other in others])
+    names = tuple(name for other in others for name in other.names)
+    whole = Spread(names, components, amcl.reference)
+    expected = np.sqrt(np.einsum("uii->ui", whole.covariance(sizes_of(whole, residuals))))
+    variance = np.einsum("uii->ui", amcl.covariance(sizes_of(amcl, expected)))
+    return ratios(variance, expected)
