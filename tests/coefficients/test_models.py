@@ -79,6 +79,24 @@ def test_sdf(coefficients: CoefficientFile) -> None:
     assert float(root.findtext(".//wheel_separation", "")) == TRACK
 
 
+def test_sdf_whose_links_have_no_pose(coefficients: CoefficientFile) -> None:
+    """Parts placed in the model's frame, as robots for Gazebo have them: all of a wheel moves with its joint."""
+    artifact = _export(coefficients, "sdf", MODELS / "poses_inside.sdf", "left_joint", "wheel_r")
+    root = ElementTree.fromstring(artifact.data)
+    left, right = [0.0, TRACK / 2, LEFT - 0.01], [0.0, -TRACK / 2, RIGHT - 0.01]
+    poses = {
+        node.get("name", node.tag): _numbers(node.findtext("pose"))
+        for node in root.iter()
+        if node.find("pose") is not None
+    }
+    assert poses["left_joint"] == pytest.approx([*left, -1.57, 0, 0], abs=WRITTEN)
+    assert poses["right_joint"] == pytest.approx([*right, -1.57, 0, 0], abs=WRITTEN)
+    assert poses["inertial"] == poses["left_joint"]
+    assert poses["rim"][:3] == pytest.approx([0.0, TRACK / 2 + 0.01, LEFT - 0.01], abs=WRITTEN)
+    assert [float(x.text or 0) for link in root.iter("link") for x in link.iter("radius")] == [LEFT, RIGHT]
+    assert not any("as they were" in note or "not moved" in note for note in artifact.notes)
+
+
 def test_every_other_byte_is_as_it_was(coefficients: CoefficientFile) -> None:
     """Formatting, quotes, comments and line ends stay; only lines that hold a number of a wheel change."""
     for to, model, left, right in (

@@ -39,7 +39,8 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
     radius, slots = link_radii(model, link, name, stated)
     pose, why = _pose(link)
     if pose is None:
-        return Wheel(name, radius, slots, None, why_fixed=why)
+        inside = _inside(model, link, name) if link.child("pose") is None else None
+        return Wheel(name, radius, slots, inside, frame=(link.parent, ""), why_fixed=why)
     placed = text_slot(model, pose, f"pose of {name!r}")
     frame = pose.attributes.get("relative_to", "")
     position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
@@ -51,6 +52,33 @@ def _child_link(joint: Node) -> Node | None:
     links = () if joint.parent is None else joint.parent.children
     name = "" if child is None else child.text.strip()
     return next((node for node in links if node.tag == "link" and node.attributes.get("name") == name), None)
+
+
+def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
+    """Return the place of a wheel whose link states none: that of its collision; all poses inside and its joint move.
+
+    None where a shape has no pose of its own, or a pose is relative to another frame.
+    """
+    shapes = [part for part in link.children if part.tag in ("collision", "visual", "inertial")]
+    siblings = [] if link.parent is None else link.parent.children
+    joints = [node for node in siblings if node.tag == "joint" and _child_link(node) is link and node.child("pose")]
+    stated = [pose for part in (*shapes, *joints) if (pose := part.child("pose")) is not None]
+    if (
+        not shapes
+        or len(stated) < len(shapes) + len(joints)
+        or any("relative_to" in pose.attributes for pose in stated)
+    ):
+        return None
+    poses = [text_slot(model, pose, f"pose of {name!r}", 6) for pose in stated]
+    tags = [part.tag for part in shapes]
+    old = poses[tags.index("collision") if "collision" in tags else tags.index("visual")].values[:3]
+
+    def move(new: tuple[float, ...]) -> None:
+        by = [after - before for after, before in zip(new, old, strict=True)]
+        for pose in poses:
+            pose.write((*(at + off for at, off in zip(pose.values, by, strict=False)), *pose.values[3:]))
+
+    return Slot(old, move)
 
 
 def _pose(link: Node) -> tuple[Node | None, str]:

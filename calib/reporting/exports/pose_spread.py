@@ -221,7 +221,7 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     Sizes at their bound of zero take from the others, and few runs more often show too little scatter than too much:
     the sizes are raised until runs held out scatter as predicted in the mean of the three.
     """
-    from scipy.stats import t
+    from scipy.stats import chi2
 
     full = sizes_of(spread, residuals)
     fold = np.empty(len(residuals), dtype=np.int64)
@@ -235,11 +235,12 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
     found = ratios(variance, residuals)
-    # of the ratio of two means, linearised: heavy tails count by what they are
+    # the mean square has so many degrees of freedom as its own scatter says (Satterthwaite): few with heavy tails
     off = residuals**2 - found**2 * variance
-    relative = np.sqrt(np.sum(off**2, axis=0)) / np.sum(residuals**2, axis=0)
-    half = float(t.ppf(0.5 + 0.5 * COVERAGE, len(residuals) - 1)) * 0.5 * relative
-    return Fitted(raised * full, found, np.column_stack((found * np.exp(-half), found * np.exp(half))))
+    freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.sum(off**2, axis=0)
+    tails = np.array([0.5 + 0.5 * COVERAGE, 0.5 - 0.5 * COVERAGE])
+    interval = found[:, None] * np.sqrt(freedom[:, None] / chi2.ppf(tails, freedom[:, None]))
+    return Fitted(raised * full, found, interval)
 
 
 def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -> FloatArray:
