@@ -138,6 +138,19 @@ MJCF = """<mujoco>
 """
 
 
+def test_a_shape_off_its_frame_is_pointed_out(coefficients: CoefficientFile, tmp_path: Path) -> None:
+    """The track lies between the shapes on the ground: where they sit off their bodies, it has to be checked."""
+    model = tmp_path / "car.xml"
+    text = MJCF.format(turned="")
+    model.write_text(text.replace('<joint name="rj" axis="0 1 0"/><geom/>', '<joint name="rj"/><geom pos="0 0 .01"/>'))
+    notes = _export(coefficients, "mjcf", model, "lj", "rj").notes
+    assert [note for note in notes if "off its frame" in note] == [
+        "rj: its round shape sits off its frame; the track is that between the frames, check that between the shapes"
+    ]
+    model.write_text(text)
+    assert not any("off its frame" in note for note in _export(coefficients, "mjcf", model, "lj", "rj").notes)
+
+
 def test_mjcf_sizes_come_from_their_classes(coefficients: CoefficientFile, tmp_path: Path) -> None:
     model = tmp_path / "car.xml"
     model.write_text(MJCF.format(turned=""))

@@ -6,7 +6,17 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, numbers, patched, written
+from calib.coefficients.formats.model_file import (
+    ModelFile,
+    Node,
+    Slot,
+    Wheel,
+    named,
+    numbers,
+    off_zero,
+    patched,
+    written,
+)
 from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`
@@ -47,7 +57,8 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
         return Wheel(name, radius, slots, None, why_fixed=f"since the frame of {turned!r} is turned")
     place = numbers(body.attributes.get("pos", "0 0 0"), f"{model.path}, pos of {name!r}", 3)
     position = Slot(place, lambda values: model.set_attribute(body, "pos", written(values)))
-    return Wheel(name, radius, slots, position, frame=body.parent)
+    off = any(off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
+    return Wheel(name, radius, slots, position, frame=body.parent, beside=off)
 
 
 def _body(model: ModelFile, name: str, option: str) -> Node:

@@ -220,6 +220,8 @@ class Wheel:
     position: Slot | None
     frame: object = None
     why_fixed: str = ""
+    #: whether its round shape sits off the frame that is moved
+    beside: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +287,26 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     dx, dy = grow * (xl - xr), grow * (yl - yr)
     left.position.write((xl + dx, yl + dy, zl + new.left_m - left.radius_m))
     right.position.write((xr - dx, yr - dy, zr + new.right_m - right.radius_m))
-    return ()
+    return tuple(
+        f"{wheel.name}: its round shape sits off its frame; the track is that between the frames, check that between "
+        "the shapes"
+        for wheel in (left, right)
+        if wheel.beside
+    )
+
+
+def sits_off(link: Node | None) -> bool:
+    """Return whether the collision of a URDF's or SDF's link is placed off the link's frame."""
+    for part in () if link is None else link.children:
+        place = part.child("origin") or part.child("pose") if part.tag == "collision" else None
+        if place is not None and off_zero(place.attributes.get("xyz", place.text)):
+            return True
+    return False
+
+
+def off_zero(place: str) -> bool:
+    """Return whether a place, three numbers first, is another than zero."""
+    return any(part.strip("-+0.") for part in place.split()[:3])
 
 
 def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str) -> Node:

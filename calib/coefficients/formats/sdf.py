@@ -6,7 +6,17 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, link_radii, named, patched, text_slot
+from calib.coefficients.formats.model_file import (
+    ModelFile,
+    Node,
+    Slot,
+    Wheel,
+    link_radii,
+    named,
+    patched,
+    sits_off,
+    text_slot,
+)
 from calib.coefficients.formats.urdf import plugin_parameters
 
 #: see `calib.coefficients.formats`
@@ -44,7 +54,7 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
     placed = text_slot(model, pose, f"pose of {name!r}")
     frame = pose.attributes.get("relative_to", "")
     position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
-    return Wheel(name, radius, slots, position, frame=(link.parent, frame))
+    return Wheel(name, radius, slots, position, frame=(link.parent, frame), beside=sits_off(link))
 
 
 def _child_link(joint: Node) -> Node | None:

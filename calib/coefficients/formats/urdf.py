@@ -17,6 +17,7 @@ from calib.coefficients.formats.model_file import (
     named,
     numbers,
     patched,
+    sits_off,
     written,
 )
 from calib.errors import RefusedError
@@ -68,7 +69,8 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
         else:
             model.set_attribute(origin, "xyz", written(values))
 
-    return Wheel(name, radius, slots, Slot(place, write), frame=_link(joint, "parent"))
+    frame = _link(joint, "parent")
+    return Wheel(name, radius, slots, Slot(place, write), frame=frame, beside=sits_off(link))
 
 
 def _link(joint: Node, tag: str) -> str:
