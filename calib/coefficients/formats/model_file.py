@@ -172,10 +172,6 @@ class Slot:
     write: Callable[[tuple[float, ...]], None]
 
 
-#: elements of URDF and SDF that have a radius
-ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
-
-
 def attribute_slot(model: ModelFile, node: Node, name: str, where: str) -> Slot:
     """Return the number of an attribute; raises BadInputError as `numbers` does."""
     values = numbers(node.attributes[name], f"{model.path}, {where}", 1)
@@ -186,27 +182,6 @@ def text_slot(model: ModelFile, node: Node, where: str, count: int | None = None
     """Return the numbers of an element's text; raises BadInputError as `numbers` does."""
     values = numbers(node.text, f"{model.path}, {where}", count)
     return Slot(values, lambda new: model.set_text(node, written(new)))
-
-
-def link_radii(
-    model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
-) -> tuple[float, tuple[Slot, ...]]:
-    """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
-
-    `radius`: the number of a round shape; None where it states none. Raises RefusedError where the link has no radius.
-    """
-    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
-    for part in () if link is None else link.children:
-        if part.tag in found:
-            found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
-    contact = found["collision"] or found["visual"]
-    if not contact:
-        raise RefusedError(
-            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; "
-            "a mesh has none: add a collision cylinder"
-        )
-    largest = max(slot.values[0] for slot in contact)
-    return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,15 +268,6 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
         for wheel in (left, right)
         if wheel.beside
     )
-
-
-def sits_off(link: Node | None) -> bool:
-    """Return whether the collision of a URDF's or SDF's link is placed off the link's frame."""
-    for part in () if link is None else link.children:
-        place = part.child("origin") or part.child("pose") if part.tag == "collision" else None
-        if place is not None and off_zero(place.attributes.get("xyz", place.text)):
-            return True
-    return False
 
 
 def off_zero(place: str) -> bool:

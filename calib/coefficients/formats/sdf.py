@@ -6,18 +6,8 @@ from typing import Final
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions
-from calib.coefficients.formats.model_file import (
-    ModelFile,
-    Node,
-    Slot,
-    Wheel,
-    link_radii,
-    named,
-    patched,
-    sits_off,
-    text_slot,
-)
-from calib.coefficients.formats.urdf import plugin_parameters
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, named, patched, text_slot
+from calib.coefficients.formats.urdf import link_radii, plugin_parameters, sits_off
 
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True

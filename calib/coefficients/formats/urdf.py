@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from calib.coefficients.file import CoefficientFile
@@ -13,11 +13,10 @@ from calib.coefficients.formats.model_file import (
     Slot,
     Wheel,
     attribute_slot,
-    link_radii,
     named,
     numbers,
+    off_zero,
     patched,
-    sits_off,
     written,
 )
 from calib.errors import RefusedError
@@ -25,6 +24,10 @@ from calib.errors import RefusedError
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
 PATCHES_MODEL: Final = True
+
+
+#: elements of URDF and SDF that have a radius
+ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
 
 
 def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
@@ -41,6 +44,36 @@ def plugin_parameters(model: ModelFile) -> Iterator[tuple[str, Node]]:
         if node.children or not any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
             continue
         yield (node.attributes.get("name", "") if node.tag == "param" else node.tag), node
+
+
+def link_radii(
+    model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
+) -> tuple[float, tuple[Slot, ...]]:
+    """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
+
+    `radius`: the number of a round shape; None where it states none. Raises RefusedError where the link has no radius.
+    """
+    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
+    for part in () if link is None else link.children:
+        if part.tag in found:
+            found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
+    contact = found["collision"] or found["visual"]
+    if not contact:
+        raise RefusedError(
+            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; "
+            "a mesh has none: add a collision cylinder"
+        )
+    largest = max(slot.values[0] for slot in contact)
+    return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
+
+
+def sits_off(link: Node | None) -> bool:
+    """Return whether the collision of a URDF's or SDF's link is placed off the link's frame."""
+    for part in () if link is None else link.children:
+        place = part.child("origin") or part.child("pose") if part.tag == "collision" else None
+        if place is not None and off_zero(place.attributes.get("xyz", place.text)):
+            return True
+    return False
 
 
 def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
