@@ -24,8 +24,6 @@ from calib.errors import RefusedError
 #: see `calib.coefficients.formats`
 AXLE_ONLY: Final = True
 PATCHES_MODEL: Final = True
-
-
 #: elements of URDF and SDF that have a radius
 ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
 
