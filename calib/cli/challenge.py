@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, keep, note, progress, say, show, wrote
+from calib.cli.terminal import Force, JsonTarget, emit_json, keep, note, progress, say, show, then, wrote
 from calib.io import refuse_existing
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
@@ -32,6 +32,7 @@ def make(
     Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
     """
     from calib.challenge.seal import make
+    from calib.reporting.next_step import after_challenge
 
     with progress("making") as tick:
         sealed_set = make(
@@ -51,6 +52,7 @@ def make(
         "sha256": sealed_set.sha256,
         "cases": sealed_set.cases,
     }
+    then(after_challenge("make", into), target=json)
     emit_json(document, json, force=force)
 
 
@@ -67,6 +69,7 @@ def run(
     Example: calib challenge run blind
     """
     from calib.challenge.run import run as run_set
+    from calib.reporting.next_step import after_challenge
 
     keep(f"the verdicts so far, in {folder}; the same command goes on")
     with progress("diagnosing") as tick:
@@ -74,6 +77,7 @@ def run(
             folder, workers=workers, seed=seed, limit=cases, tick=lambda done, total: tick(done, total, "cases")
         )
     say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error", target=json)
+    then(after_challenge("run", folder), target=json)
     emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed}, json, force=force)
 
 
@@ -91,6 +95,7 @@ def score(
     Example: calib challenge score blind --plot blind.png --json blind-score.json
     """
     from calib.challenge.score import score as score_set
+    from calib.reporting.next_step import after_challenge
     from calib.reporting.topics.challenge import score_content
 
     beside = None if plot is None else plot.with_name(f"{plot.stem}-confusion{plot.suffix}")
@@ -103,6 +108,7 @@ def score(
         save(board_figure(scored), plot, force=force)
         save(confusion_figure(scored), beside, force=force)
         wrote([plot, beside], target=json)
+    then(after_challenge("score", folder), target=json)
     emit_json(scored.to_dict(), json, force=force)
     return 1 if any(scored.meets(line) is False for line in scored.board) else 0
 
@@ -131,6 +137,7 @@ def own(
     from calib.campaign.read import read_campaign
     from calib.challenge.own.plants import parse_sizes
     from calib.challenge.own.run import Asked, challenge_own
+    from calib.reporting.next_step import after_challenge
     from calib.reporting.topics.challenge import own_content
 
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
@@ -143,5 +150,6 @@ def own(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"
         )
     show(own_content(own_score), target=json)
+    then(after_challenge("own", folder), target=json)
     emit_json(own_score.to_dict(), json, force=force)
     return 0 if own_score.trusted else 1

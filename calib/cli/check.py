@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, MappingOption, answer, progress, say
+from calib.cli.terminal import Force, JsonTarget, MappingOption, answer, progress, then
 
 
 def run(
@@ -43,5 +43,5 @@ def run(
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
     answer(document, check_content(report), json=json, force=force)
-    say(after_check(report.verdict, campaign, distances=report.found.distance_m is not None), target=json)
+    then(after_check(report.verdict, campaign, distances=report.found.distance_m is not None), target=json)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

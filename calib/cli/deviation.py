@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, answer, waiting
+from calib.cli.terminal import Force, JsonTarget, answer, then, waiting
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -49,6 +49,7 @@ def run(
     Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
     """
     from calib.radius import deviation as table
+    from calib.reporting.next_step import after_deviation
     from calib.reporting.topics.deviation import arc_content, runs_content, weave_content
 
     with waiting("reading"):
@@ -70,6 +71,7 @@ def run(
             "passed": judged.passed,
         }
     answer(document, content, json=json, force=force)
+    then(after_deviation(campaign), target=json)
     return 0 if judged is None or judged.passed else 1
 
 

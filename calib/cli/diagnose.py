@@ -22,6 +22,7 @@ from calib.cli.terminal import (
     progress,
     say,
     show,
+    then,
     waiting,
     wrote,
 )
@@ -112,7 +113,7 @@ def run(
         wrote([write_text(html, _page(diagnosis, read), force=force)], target=json)
     draw(lambda: _figures(diagnosis), figures, json=json, force=force)
     emit_json(document, json, force=force)
-    say(after_diagnosis(diagnosis, campaign), target=json)
+    then(after_diagnosis(diagnosis, campaign), target=json)
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, draw, emit_json, figure_files, nearest, show, waiting
+from calib.cli.terminal import Figures, Force, JsonTarget, draw, emit_json, figure_files, nearest, show, then, waiting
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -46,10 +46,12 @@ def run(
         nominal, entries, runs = _catalogued(effect, campaign)
     drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
     refuse_existing(figure_files(figures, drawable), force=force)
+    from calib.reporting.next_step import after_effects
     from calib.reporting.topics.effects import effect_content, effects_content
 
     show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs), target=json)
     draw(lambda: _figures(entries, nominal), figures, json=json, force=force)
+    then(after_effects(effect, campaign), target=json)
     emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]}, json, force=force)
 
 

@@ -16,7 +16,7 @@ from calib.cli.terminal import (
     emit_text,
     note,
     progress,
-    say,
+    then,
     wants_stdout,
     wrote,
 )
@@ -151,7 +151,7 @@ def _tell_next(to: str, source: Path, output: Path | None, json: str | None) -> 
     from calib.reporting.next_step import after_export
 
     if output is not None:
-        say(after_export(to, source, output), target=json)
+        then(after_export(to, source, output), target=json)
 
 
 def _written(

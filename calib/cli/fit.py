@@ -17,8 +17,8 @@ from calib.cli.terminal import (
     emit_json,
     figure_files,
     progress,
-    say,
     show,
+    then,
     wants_stdout,
     wrote,
 )
@@ -90,7 +90,7 @@ def run(
     wrote([] if into is None else [write_result(fitted, into, force=force)], target=json)
     draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures, json=json, force=force)
     emit_json(document, json, force=force)
-    say(after_fit(fitted.passed, campaign), target=json)
+    then(after_fit(fitted.passed, campaign), target=json)
     return 0 if fitted.passed else 1
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Date, Force, JsonTarget, Seed, answer, emit_json, keep, progress, waiting, wrote
+from calib.cli.terminal import Date, Force, JsonTarget, Seed, answer, emit_json, keep, progress, then, waiting, wrote
 from calib.io import refuse_existing
 from calib.limits import refuse_workers
 
@@ -33,6 +33,7 @@ def run(
     refuse_workers(workers)
     from calib.fleet.members import any_simulated
     from calib.reporting.files import Heads, write_fleet, write_survey
+    from calib.reporting.next_step import after_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content, survey_content
 
@@ -57,7 +58,9 @@ def run(
             document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
     answer(document, blocks, json=json, force=force)
     wrote(written, target=json)
-    return int(any(vehicle["status"] == "failed" for vehicle in document["vehicles"]))
+    failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
+    then(after_fleet(folder, failed, what), target=json)
+    return int(bool(failed))
 
 
 def simulate(
@@ -92,6 +95,7 @@ def simulate(
     from numpy.random import default_rng
 
     from calib.plant.fleet import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
+    from calib.reporting.next_step import after_fleet_simulation
 
     # a folder that is there may be added to
     refuse_existing([None if force and into.is_dir() else into], force=force)
@@ -104,4 +108,5 @@ def simulate(
             size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
             truth = make_fleet(into, default_rng(seed), size)
     wrote([into], target=json)
+    then(after_fleet_simulation(into, poses=poses), target=json)
     emit_json(asdict(truth), json, force=force)

@@ -19,8 +19,8 @@ from calib.cli.terminal import (
     figure_files,
     nearest,
     progress,
-    say,
     show,
+    then,
     wrote,
 )
 from calib.errors import BadInputError
@@ -89,7 +89,7 @@ def run(
 
         coefficients = from_geometry(estimated, read, accept=accept_implausible.strip())
         wrote([write_bytes(output, coefficients.to_bytes(), force=force)], target=json)
-    say(after_geometry(estimated, campaign, output), target=json)
+    then(after_geometry(estimated, campaign, output), target=json)
     return 0 if estimated.passed else 1
 
 

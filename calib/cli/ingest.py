@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, emit_text, progress, say, waiting, wants_stdout
+from calib.cli.terminal import Force, JsonTarget, emit_json, emit_text, progress, say, then, waiting, wants_stdout
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -50,6 +50,7 @@ def run(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
     from calib.campaign.ingest.build import ingest, merged_notes
+    from calib.reporting.next_step import after_ingest
     from calib.result import plain
 
     with progress("reading") as tick:
@@ -70,18 +71,22 @@ def run(
     for note in merged_notes(ingested.notes):
         say(f"{note.where}: {note.text}")
     _say_cuts(ingested)
-    end = "nothing was written" if dry_run else f"look at it with 'calib check {ingested.folder}'"
-    say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs; {end}")
+    end = "; nothing was written" if dry_run else ""
+    say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
+    then(after_ingest(ingested.folder, written=not dry_run))
 
 
 def _describe(sources: list[Path], json: str | None, force: bool) -> None:
     from calib.campaign.ingest.describe import describe
+    from calib.reporting.next_step import after_files
 
     with waiting("looking"):
         description = describe(sources)
     emit_json(description.to_dict(), json, force=force)
     if not wants_stdout(json):
         emit_text(description.to_toml())
+        # standard output is the mapping alone
+        then(after_files(sources), target="-")
 
 
 def _say_cuts(ingested: Ingested) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, say, wants_stdout, wrote
+from calib.cli.terminal import Force, JsonTarget, emit_json, then, wants_stdout, wrote
 
 
 def run(
@@ -22,9 +22,10 @@ def run(
     Example: calib init hall3
     """
     from calib.campaign.ingest.describe import write_blank
+    from calib.reporting.next_step import after_init
 
     written = write_blank(folder, force=force)
     emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)
     if not wants_stdout(json):
         wrote(written)
-        say(f"Fill in campaign.toml and a row a run in runs.csv; then look at it with 'calib check {folder}'.")
+        then(after_init(folder))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, answer, draw, figure_files, nearest, numbers
+from calib.cli.terminal import Figures, Force, JsonTarget, answer, draw, figure_files, nearest, numbers, then
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -56,6 +56,7 @@ def run(
     from dataclasses import asdict
 
     from calib.odometry.law_journey import sweep_loads, vehicle_of
+    from calib.reporting.next_step import after_loads
     from calib.reporting.topics.simulation import loads_content, weighed_content
     from calib.vehicle import payload_from_wheel_loads
 
@@ -73,6 +74,7 @@ def run(
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
         document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
         answer(document, weighed_content(known, known=sigma > 0), json=json, force=force)
+        then(after_loads(), target=json)
         return
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
         near = "" if sweep in COLUMNS else nearest(sweep, COLUMNS)
@@ -84,6 +86,7 @@ def run(
     written = draw(lambda: _figures(stem, swept), figures, json=json, force=force)
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept), json=json, force=force)
+    then(after_loads(), target=json)
 
 
 def _figures(stem: str, swept: LoadSweep) -> dict[str, Figure]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, draw, emit_json, figure_files, progress, say, show
+from calib.cli.terminal import Force, JsonTarget, draw, emit_json, figure_files, progress, say, show, then
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 
@@ -79,7 +79,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
         ]
     say(f"{diagnosis.campaign}: {diagnosis.sentence}", target=json)
     show([next_runs_table(runs)], target=json)
-    say(after_plan(campaign, len(runs)), target=json)
+    then(after_plan(campaign, len(runs)), target=json)
     document = {
         "verdict": diagnosis.kind.value,
         "indistinguishable": [list(group.effects) for group in diagnosis.groups],
@@ -92,6 +92,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
 def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool) -> int:
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
+    from calib.reporting.next_step import after_plan_file
     from calib.reporting.topics.effects import outlook_content
 
     refuse_existing(figure_files(figures, [MATRIX]), force=force)
@@ -100,6 +101,7 @@ def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool)
         outlook = outlook_of(planned, progress=tick)
     show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
     draw(lambda: _figures(outlook), figures, json=json, force=force)
+    then(after_plan_file(), target=json)
     emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()}, json, force=force)
     return 0
 

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.terminal import AcceptImplausible, Date, Figures, Force, JsonTarget, emit_json, progress, say, wrote
+from calib.cli.terminal import (
+    AcceptImplausible,
+    Date,
+    Figures,
+    Force,
+    JsonTarget,
+    emit_json,
+    progress,
+    say,
+    then,
+    wrote,
+)
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 
@@ -79,7 +90,7 @@ def run(
         following = after_geometry(content.geometry, source, None)
     else:
         following = after_report(report.passed, source)
-    say(following, target=json)
+    then(following, target=json)
     document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     emit_json(document, json, force=force)
     return 0 if report.passed else 1

@@ -18,6 +18,7 @@ from calib.cli.terminal import (
     numbers,
     pairs,
     show,
+    then,
     waiting,
     wants_stdout,
     wrote,
@@ -67,10 +68,16 @@ class Targets:
             raise BadInputError(f"--speed: found {self.speed_mps!r}; expected a speed above 0 m/s")
 
 
-def finish(simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = ()) -> None:
-    """Write what was asked for, and show the simulation."""
+def finish(
+    simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
+) -> None:
+    """Write what was asked for, and show the simulation; see `simulate`.
+
+    `law`: where the law came from that the vehicle drove under.
+    """
     from calib.reporting.blocks import items
     from calib.reporting.files import simulation_trajectories, write_simulation
+    from calib.reporting.next_step import after_simulation
     from calib.reporting.topics.simulation import simulation_content
 
     written: list[Path] = []
@@ -85,6 +92,7 @@ def finish(simulation: Simulation, targets: Targets, *, seed: int, notes: Sequen
     if not wants_stdout(targets.json):
         show([*simulation_content(simulation), *items(every_note)])
         wrote(written)
+    then(after_simulation(law), target=targets.json)
 
 
 def route(
@@ -205,7 +213,7 @@ def journey(
         under = LawJourneys(source, loads_N, (base[0], base[1]), loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
-    finish(simulation, targets, seed=seed, notes=source.notes)
+    finish(simulation, targets, seed=seed, notes=source.notes, law=law)
 
 
 def study(
@@ -256,7 +264,7 @@ def study(
             under=None if source is None else LawJourneys(source, loads_N, draws=draws),
             rng=np.random.default_rng(seed),
         )
-    finish(simulation, targets, seed=seed, notes=() if source is None else source.notes)
+    finish(simulation, targets, seed=seed, notes=() if source is None else source.notes, law=law)
 
 
 def replay(
@@ -282,6 +290,7 @@ def replay(
     from calib.odometry.replay import replay as replay_runs
     from calib.reporting.blocks import items
     from calib.reporting.files import replay_trajectories, write_replay
+    from calib.reporting.next_step import after_replay
     from calib.reporting.topics.simulation import replay_content
 
     refuse_existing((output / "replay.json", output / "replay.csv") if output else (), force=force)
@@ -308,3 +317,4 @@ def replay(
     if not wants_stdout(json):
         show([*replay_content(replayed), *items(notes)])
         wrote(written)
+    then(after_replay(campaign), target=json)

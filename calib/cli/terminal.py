@@ -127,6 +127,11 @@ def say(text: str, *, target: str | None = None) -> None:
     show([Text(text)] if text else [], target=target)
 
 
+def then(text: str, *, target: str | None = None) -> None:
+    """Print what to do now as one line, never wrapped, so that its command can be copied."""
+    _write(sys.stderr if wants_stdout(target) else sys.stdout, text)
+
+
 def note(text: str) -> None:
     """Print a remark on standard error."""
     _write(sys.stderr, f"calib: note: {text}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,6 +89,86 @@ def after_export(to: str, source: Path, output: Path) -> str:
         "nav2": f"pass it after the navigation's own parameter file (--params-file {shlex.quote(str(output))}).",
     }
     return _next(steps[to])
+
+
+def after_files(sources: Sequence[Path]) -> str:
+    """Return what follows a look at a laboratory's files."""
+    ingest = _command("ingest", *sources, "--mapping", "mapping.toml", "--into", "campaign")
+    return _next(f"save the mapping above as mapping.toml, correct it, then {ingest}.")
+
+
+def after_ingest(campaign: Path, *, written: bool) -> str:
+    """Return what follows an import, or its trial without files."""
+    check = _command("check", campaign)
+    return _next(f"{check}." if written else f"the same without --dry-run, then {check}.")
+
+
+def after_init(campaign: Path) -> str:
+    """Return what follows a blank campaign."""
+    return _next(f"fill in campaign.toml, and runs.csv with a row a run, then {_command('check', campaign)}.")
+
+
+def after_deviation(campaign: Path | None) -> str:
+    """Return what follows a table of woven paths, or the verdict on a campaign's."""
+    if campaign is None:
+        return _next(f"{_command('deviation', 'CAMPAIGN')} judges the paths of runs driven.")
+    return _next(f"{_command('fit', campaign)} corrects every radius for its path.")
+
+
+def after_loads() -> str:
+    """Return what follows wheel loads."""
+    return _next(f"write them into runs.csv as load_left_N and load_right_N, then {_command('check', 'CAMPAIGN')}.")
+
+
+def after_plan_file() -> str:
+    """Return what follows the judgement on a plan."""
+    return _next(f"drive the plan, add its runs to runs.csv, then {_command('diagnose', 'CAMPAIGN')}.")
+
+
+def after_simulation(law: Path | None) -> str:
+    """Return what follows a simulated journey; `law`: the law that it was driven under."""
+    if law is None:
+        return _next(f"{_command('simulate', 'journey', '--law', 'CAMPAIGN')} drives under a law that was measured.")
+    return _next(f"{_command('export', law, '--to', 'json', '--output', 'coefficients.json')} for the vehicle.")
+
+
+def after_replay(campaign: Path) -> str:
+    """Return what follows a replay of logged runs."""
+    return _next(f"{_command('diagnose', campaign)} for the causes of the errors that remain.")
+
+
+def after_effects(effect: str | None, campaign: Path | None) -> str:
+    """Return what follows the catalogue of effects, or one of them."""
+    if effect is None:
+        return _next(f"{_command('effects', 'EFFECT')} for one of them in full.")
+    return _next(f"{_command('diagnose', campaign or 'CAMPAIGN')} says whether the runs show it.")
+
+
+def after_fleet(folder: Path, failed: Sequence[Path], what: str) -> str:
+    """Return what follows a task over a fleet; `failed`: the vehicles that failed, as folders of campaigns."""
+    if failed:
+        campaigns = [vehicle for vehicle in failed if vehicle.is_dir()]
+        look = _command("check", *campaigns[:1]) if campaigns else "correct the files named above"
+        return _next(f"{look}, then {_command('fleet', 'run', folder, '--what', what, '--into', 'fleet')} again.")
+    other = "diagnose" if what in {"fit", "geometry"} else "fit"
+    return _next(f"{_command('fleet', 'run', folder, '--what', other, '--into', f'fleet-{other}')}.")
+
+
+def after_fleet_simulation(folder: Path, *, poses: bool) -> str:
+    """Return what follows a simulated fleet."""
+    what = ("--what", "geometry") if poses else ()
+    return _next(f"{_command('fleet', 'run', folder, *what, '--into', 'fleet')}.")
+
+
+def after_challenge(step: str, folder: Path) -> str:
+    """Return what follows a step of the blind check: ``make``, ``run``, ``score`` or ``own``."""
+    steps = {
+        "make": f"{_command('challenge', 'run', folder)}.",
+        "run": f"{_command('challenge', 'score', folder)}.",
+        "score": f"{_command('challenge', 'own', 'CAMPAIGN')} for what your own runs would show.",
+        "own": f"{_command('diagnose', folder)} for the campaign itself.",
+    }
+    return _next(steps[step])
 
 
 def _next(text: str) -> str:

@@ -1,0 +1,55 @@
+"""Every command ends with one line that says what to do now, with the command."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from calib.cli.main import run
+
+ROOT = Path(__file__).resolve().parents[2]
+#: commands that take a moment; the others are seen by the test of their sources
+QUICK = {
+    "init": ["init", "OUT/campaign"],
+    "check": ["check", "sample_runs/corridor"],
+    "loads": ["loads", "--payload", "100", "--x", "0.5"],
+    "weighed": ["loads", "--weighed", "300,400,400"],
+    "deviation": ["deviation"],
+    "deviation of runs": ["deviation", "sample_runs/corridor_crossed"],
+    "route": ["simulate", "route", "corridor", "--real", "0.099,0.1"],
+    "effects": ["effects", "track_width"],
+    "describe": ["ingest", "--describe", "sample_runs/yard/runs.csv"],
+}
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_the_last_line_names_a_command(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On one line however long, so that the command can be copied; a mapping on standard output stays alone."""
+    monkeypatch.chdir(ROOT)
+    run([word.replace("OUT", str(tmp_path)) for word in QUICK[name]])
+    captured = capsys.readouterr()
+    said = captured.err if name == "describe" else captured.out
+    last = said.rstrip("\n").splitlines()[-1]
+    assert last.startswith("Next: ") and "'calib " in last
+    assert last.endswith(".")
+    assert said.count("Next: ") == 1
+    assert name != "describe" or "Next: " not in captured.out
+
+
+def test_every_command_says_what_follows() -> None:
+    """Each module of a command, or a function that it calls there, prints a next step."""
+    for path in sorted((ROOT / "calib" / "cli").glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        commands = [
+            node
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef) and "Example: calib" in str(ast.get_docstring(node))
+        ]
+        called = {
+            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        assert not commands or "then" in called, path.name
