@@ -20,6 +20,7 @@ _PROSE: Final = (
     (re.compile(r"\bchi2\("), "χ²("),
     (re.compile(r"(?<=[\w)])\^2\b"), "²"),
     (re.compile(r"(?<![\w.])-(?=\d)"), "−"),
+    (re.compile(r" -> "), " → "),
 )
 
 

@@ -14,7 +14,7 @@ from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.reporting.figures.gap import GapArrays
-from calib.reporting.formatting import percent, probability
+from calib.reporting.formatting import percent
 from calib.reporting.panel_data import (
     ALONG,
     LABELS,
@@ -181,9 +181,6 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
             nonselection_alpha=FADED_ALPHA,
         )  # fmt: skip
         _hover(plot, lines)
-    plot.legend.click_policy = "hide"
-    plot.legend.label_text_font_size = "11px"
-    plot.legend.background_fill_alpha = 0.6
     assert gap.offset_m is not None
     size = float(np.nanmax(np.hypot(gap.offset_m[:, 0], gap.offset_m[:, 1]), initial=1e-6))
     ends = np.column_stack((data["end_x"], data["end_y"]))
@@ -192,7 +189,10 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     tips = ends + factor * gap.offset_m
     source.add(list(np.stack((ends[:, 0], tips[:, 0]), axis=1)), "arrow_x")
     source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
-    _lines(plot, "arrow_x", "arrow_y", source, line_width=2)
+    _lines(plot, "arrow_x", "arrow_y", source, line_width=2, legend_label="gap at the end, enlarged (thick)")
+    legend = plot.legend[0]
+    plot.add_layout(legend, "below")
+    legend.update(click_policy="hide", label_text_font_size="11px", spacing=0, padding=2, border_line_alpha=0.0)
     slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by", width=220)
     return plot, _changed(slider, "enlarge", source=source)
 
@@ -203,7 +203,7 @@ def _moment_slider(source: ColumnDataSource) -> Model:
 
     longest = max(float(path[-1]) for path in source.data["before_t"])
     slider = Slider(
-        name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start, s",
+        name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start (s)",
         width=220, format="0.0",
     )  # fmt: skip
     return _changed(slider, "moment", source=source, paths=PATHS)
@@ -229,7 +229,7 @@ def _covariate_panel(
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
     """Draw the gap after the correction against that before; the noise level as a band, the diagonal as a line."""
-    from bokeh.models import BoxAnnotation, Slope
+    from bokeh.models import BoxAnnotation, Slope, Title
 
     first = first_channel(gap)
     unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
@@ -238,6 +238,8 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     )
     band = BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
+    words = "green: noise, two standard deviations either way; dashed: no change"
+    plot.add_layout(Title(text=words, text_font_size="11px", text_font_style="normal"), "below")
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
     _points(plot, "b", "a", source)
     return plot, band
@@ -266,7 +268,7 @@ def _cause_panel(verdict: Diagnosis) -> figure:
     causes = verdict.causes[::-1]
     # in words, so that a small share can be read too
     labels = [
-        f"{_with_aliases(cause.effect, verdict)}\n{percent(cause.share)}, p = {probability(cause.probability)}"
+        f"{_with_aliases(cause.effect, verdict)}\n{percent(cause.share)}, probability {percent(cause.probability)}"
         for cause in causes
     ]
     plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))
@@ -293,7 +295,8 @@ def _legend(gap: GapArrays) -> Model:
 
     names = labels_of(gap)["kind"]
     marks = [
-        f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> {escape(name) or "(none)"}'
+        f'<span style="white-space:nowrap"><span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> '
+        f"{escape(name) or '(none)'}</span>"
         for number, name in enumerate(names[:LEGEND_NAMES])
     ]
     more = [f"and {len(names) - LEGEND_NAMES} more"] if len(names) > LEGEND_NAMES else []

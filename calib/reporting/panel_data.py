@@ -167,8 +167,12 @@ def covariate_titles(gap: GapArrays) -> dict[str, str]:
 
 def natural(names: Iterable[object]) -> list[str]:
     """Return distinct names sorted as people count: r2 before r10."""
-    distinct = {str(name) for name in names}
-    return sorted(distinct, key=lambda name: [(part.isdigit(), part.zfill(12)) for part in re.split(r"(\d+)", name)])
+
+    def key(name: str) -> list[tuple[bool, int, str]]:
+        parts = re.split(r"([0-9]+)", name)
+        return [(number, int(part) if number else 0, part) for k, part in enumerate(parts) for number in [k % 2 == 1]]
+
+    return sorted({str(name) for name in names}, key=key)
 
 
 def labels_of(gap: GapArrays) -> Mapping[str, list[str]]:

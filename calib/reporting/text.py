@@ -13,11 +13,11 @@ from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Item
 WIDTH: Final = 80
 #: widest column of names in a list of facts
 _NAME: Final = 26
-_SIGNS: Final = str.maketrans({"−": "-", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
+_SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
 EQUATIONS: Final = {
-    "effective_radius": "r_e = S_O (1 + e) / (2 π n)",
-    "law": "r_e(F) = r_0 + s (F - F_0)",
-    "law_uncertainty": "u²(r_e) = u²(r_0) + 2 (F - F_0) u(r_0, s) + (F - F_0)² u²(s)",
+    "effective_radius": "rₑ = Sₒ (1 + e) / (2 π n)",
+    "law": "rₑ(F) = r₀ + s (F − F₀)",
+    "law_uncertainty": "u²(rₑ) = u²(r₀) + 2 (F − F₀) u(r₀, s) + (F − F₀)² u²(s)",
 }
 
 
@@ -136,11 +136,15 @@ def columns_of(text: str) -> int:
     return len(text) if text.isascii() else cell_len(text)
 
 
+def _unit(column: Column) -> str:
+    return f"({column.unit})" if column.unit else ""
+
+
 def _fit(column: Column, cells: list[str]) -> _Fitted:
     if column.align == "right" and column.group == "" and not column.wide:
         cells = [cell.rstrip() for cell in cells]
     longest = max((columns_of(cell) for cell in cells), default=0)
-    words = [columns_of(word) for word in f"{column.title} {column.unit}".split()]
+    words = [columns_of(word) for word in [*column.title.split(), _unit(column)]]
     width = max([longest, *words, 1])
     if not column.wide and not (column.align == "left" and longest > LONG):
         return _Fitted(column, tuple(cells), max(width, columns_of(column.title)), width)
@@ -193,7 +197,7 @@ def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
     height = max(map(len, heads))
     rows = list(zip(*([""] * (height - len(head)) + head for head in heads), strict=True))
     if any(column.head.unit for column in part):
-        rows.append(tuple(column.head.unit for column in part))
+        rows.append(tuple(_unit(column.head) for column in part))
     lines = _group_lines(groups, widths) if any(groups) else []
     lines += [_row(words, part, widths) for words in rows]
     lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))

@@ -16,7 +16,7 @@ from calib.reporting.content import Attachment, Report
 from calib.reporting.formatting import prose
 from calib.reporting.source import logo_of, number_of, stated_of, verdict_document
 from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
-from calib.reporting.topics.geometry import geometry_sentences, parameter_table, route_tables, verdict_sentences
+from calib.reporting.topics.geometry import geometry_remarks, parameter_table, route_tables, verdict_sentences
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -60,11 +60,14 @@ def report_without_law(
         content["geometry"] = geometry.to_dict()
     content["gap"] = None if diagnosis is None else verdict_document(diagnosis)
     stated = stated_of(campaign)
-    reason = Section("Radius law", (Notice("note", "These runs give no radius law", prose(why.rstrip(".")) + "."),))
+    reason = Notice("note", "These runs give no radius law", _capital(prose(why.rstrip("."))) + ".")
+    # a diagnosis alone begins with it
+    first = [] if diagnosis is None or geometry is not None else [_page_one(diagnosis)]
     sections = (
-        *([] if geometry is None else _sections(geometry)),
+        *([] if not first else [Section("Result", (*first, reason))]),
+        *([] if geometry is None else _sections(geometry, diagnosis)),
         *([] if diagnosis is None else [_diagnosed(diagnosis)]),
-        reason,
+        *([] if first else [Section("Radius law", (reason,))]),
         preparation_of(ingest_notes(campaign)),
         _limits(campaign, geometry, coefficients),
         missing_of(stated),
@@ -83,6 +86,12 @@ def report_without_law(
     )
 
 
+def _page_one(diagnosis: Diagnosis) -> Notice:
+    from calib.reporting.topics.diagnosis import page_one_notice
+
+    return page_one_notice(diagnosis)
+
+
 def _diagnosed(diagnosis: Diagnosis) -> Section:
     from calib.reporting.figures.gap import GapArrays
     from calib.reporting.topics.diagnosis import gap_section
@@ -90,18 +99,24 @@ def _diagnosed(diagnosis: Diagnosis) -> Section:
     return gap_section(diagnosis, GapArrays.of(diagnosis))
 
 
-def _sections(geometry: Geometry) -> list[Section]:
+def _sections(geometry: Geometry, diagnosis: Diagnosis | None) -> list[Section]:
     """Return the result, its residuals, and how the parameters correlate."""
     verdict = geometry.verdict
     first, *further = verdict_sentences(geometry)
     result: list[Block] = [
         Notice(LEVELS[verdict], f"Geometry {verdict.value}", prose(_capital(first.partition(": ")[2]))),
         *items(map(prose, further)),
+        *([] if diagnosis is None else [_page_one(diagnosis)]),
         Facts(_facts(geometry)),
         parameter_table(geometry),
-        *items(map(prose, geometry_sentences(geometry))),
+        *items(map(prose, geometry_remarks(geometry))),
     ]
-    left: list[Block] = [*_path_pictures(geometry.paths), *_residual_pictures(geometry.paths), *route_tables(geometry)]
+    left: list[Block] = [
+        Text("Residuals are measured less predicted: along and across the path, and in heading.", small=True),
+        *_path_pictures(geometry.paths),
+        *_residual_pictures(geometry.paths),
+        *route_tables(geometry),
+    ]
     sections = [Section("Result", tuple(result)), Section("Residuals", tuple(left))]
     if len(geometry.estimates) > 1:
         sections.append(Section("Correlation of the parameters", _correlation(geometry)))
@@ -148,14 +163,14 @@ def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     ends = [trace for trace in traces if len(trace.seen) < 2]
     in_time = picture(
         "geometry-residuals-in-time",
-        "Residuals along the path, measured less predicted, of the first runs; in grey by the nominal odometry.",
+        "Residuals along the path of the first runs; in grey by the nominal odometry.",
         f"Residuals along, lateral and in heading against time, of {len(along)} runs",
         "geometry.residuals_in_time",
         along,
     )
     by_run = picture(
         "geometry-residuals-by-run",
-        "Residuals at the end of each run, measured less predicted, in the order driven.",
+        "Residuals at the end of each run, in the order driven.",
         f"Residuals of {len(traces)} end poses before and after",
         "geometry.residuals_by_run",
         ends,

@@ -20,6 +20,7 @@ from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.html import diagnosis_page, to_html
 from calib.reporting.interactive import interactive_panels
 from calib.reporting.without_law import report_without_law
+from calib.result import plain
 
 ROOT = Path(__file__).resolve().parents[2]
 #: what a page of the samples may weigh: it is sent by mail
@@ -74,6 +75,7 @@ def report_page(diagnosis: Diagnosis) -> str:
     campaign = read_campaign(ROOT / "sample_runs" / "yard")
     report = report_without_law(campaign, issued="2026-01-01", why="asked for", diagnosis=diagnosis)
     assert {picture.name for picture in report.pictures} == set(GAP_PICTURES)
+    assert diagnosis.sentence[:40] in str(plain(report.sections[0]))
     return to_html(report, interactive_panels(diagnosis, campaign))
 
 

@@ -84,6 +84,7 @@ def test_runs_count_from_one_and_names_sort_as_people_count(along: Campaign, dia
     assert columns["by order driven"][0] == 1
     assert {len(values) for values in columns.values()} == {len(gap.before)}
     assert natural(["r10", "r2", "b", "r2", "10", "9"]) == ["9", "10", "b", "r2", "r10"]
+    assert natural(["square_cw", "corridor_short", "corridor"]) == ["corridor", "corridor_short", "square_cw"]
 
 
 def test_covariates_that_vary_alike_get_one_panel() -> None:

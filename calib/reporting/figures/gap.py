@@ -243,9 +243,8 @@ def before_after(
         axis.set_xticks([0, 1], [f"before\nrms {sizes[0]}", f"after\nrms {sizes[1]}"])
         axis.set_xlim(-0.5, 1.5)
         axis.grid(visible=False, axis="x")
-        axis.set(
-            title=f"{title} (noise level {level:.3g} {name})" if np.isfinite(level) else title, ylabel=f"gap ({name})"
-        )
+        noise = f", noise {level:.3g} {name}" if np.isfinite(level) else ""
+        axis.set(title=f"{title}{noise}", ylabel=f"gap ({name})")
         axis.margins(y=0.08)
     return figure
 

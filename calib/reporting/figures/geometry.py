@@ -16,12 +16,15 @@ from calib.reporting.figures.style import BLUE, GREY, INK, Groups, axes_grid, ca
 from calib.types import FloatArray
 
 COLUMNS: Final = 3
-PANEL_CM: Final = 5.6
+#: two rows of panels and six rows of residuals fill a page
+PANEL_CM: Final = 4.8
 LONE_PANEL_CM: Final = 8.5
 #: paths drawn a panel; more of one kind lie on one another
 MOST_PATHS: Final = 12
 #: runs with residuals in time drawn in a figure; more say the same
 MOST_RUNS: Final = 6
+#: signs of a run's name beside its row of residuals
+NAME_LENGTH: Final = 10
 #: share of the errors that the colours span: a single failed measurement does not bleach the others
 SPANNED: Final = 98.0
 #: channels of a residual: title, unit, factor
@@ -88,7 +91,7 @@ def _coloured(axes: Axes, trace: RunTrace, scale: Normalize) -> LineCollection |
 def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
     """Draw the residuals of each run along its path, before (grey) and after: a row a run, a column a channel."""
     chosen = [trace for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
-    figure = canvas(1.55 * len(chosen) + 1.6)
+    figure = canvas(1.45 * len(chosen) + 1.6)
     grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
     limits = _limits(chosen)
     for place, (row, trace) in enumerate(zip(grid, chosen, strict=True)):
@@ -100,7 +103,8 @@ def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
                 axes.set_title(f"{title} ({unit})")
             if place == len(chosen) - 1:
                 axes.set_xlabel("time (s)")
-        row[0].set_ylabel(trace.run_id)
+        name = trace.run_id
+        row[0].set_ylabel(name if len(name) <= NAME_LENGTH else f"…{name[1 - NAME_LENGTH :]}", fontsize=6)
     handles = [grid[0, 0].lines[1], grid[0, 0].lines[0]]
     shared_legend(figure, handles, ["after", "before, cut off where it is larger"])
     return figure

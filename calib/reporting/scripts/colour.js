@@ -7,7 +7,8 @@ if (labels) {
   const names = [...new Set(values)].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
   source.data.colour = Array.from(values, (name) => palette[names.indexOf(name) % palette.length]);
   const marks = names.slice(0, most).map((name, k) =>
-    `<span style="color:${palette[k % palette.length]}">&#9679;</span> ${safe(name) || "(none)"}`);
+    `<span style="white-space:nowrap"><span style="color:${palette[k % palette.length]}">&#9679;</span> ` +
+    `${safe(name) || "(none)"}</span>`);
   if (names.length > most) marks.push(`and ${names.length - most} more`);
   legend.text = `${title}: ${marks.join(" &emsp; ")}`;
 } else {

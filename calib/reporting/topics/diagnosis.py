@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, picture, simulated_notice
 from calib.reporting.formatting import length, prose, three_digits, with_unit
+from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.effects import next_runs_table
 from calib.reporting.topics.gap import (
     cause_blocks,
@@ -39,6 +41,13 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = TITLES[verdict.kind]
     return Notice(level, f"{title} ({verdict.kind.value})", prose(verdict.sentence))
+
+
+def page_one_notice(verdict: Diagnosis) -> Notice:
+    """Return the verdict for the first page: with the probabilities of its causes where one is in doubt."""
+    notice = verdict_notice(verdict)
+    doubt = doubtful_causes((cause.effect, cause.probability) for cause in verdict.causes)
+    return replace(notice, text=f"{notice.text} {doubt}".strip())
 
 
 def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:

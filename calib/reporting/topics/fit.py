@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, simulated_notice, table
 from calib.reporting.formatting import fixed, places, plural, prose
-from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.budget import budget_picture, radius_budget
 from calib.reporting.topics.checks import checks_table, residuals_picture, usable_notice
 from calib.reporting.topics.conditions import assumed_notice
@@ -99,12 +97,10 @@ def _gap(source: Source) -> tuple[Notice, ...]:
     """Return what a diagnosis found, where one was made with this report or lies beside the fit."""
     if source.verdict is None and source.known_verdict is None:
         return ()
-    from calib.reporting.topics.diagnosis import TITLES, verdict_notice
+    from calib.reporting.topics.diagnosis import TITLES, page_one_notice
 
     if source.verdict is not None:
-        notice = verdict_notice(source.verdict)
-        doubt = doubtful_causes((cause.effect, cause.probability) for cause in source.verdict.causes)
-        return (replace(notice, text=f"{notice.text} {doubt}".strip()),)
+        return (page_one_notice(source.verdict),)
     assert source.known_verdict is not None
     kind, sentence = source.known_verdict
     level, title = TITLES[kind]

@@ -90,6 +90,12 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
         lines.append(f"Not identifiable from these runs, kept at the nominal value: {kept}.")
     if geometry.outliers:
         lines.append(f"Outliers, down-weighted: {', '.join(geometry.outliers)}.")
+    return [*lines, *geometry_remarks(geometry)]
+
+
+def geometry_remarks(geometry: Geometry) -> list[str]:
+    """Return delays, the UMBmark of squares, and notes."""
+    lines = []
     if geometry.delays:
         delays = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in geometry.delays)
         lines.append(f"The reference has a delay of its own in each recording, corrected in each: {delays}.")
