@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 
 from calib.kinematics.result import RunTrace
 from calib.reporting.figures.style import BLUE, GREY, INK, Groups, axes_grid, canvas, shared_legend, styled
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 COLUMNS: Final = 3
 #: two rows of panels and six rows of residuals fill a page
@@ -23,6 +24,8 @@ LONE_PANEL_CM: Final = 8.5
 MOST_PATHS: Final = 12
 #: runs with residuals in time drawn in a figure; more say the same
 MOST_RUNS: Final = 6
+#: points of a line: the width of a panel in half a point
+MOST_POINTS: Final = 200
 #: signs of a run's name beside its row of residuals
 NAME_LENGTH: Final = 10
 #: share of the errors that the colours span: a single failed measurement does not bleach the others
@@ -37,6 +40,7 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
 
     The calibrated path is coloured by its distance from the reference. `simulated`: say that a program made the data.
     """
+    traces = [_thinned(trace) for trace in traces]
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
     rows = -(-len(kinds) // COLUMNS)
     figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
@@ -67,6 +71,25 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     return figure
 
 
+def _thinned(trace: RunTrace) -> RunTrace:
+    """Return a trace of at most `MOST_POINTS` poses and samples: more are not seen, and make the page heavy."""
+    poses = _evenly(len(trace.seen))
+    return replace(
+        trace,
+        before_m=trace.before_m[_evenly(len(trace.before_m))],
+        seen=trace.seen[poses],
+        t_s=trace.t_s[poses],
+        reference_m=trace.reference_m[poses],
+        residual_before=trace.residual_before[poses],
+        residual_after=trace.residual_after[poses],
+    )
+
+
+def _evenly(count: int) -> IntArray:
+    """Return the indices of at most `MOST_POINTS` of so many samples, the ends among them."""
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, MOST_POINTS)).round().astype(np.int64))
+
+
 def _error_mm(trace: RunTrace) -> FloatArray:
     return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
 
@@ -90,7 +113,7 @@ def _coloured(axes: Axes, trace: RunTrace, scale: Normalize) -> LineCollection |
 @styled
 def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
     """Draw the residuals of each run along its path, before (grey) and after: a row a run, a column a channel."""
-    chosen = [trace for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
+    chosen = [_thinned(trace) for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
     figure = canvas(1.45 * len(chosen) + 1.6)
     grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
     limits = _limits(chosen)
