@@ -14,7 +14,6 @@ from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
 from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
-from calib.reporting.formatting import prose
 from calib.reporting.text import EQUATIONS
 from calib.result import plain
 
@@ -58,7 +57,7 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     Raises MissingExtraError where Bokeh is not installed.
     """
     from calib.reporting.interactive import interactive_panels
-    from calib.reporting.topics.diagnosis import diagnosis_content
+    from calib.reporting.topics.diagnosis import diagnosis_content, page_one_notice
 
     page = {
         "kind": "Diagnosis",
@@ -67,7 +66,7 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
         "simulated": diagnosis.simulated,
         "head": (
             ("Verdict", str(diagnosis.kind).replace("_", " ")),
-            ("In words", prose(diagnosis.sentence)),
+            ("In words", page_one_notice(diagnosis).text),
             ("Judged against", diagnosis.judged_against),
         ),
         "footer": f"Campaign {diagnosis.campaign}",

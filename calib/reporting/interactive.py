@@ -190,9 +190,8 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     source.add(list(np.stack((ends[:, 0], tips[:, 0]), axis=1)), "arrow_x")
     source.add(list(np.stack((ends[:, 1], tips[:, 1]), axis=1)), "arrow_y")
     _lines(plot, "arrow_x", "arrow_y", source, line_width=2, legend_label="gap at the end, enlarged (thick)")
-    legend = plot.legend[0]
-    plot.add_layout(legend, "below")
-    legend.update(click_policy="hide", label_text_font_size="11px", spacing=0, padding=2, border_line_alpha=0.0)
+    look = {"label_text_font_size": "11px", "background_fill_alpha": 0.6, "spacing": 0, "padding": 4}
+    plot.legend[0].update(click_policy="hide", **look)
     slider = Slider(start=1, end=max(10 * factor, 10), value=factor, step=1, title="gap drawn enlarged by", width=220)
     return plot, _changed(slider, "enlarge", source=source)
 
@@ -229,7 +228,7 @@ def _covariate_panel(
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
     """Draw the gap after the correction against that before; the noise level as a band, the diagonal as a line."""
-    from bokeh.models import BoxAnnotation, Slope, Title
+    from bokeh.models import BoxAnnotation, Label, Slope
 
     first = first_channel(gap)
     unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
@@ -238,8 +237,9 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     )
     band = BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
-    words = "green: noise, two standard deviations either way; dashed: no change"
-    plot.add_layout(Title(text=words, text_font_size="11px", text_font_style="normal"), "below")
+    # inside the frame: what stands below it shortens every panel
+    corner = {"x": 6, "y": 6, "x_units": "screen", "y_units": "screen", "text_font_size": "11px"}
+    plot.add_layout(Label(text="green: noise, ± 2 standard deviations; dashed: no change", **corner))
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
     _points(plot, "b", "a", source)
     return plot, band
