@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from calib.kinematics.result import RunTrace
-from calib.reporting.figures.style import BLUE, GREY, INK, Groups, axes_grid, canvas, shared_legend, styled
+from calib.reporting.figures.style import BLUE, GREY, INK, MANY, Groups, axes_grid, canvas, shared_legend, styled
 from calib.types import FloatArray, IntArray
 
 COLUMNS: Final = 3
@@ -50,11 +50,13 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
     handles: dict[str, Any] = {}
     colours = None
+    # beyond that many pieces as pixels inside a vector figure
+    pixels = sum(len(trace.seen) for trace in traces) > MANY
     for axes, kind in zip(grid, kinds, strict=False):
         chosen = [trace for trace in traces if trace.kind == kind]
         for trace in chosen[:MOST_PATHS]:
             (handles["odometry before"],) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7)
-            colours = _coloured(axes, trace, scale) or colours
+            colours = _coloured(axes, trace, scale, pixels=pixels) or colours
             (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":")
             axes.plot(*trace.reference_m[-1:].T, "o", color=INK, ms=2.5)
         axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
@@ -94,7 +96,7 @@ def _error_mm(trace: RunTrace) -> FloatArray:
     return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
 
 
-def _coloured(axes: Axes, trace: RunTrace, scale: Normalize) -> LineCollection | None:
+def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> LineCollection | None:
     """Draw the calibrated path in the colours of its error; in one colour where only its end was measured."""
     error_mm = np.nan_to_num(_error_mm(trace))
     if len(trace.seen) < 2:
@@ -104,7 +106,7 @@ def _coloured(axes: Axes, trace: RunTrace, scale: Normalize) -> LineCollection |
         return None
     points = trace.after_m[trace.seen]
     pieces = np.stack([points[:-1], points[1:]], axis=1)
-    lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4)
+    lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4, rasterized=pixels)
     lines.set_array(0.5 * (error_mm[1:] + error_mm[:-1]))
     axes.add_collection(lines)
     return lines
