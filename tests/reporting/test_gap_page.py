@@ -17,6 +17,7 @@ from calib.gap.diagnose import diagnose_in_full
 pytest.importorskip("bokeh", reason="the extra html is not installed")
 
 from calib.reporting.figures.gap import GAP_PICTURES
+from calib.reporting.formatting import prose
 from calib.reporting.html import diagnosis_page, to_html
 from calib.reporting.interactive import interactive_panels
 from calib.reporting.without_law import report_without_law
@@ -65,7 +66,7 @@ def test_a_page_fetches_nothing(page: str) -> None:
 def test_the_words_stand_outside_the_scripts(page: str, diagnosis: Diagnosis) -> None:
     """Sentence and causes can be read where no script runs."""
     text = unescape(re.sub(r"<[^>]+>", "", re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)))
-    assert diagnosis.sentence.split(";")[0] in text
+    assert prose(diagnosis.sentence.split(";")[0]) in text
     assert all(cause.effect in text for cause in diagnosis.causes)
 
 
