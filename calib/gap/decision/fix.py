@@ -272,7 +272,7 @@ def sure_part(
     if causes and not dropped and set(evidence.search.effects) <= names:
         return whole
     # what the dropped causes explain is left by design: the closure is that of all of them
-    if causes and any(True for _ in remaining(whole.held_out, None)):
+    if causes and any(True for _ in remaining(whole.held_out, unexplained)):
         return whole
     forms = [form for form in evidence.fitted.forms if form.effect in names]
     fitted = fit(evidence.nominal, evidence.noise, forms, start=evidence.fitted)
