@@ -20,7 +20,7 @@ from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected, find_blunder
+from calib.gap.effects.encoder import BLUNDER_MISFIT, Blunder, EncoderBlunder, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.inference.fit import Fitted, fit
@@ -217,7 +217,8 @@ def _searched(
         # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
         again = estimate_noise(best.path, best.left) if best.forms else noise
         change = np.abs(np.log(np.median(noise.floor / again.floor, axis=0)))
-        if not (change > np.log(NOISE_CHANGE)).any():
+        # where the runs end far off under any effect, the verdict is a blunder whatever the noise level
+        if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path)) >= BLUNDER_MISFIT:
             break
         noise, base = again, fit(nominal, again, start=base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
