@@ -22,8 +22,6 @@ from calib.types import FloatArray
 
 #: causes are ordered by these classes of probability, within one by their signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
-#: relative error of a law that looks like a cause of its own
-LAW_ERROR: Final = 0.1
 #: a mean residual this many standard deviations from zero says where the unexplained residual lies
 LOCATED_SD: Final = 4.0
 #: places and covariates named of the unexplained residual
@@ -94,14 +92,12 @@ def causes_of(
 
 
 def negligible(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain.
-
-    A small error of the largest cause's law looks like a small cause: an error of a tenth has a hundredth of its share.
-    """
+    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain."""
     largest = max((cause.share for cause in causes), default=0.0)
 
     def too_small(cause: Cause) -> bool:
-        doubtful = cause.share <= LAW_ERROR**2 * largest and cause.probability < CERTAIN_PROBABILITY
+        # a small error of the largest cause's law looks like a small cause
+        doubtful = cause.share <= SMALL_SHARE * largest and cause.probability < CERTAIN_PROBABILITY
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful
 
     return tuple(cause.effect for cause in causes if too_small(cause))
