@@ -217,7 +217,7 @@ def _searched(
         # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
         again = estimate_noise(best.path, best.left) if best.forms else noise
         change = np.abs(np.log(np.median(noise.floor / again.floor, axis=0)))
-        # where the runs end far off under any effect, the verdict is a blunder whatever the noise level
+        # where the runs end far off under any effect, the verdict is a blunder at any noise level
         if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path)) >= BLUNDER_MISFIT:
             break
         noise, base = again, fit(nominal, again, start=base)
