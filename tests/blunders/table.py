@@ -73,7 +73,7 @@ NAMES: Final = {
     "counters reset halfway": {"count_jump"},
     "counts of the motor's shaft": {"count_gear", "radius_factor"},
     "steering of the motor's shaft": {"steering_gear"},
-    "radius in inches": {"radius_factor"},
+    "radius in inches": {"count_gear"},
     "positions in degrees of latitude": {"radius_factor"},
     "absolute steering encoder that wraps": {"steering_wraps"},
 }
