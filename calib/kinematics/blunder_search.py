@@ -306,9 +306,7 @@ def _geared() -> Iterator[Reading]:
     """Yield counts of an encoder that turns many times a revolution of the wheel."""
 
     def reading(ratio: float) -> Reading:
-        text = (
-            f"counts: {ratio:.3g} times too many for [encoder] and [vehicle] (the motor's shaft?, inches?); correct one"
-        )
+        text = f"counts: {ratio:.3g} times too many for [encoder] and [vehicle] (the motor's? inches?); correct one"
         change = _turned(1.0 / ratio)
         return Reading(Fault("count_gear", text), change, refined=lambda scales: reading(ratio / scales[0]))
 
