@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from tests.fuzz.inputs import options
@@ -144,7 +145,8 @@ def _run_to_the_end(words: list[str], before: Callable[[], None] | None) -> None
         sys.stderr.write(f"Traceback: {error!r}\n")
         status = 70
     # the command line flushes its output itself, so that the interpreter has nothing left to do
-    sys.stderr.flush()
+    with suppress(OSError):  # files of a few bytes: what cannot be told must not let this process go on as its parent
+        sys.stderr.flush()
     os._exit(status)
 
 
