@@ -104,7 +104,7 @@ def test_the_geometry_of_a_vehicle_is_that_of_its_campaign(fleet: Path, tmp_path
     except CalibError as error:
         assert record.why == " ".join(str(error).split())
         return
-    assert record.values["estimates"] == {estimate.name: estimate.to_dict() for estimate in alone.estimates}
+    assert record.values["estimates"] == alone.to_dict()["parameters"]
 
 
 def test_a_fleet_with_poses_shows_its_odd_track(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,11 @@ def test_as_many_are_tried_as_is_said() -> None:
 @pytest.mark.parametrize("part", ["settings", "tables", "logs", "formats", "fleets", "documents"])
 def test_an_attack_of_each_part_is_answered(part: str, base: Path) -> None:
     attacks = list(PARTS[part]())
-    assert fault_of(attacks[len(attacks) // 2], base, SECONDS) == ""
+    attack = attacks[len(attacks) // 2]
+    if part == "fleets":
+        # a forked process cannot use its parent's server of workers
+        attack = replace(attack, words=(*attack.words, "--workers", "1"))
+    assert fault_of(attack, base, SECONDS) == ""
 
 
 def test_faults_are_seen(base: Path) -> None:

@@ -242,8 +242,8 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
     """Find steps of a counter far beyond all others of the log, as a lost or disturbed encoder makes them."""
     for run in np.flatnonzero(campaign.logs.lengths >= 20):
         log = campaign.logs.of(int(run))
-        time_step = np.diff(log["t_s"])
         # a gap in time may hold many counts; it is named as a gap
+        time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
         stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
         for name in log:
             if not name.startswith("counts_"):
