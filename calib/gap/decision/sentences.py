@@ -172,7 +172,11 @@ def _nearest(diagnosis: Diagnosis) -> str:
 
 def _unexplained(diagnosis: Diagnosis) -> str:
     if diagnosis.unexplained is None:
-        return "the correction does not carry over to all held-out runs"
+        if any(map(fails, diagnosis.fix.transfer)):
+            return "the correction does not carry over to all held-out runs"
+        if diagnosis.closure.ci95 is not None and diagnosis.closure.ci95[1] < FULL_CLOSURE:
+            return "part of the gap remains on held-out runs"
+        return "part of it may have another cause"
     return f"an unexplained residual remains{_located(diagnosis.where.rest)}"
 
 
