@@ -14,7 +14,7 @@ from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
 from calib.documents import to_json
 from calib.errors import BadFileError, RefusedError
-from calib.fleet.workers import run_tasks
+from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
 from calib.limits import refuse_workers
 
@@ -52,9 +52,10 @@ def each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callabl
     refuse_workers(workers)
     results: dict[int, R] = {}
     numbered = list(enumerate(items))
-    for number, result in run_tasks(partial(_worked, work), numbered, _died, lambda _item: WEIGHT, workers=workers):
-        results[number] = result
-        tick(len(results))
+    with engine(workers) as opened:
+        for number, result in opened.run(partial(_worked, work), numbered, _died, lambda _item: WEIGHT):
+            results[number] = result
+            tick(len(results))
     return [results[number] for number in range(len(items))]
 
 

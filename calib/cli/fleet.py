@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Date, Force, JsonTarget, Seed, answer, emit_json, keep, progress, then, waiting, wrote
-from calib.io import refuse_existing
+from calib.cli import terminal
 from calib.limits import refuse_workers
 
 
@@ -16,11 +15,9 @@ def run(
     folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
     into: Annotated[Path, typer.Option(metavar="FOLDER", help="Result folder; a later run goes on there.")],
     what: Annotated[str, typer.Option(help="fit, check, geometry or diagnose.")] = "fit",
-    workers: Annotated[int, typer.Option(min=1, help="Processes of this machine.")] = 1,
+    workers: terminal.Workers = 1,
     scheduler: Annotated[str, typer.Option(metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
-    date: Date = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    date: terminal.Date = None,
 ) -> int:
     """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
 
@@ -31,15 +28,15 @@ def run(
     Example: calib fleet run vehicles --into fleet --workers 2
     """
     refuse_workers(workers)
-    from calib.fleet.members import any_simulated
+    from calib.fleet.store import any_simulated
     from calib.reporting.files import Heads, write_fleet, write_survey
     from calib.reporting.next_step import after_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content, survey_content
 
     issued = issue_date(date)
-    keep(f"what was read so far, in {into}; the same command goes on")
-    with progress("fleet") as tick:
+    terminal.keep(f"what was read so far, in {into}; the same command goes on")
+    with terminal.progress("fleet") as tick:
         if what == "fit":
             from calib.fleet.run import fit_fleet
 
@@ -56,10 +53,10 @@ def run(
             )
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
-    answer(document, blocks, json=json, force=force)
-    wrote(written, target=json)
+    terminal.answer(document, blocks)
+    terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
-    then(after_fleet(folder, failed, what), target=json)
+    terminal.then(after_fleet(folder, failed, what))
     return int(bool(failed))
 
 
@@ -77,9 +74,7 @@ def simulate(
             "--poses", help="A campaign folder a vehicle, with logs and end poses, for geometry and diagnose."
         ),
     ] = False,
-    seed: Seed = 0,
-    json: JsonTarget = None,
-    force: Force = False,
+    seed: terminal.Seed = 0,
 ) -> None:
     """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json.
 
@@ -98,15 +93,15 @@ def simulate(
     from calib.reporting.next_step import after_fleet_simulation
 
     # a folder that is there may be added to
-    refuse_existing([None if force and into.is_dir() else into], force=force)
+    terminal.refuse_outputs(None if terminal.forced() and into.is_dir() else into)
     odd, in_hall = min(outliers, vehicles), min(common, vehicles)
     truth: FleetTruth | PosedTruth
-    with waiting("driving"):
+    with terminal.waiting("driving"):
         if poses:
             truth = make_posed_fleet(into, default_rng(seed), vehicles, runs, odd, in_hall)
         else:
             size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
             truth = make_fleet(into, default_rng(seed), size)
-    wrote([into], target=json)
-    then(after_fleet_simulation(into, poses=poses), target=json)
-    emit_json(asdict(truth), json, force=force)
+    terminal.wrote([into])
+    terminal.then(after_fleet_simulation(into, poses=poses))
+    terminal.emit_json(asdict(truth))

@@ -18,7 +18,6 @@ from calib.fleet.population import (
     outlying,
     population,
 )
-from calib.fleet.store import VehicleResult
 from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray
 
@@ -26,6 +25,22 @@ from calib.types import BoolArray, FloatArray
 FEWEST_COMPARED: Final = 5
 #: fewest vehicles that share a finding before it is reported of them together
 FEWEST_SHARING: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleResult:
+    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed, one line."""
+
+    name: str
+    key: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def status(self) -> str:
+        """``done`` or ``failed``."""
+        return "failed" if self.why else "done"
+
 
 #: column of ``vehicles.csv`` -> label of each vehicle that has one
 Labels = Mapping[str, Mapping[str, str]]
@@ -48,7 +63,7 @@ class Outlier:
         away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet"
         return f"{name}: {away} ({abs(self.z):.1f} standard deviations)"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
         return plain_fields(self, why=self.why)
 
@@ -74,7 +89,7 @@ class LabelDifference:
         """What a person reads."""
         return f"{self.difference.n_showing} of {self.n_vehicles} vehicles with {self.label} {self.value}: {self.what}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
         return plain_fields(self, what=self.what, **plain_fields(self.difference), sentence=self.sentence)
 
@@ -215,7 +230,7 @@ class SharedCause:
         whose = f"vehicles with {self.label} {self.value}" if self.label else "vehicles"
         return f"{self.n_showing} of {self.n_vehicles} {whose}: {self.what}"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
         return plain_fields(self, sentence=self.sentence)
 

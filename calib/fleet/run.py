@@ -1,22 +1,22 @@
-"""A fleet from folder to view: what changed is read, sums are added, and the view is made anew."""
+"""A fleet from folder to view: files read, records made; how vehicles differ, which stand apart, which drift."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from calib.fleet.members import Member, labels_of, members_of
-from calib.fleet.reading import PieceDone, do_pieces, given_up, pieces_of
-from calib.fleet.store import SUMS, Keys, Store, line_of
-from calib.fleet.vehicle import PartSums, VehicleRecord
-from calib.fleet.view import FleetView, view_of
-from calib.fleet.workers import Engine, engine
-from calib.result import plain
+import numpy as np
 
-#: called with the number of files done and the number to do
-Progress = Callable[[int, int], None]
+from calib.fleet.comparison import LabelDifference, Labels, Outlier, quantities_of
+from calib.fleet.population import Population, any_false
+from calib.fleet.reading import record_given_up, records_of, sums_given_up, sums_of_parts
+from calib.fleet.store import SUMS, Progress, labels_of, members_of, renewed
+from calib.fleet.vehicle import WHEELS, VehicleRecord
+from calib.fleet.workers import engine
+from calib.result import plain, plain_fields
+from calib.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def fit_fleet(
     Parameters
     ----------
     folder : Path
-        See `calib.fleet.members.members_of`.
+        See `calib.fleet.store.members_of`.
     into : Path
         Result folder; holds the sums of what was read, so that only new or changed files are read the next time and an
         interrupted run goes on where it was.
@@ -79,33 +79,100 @@ def fit_fleet(
     Fleet
         The same for any engine, number of workers and order.
     """
-    store = Store(Path(into) / SUMS, PartSums.from_dict)
     # workers start while this process lists the files
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
-        kept, keys = store.read(), Keys()
-        parts = [part for member in members for part in member.parts]
-        lines = {part.name: line_of(kept[part.name]) for part in parts if keys.hold(kept.get(part.name), part)}
-        n_kept, n_new = len(lines), len(parts) - len(lines)
-        records: dict[str, VehicleRecord] = {}
-        with store.adding() as add:
-            for done in _done(opened, members, lines):
-                add(done.lines)
-                lines |= done.lines
-                if done.record is not None:
-                    records[done.record.vehicle] = done.record
-                if progress is not None and done.lines:
-                    progress(len(lines) - n_kept, n_new)
-        store.rewrite(lines)
+        parts = {part.name: part for member in members for part in member.parts}
+        sums, n_new = renewed(Path(into) / SUMS, parts, opened, sums_of_parts, sums_given_up, progress)
+        vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
+        # a record is made in a fraction of the time that a file takes to read
+        made = opened.run(records_of, vehicles, record_given_up)
+        records = {record.vehicle: record for record in made}
     by_id = tuple(records[member.vehicle] for member in members)
-    return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, n_kept)
+    return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, len(parts) - n_new)
 
 
-def _done(opened: Engine, members: tuple[Member, ...], lines: Mapping[str, str]) -> Iterator[PieceDone]:
-    """Yield what comes of the pieces; `lines` grows meanwhile; vehicles of many new files have their record last."""
-    before = dict(lines)
-    pieces = [piece for member in members for piece in pieces_of(member, before)]
-    yield from opened.run(do_pieces, pieces, given_up, len)
-    in_parts = {piece.vehicle for piece in pieces if not piece.whole}
-    rest = [piece for member in members if member.vehicle in in_parts for piece in pieces_of(member, lines)]
-    yield from opened.run(do_pieces, rest, given_up, len)
+#: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check
+#: of a single radius is held (0.05 %), 5 mm over 10 m
+DUE_RELATIVE: Final = 5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class DriftingVehicle:
+    """A vehicle whose radius drifts: how fast, and the day on which it is due for recalibration.
+
+    `per_day_m` and its 95 % half width; `due_day` counts as the journeys' days do.
+    """
+
+    vehicle: str = field(metadata={"json": "id"})
+    wheel: str
+    per_day_m: float
+    half_width_m: float = field(metadata={"json": "half_width95_m"})
+    due_day: float
+
+
+@dataclass(frozen=True, slots=True)
+class FleetView:
+    """What the fleet shows; see `calib.fleet.comparison.Quantities`. Drifting vehicles: soonest due first."""
+
+    n_vehicles: int
+    n_fitted: int
+    n_failed: int
+    populations: dict[str, Population]
+    outliers: tuple[Outlier, ...]
+    drifting: tuple[DriftingVehicle, ...]
+    common: tuple[LabelDifference, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as plain JSON values; an outlier's wheel and quantity stand apart."""
+        outliers = []
+        for outlier in self.outliers:
+            stem, wheel, unit = outlier.quantity.split("_", 2)
+            outliers.append(plain(outlier) | {"wheel": wheel, "quantity": f"{stem}_{unit}"})
+        return plain_fields(self, outliers=outliers)
+
+
+def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> FleetView:
+    """Return the fleet's view of all its vehicles; `labels`: those of ``vehicles.csv``."""
+    fitted = sorted((record for record in records if record.status == "fitted"), key=lambda record: record.vehicle)
+    drifting = _drifting(fitted)
+    values, std = dict[str, FloatArray](), dict[str, FloatArray]()
+    for side in WHEELS:
+        lines = [getattr(record, side) for record in fitted]
+        radius, slope = f"radius_{side}_ref_m", f"slope_{side}_m_per_N"
+        values[radius] = np.array([line.radius_ref_m for line in lines])
+        values[slope] = np.array([line.slope_m_per_N for line in lines])
+        std[radius] = np.array([line.radius_std_m for line in lines])
+        std[slope] = np.array([line.slope_std_m_per_N for line in lines])
+    found = quantities_of(
+        [record.vehicle for record in fitted], values, std, labels or {}, frozenset(one.vehicle for one in drifting)
+    )
+    return FleetView(
+        n_vehicles=len(records),
+        n_fitted=len(fitted),
+        n_failed=len(records) - len(fitted),
+        populations=dict(found.populations),
+        outliers=found.outliers,
+        drifting=drifting,
+        common=found.common,
+    )
+
+
+def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
+    """Return the vehicles whose drift stands among all, and when each has drifted by the tolerance."""
+    from scipy.special import stdtr, stdtrit
+
+    lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
+    lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
+    p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
+    drifting: dict[str, DriftingVehicle] = {}
+    for (record, side, drift), stands in zip(lines, any_false(p), strict=True):
+        if not stands:
+            continue
+        due = drift.last_day + DUE_RELATIVE * getattr(record, side).radius_ref_m / abs(drift.per_day_m)
+        half = float(stdtrit(drift.dof, 0.975)) * drift.std_m
+        new = DriftingVehicle(record.vehicle, side, drift.per_day_m, half, float(due))
+        have = drifting.get(record.vehicle)
+        if have is None or new.due_day < have.due_day:
+            drifting[record.vehicle] = new
+    return tuple(sorted(drifting.values(), key=lambda one: (one.due_day, one.vehicle)))

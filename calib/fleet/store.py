@@ -1,124 +1,307 @@
-"""What was read of a fleet, kept by content, line by line: an interrupted run goes on, only new journeys are read."""
+"""The vehicles of a folder with their files, and what was read of these, kept by content and line by line.
+
+An interrupted run goes on where it was, and only new journeys are read.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
+from calib.campaign.readers import READERS, read_table
 from calib.documents import VERSION
-from calib.errors import BadInputError, CalibError
-from calib.fleet.members import SETTINGS, Member, Part
-from calib.io import sha256_file, write_text
+from calib.errors import BadFileError, BadInputError, CalibError
+from calib.fleet.workers import Engine, Task
+from calib.io import inside, sha256_file, write_text
 from calib.result import plain
 
+SETTINGS: Final = "campaign.toml"
+LABELS: Final = "vehicles.csv"
+SUFFIX: Final = ".parquet"
+_PARTITION: Final = re.compile(r"vehicle=(.+)")
+_MONTH: Final = re.compile(r"month=(\d{4})-(\d{2})")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A file with journeys of one vehicle.
+
+    Parameters
+    ----------
+    name : str
+        Path relative to the fleet's folder; names the part in results.
+    path : Path
+        Where it is.
+    settings : Path
+        Folder of its ``campaign.toml``.
+    day : float or None
+        Day of its journeys since 1970-01-01 where the partition says a month (its fifteenth); None where only the
+        column ``day`` can.
+    why : str
+        Why the file may not be read, on one line; empty where it may.
+    """
+
+    name: str
+    path: Path
+    settings: Path
+    day: float | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A vehicle: its id and the files of its journeys, in order."""
+
+    vehicle: str
+    parts: tuple[Part, ...]
+
+
+def members_of(folder: Path) -> tuple[Member, ...]:
+    """Return the vehicles of a fleet, by id.
+
+    `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
+    folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those of
+    ``runs.csv``. Raises BadFileError where the folder holds no vehicle.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadFileError(
+            folder,
+            found="a file" if folder.exists() else "no such folder",
+            expected="a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle",
+            remedy="give the fleet's folder",
+        )
+    found = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
+    if not found:
+        raise BadFileError(
+            folder,
+            found="no vehicle",
+            expected="campaign folders, or campaign.toml beside folders vehicle=ID of .parquet files",
+            remedy="give the folder that holds them",
+        )
+    return found
+
+
+def _campaigns(folder: Path) -> tuple[Member, ...]:
+    members = []
+    for path in sorted(folder.iterdir()):
+        try:
+            if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
+                continue
+        except OSError as error:
+            why = f"{path.name}: found {error.strerror}; expected a folder that can be read; allow it, or take it away"
+            members.append(Member(path.name, (Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=why),)))
+            continue
+        tables = (path / f"runs{suffix}" for suffix in READERS)
+        table = next((one for one in tables if one.exists()), path / "runs.csv")
+        members.append(Member(path.name, (_part(folder, f"{path.name}/{table.name}", path),)))
+    return tuple(members)
+
+
+def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> Part:
+    """Return a file of journeys; one that leads out of the fleet says so, and leaves the others alone."""
+    try:
+        return Part(name, inside(folder, name, named_in=folder), settings, day)
+    except CalibError as error:
+        return Part(name, folder / name, settings, day, one_line(error))
+
+
+def _dataset(folder: Path) -> tuple[Member, ...]:
+    members = []
+    top = folder.resolve()
+    with os.scandir(folder) as entries:
+        of_vehicles = [entry for entry in entries if _PARTITION.fullmatch(entry.name) and entry.is_dir()]
+    for entry in sorted(of_vehicles, key=lambda entry: entry.name):
+        # a million files: paths are put together as text, and only what may lead elsewhere is resolved one by one
+        parts = tuple(
+            Part(name, top / name, folder, _day_of(partition))
+            if plain
+            else _part(folder, name, folder, _day_of(partition))
+            for name, partition, plain in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink()))
+        )
+        members.append(Member(entry.name.partition("=")[2], parts))
+    return tuple(members)
+
+
+def _files_in(folder: str, name: str, *, plain: bool) -> Iterator[tuple[str, str, bool]]:
+    """Yield the Parquet files below a folder: name within the fleet, last folder, whether no link leads there."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            below = f"{name}/{entry.name}"
+            if entry.is_dir(follow_symlinks=False):
+                yield from _files_in(entry.path, below, plain=plain)
+            elif entry.name.endswith(SUFFIX):
+                yield below, name.rpartition("/")[2], plain and not entry.is_symlink()
+
+
+def _day_of(partition: str) -> float | None:
+    month = _MONTH.fullmatch(partition)
+    if month is None or not 1 <= int(month[2]) <= 12:
+        return None
+    return float((date(int(month[1]), int(month[2]), 15) - date(1970, 1, 1)).days)
+
+
+def any_simulated(folder: Path) -> bool:
+    """Return whether the settings of any vehicle of a fleet say that a program made its data."""
+    import tomllib
+
+    for settings in {part.settings for member in members_of(folder) for part in member.parts}:
+        try:
+            with (settings / SETTINGS).open("rb") as stream:
+                if tomllib.load(stream).get("simulated") is True:
+                    return True
+        except (OSError, ValueError):
+            # a vehicle whose settings cannot be read is listed as failed
+            continue
+    return False
+
+
+def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, str]]:
+    """Return what is known of vehicles beside their journeys (hall, type, ...): column -> label of each that has one.
+
+    `folder`: may hold ``vehicles.csv``, a column ``vehicle`` and further columns of labels.
+    """
+    path = Path(folder) / LABELS
+    if not path.is_file():
+        return {}
+    columns = dict(read_table(path, LABELS).columns)
+    if "vehicle" not in columns:
+        raise BadFileError(
+            LABELS,
+            found=f"the columns {', '.join(columns)[:80]}",
+            expected="a column vehicle",
+            remedy="name the vehicles as their folders are named",
+        )
+    ids = [str(cell) for cell in columns.pop("vehicle")]
+    known = {member.vehicle for member in members}
+    return {
+        name: {
+            vehicle: str(cell)
+            for vehicle, cell in zip(ids, cells, strict=True)
+            if vehicle in known and cell not in (None, "")
+        }
+        for name, cells in columns.items()
+    }
+
+
+def one_line(error: Exception) -> str:
+    """Return what an error says on one line."""
+    return " ".join(str(error).split())
+
+
 SUMS: Final = "sums.jsonl"
+Source = TypeVar("Source", Part, Member)
+#: called with the number of files or vehicles done and the number to do
+Progress = Callable[[int, int], None]
 #: key of a line's seal: a digest of its other values, so that a damaged line is read anew
 SEAL: Final = "seal"
 
 
-class Kept(Protocol):
-    """What can be kept: a dataclass with a name of its own and a key by which its source is known again."""
-
-    @property
-    def name(self) -> str:
-        """Name, unique in the store."""
-
-    @property
-    def key(self) -> str:
-        """Key of the source's state; empty where it shall be done anew."""
-
-
 @dataclass(frozen=True, slots=True)
-class VehicleResult:
-    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed, one line."""
+class Kept:
+    """A record as it is kept: its name, the key by which its source is known again, its line with a seal.
+
+    The name is unique in the store; the key is empty where the record shall be made anew.
+    """
 
     name: str
     key: str
-    values: Mapping[str, Any] = field(default_factory=dict)
-    why: str = ""
+    line: str
 
-    @property
-    def status(self) -> str:
-        """``done`` or ``failed``."""
-        return "failed" if self.why else "done"
+    @staticmethod
+    def of(record: Any) -> Kept:
+        """Return the line of a dataclass that has a `name` and a `key`."""
+        values = plain(record)
+        line = json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"
+        return Kept(record.name, record.key, line)
 
-
-Record = TypeVar("Record", bound=Kept)
-
-
-class Store(Generic[Record]):
-    """A file of records in a fleet's result folder, which it makes: one line each, appended as they come.
-
-    `from_dict` makes a record of its kept values.
-    """
-
-    def __init__(self, path: Path, from_dict: Callable[[Mapping[str, Any]], Record]) -> None:
-        self.path, self.from_dict = Path(path), from_dict
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BadInputError(
-                f"{self.path.parent}: found {error.strerror}; expected a folder that can be written; choose another"
-            ) from error
-        if self.path.exists() and not self.path.is_file():
-            raise BadInputError(f"{self.path}: found no regular file; expected one, or none; take it away")
-
-    def read(self) -> dict[str, Record]:
-        """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
-        kept: dict[str, Record] = {}
-        if not self.path.is_file():
-            return kept
-        # bytes that are no UTF-8 break the seal of their line, and of no other
-        with self.path.open(encoding="utf-8", errors="surrogateescape") as stream:
-            for line in stream:
-                try:
-                    record = self.from_dict(unsealed(line))
-                except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-                    continue
-                kept[record.name] = record
-        return kept
-
-    @contextmanager
-    def adding(self) -> Iterator[Callable[[Mapping[str, str]], None]]:
-        """Give a function that adds lines (see `line_of`), by their names, each of them whole."""
-        with self.path.open("ab") as stream:
-            # after an interruption the last line may lack its end
-            if stream.tell() and not _ends_whole(self.path):
-                stream.write(b"\n")
-
-            def add(lines: Mapping[str, str]) -> None:
-                stream.write("".join(lines.values()).encode())
-                stream.flush()
-
-            yield add
-
-    def rewrite(self, lines: Mapping[str, str]) -> None:
-        """Put all lines in order of their names, each once; the same bytes in any order of arrival."""
-        write_text(self.path, "".join(lines[name] for name in sorted(lines)), force=True)
-
-
-def line_of(record: Kept) -> str:
-    """Return the line that is kept of a record, with its seal."""
-    values = plain(record)
-    return json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"
-
-
-def unsealed(line: str) -> dict[str, Any]:
-    """Return the values of a kept line; raises ValueError where they are not what was written."""
-    values: dict[str, Any] = json.loads(line)
-    if values.pop(SEAL, "") != _seal(values):
-        raise ValueError("a kept line was changed")
-    return values
+    def values(self) -> dict[str, Any]:
+        """Return the values of the line; raises ValueError where they are not what was written."""
+        values: dict[str, Any] = json.loads(self.line)
+        if values.pop(SEAL, "") != _seal(values):
+            raise ValueError("a kept line was changed")
+        return values
 
 
 def _seal(values: Mapping[str, Any]) -> str:
     return hashlib.blake2b(json.dumps(values, ensure_ascii=False).encode(), digest_size=8).hexdigest()
+
+
+def renewed(
+    path: Path,
+    sources: Mapping[str, Source],
+    opened: Engine,
+    task: Task[Source, Kept],
+    given_up: Callable[[Source, str], Kept],
+    progress: Progress | None,
+    weigh: Callable[[Source], int] = lambda _source: 1,
+) -> tuple[dict[str, Kept], int]:
+    """Do a task for each source that is new or has changed; records of the others are kept.
+
+    Parameters
+    ----------
+    path : Path
+        File of records, one line each, appended as they come: an interrupted run goes on where it was. In the end in
+        the order of their names, so that the bytes are the same for any order of arrival.
+    sources : mapping of str to Part or Member
+        By the names of their records.
+    opened, task, given_up
+        As `calib.fleet.workers.Engine.run` takes them.
+    progress : callable, optional
+        Called with the number of sources done and the number to do.
+    weigh : callable
+        As `calib.fleet.workers.Engine.run` takes it.
+
+    Returns
+    -------
+    records : dict of str to Kept
+        Of all sources, by name.
+    n_new : int
+        Sources that were new or had changed.
+    """
+    before, keys = _read(path), Keys()
+    records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}
+    todo = [source for name, source in sources.items() if name not in records]
+    with path.open("ab") as stream:
+        # after an interruption the last line may lack its end
+        if stream.tell() and not _ends_whole(path):
+            stream.write(b"\n")
+        for number, record in enumerate(opened.run(task, todo, given_up, weigh), 1):
+            stream.write(record.line.encode())
+            stream.flush()
+            records[record.name] = record
+            if progress is not None:
+                progress(number, len(todo))
+    write_text(path, "".join(records[name].line for name in sorted(records)), force=True)
+    return records, len(todo)
+
+
+def _read(path: Path) -> dict[str, Kept]:
+    """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(
+            f"{path.parent}: found {error.strerror}; expected a folder that can be written; choose another"
+        ) from error
+    if path.exists() and not path.is_file():
+        raise BadInputError(f"{path}: found no regular file; expected one, or none; take it away")
+    kept: dict[str, Kept] = {}
+    # bytes that are no UTF-8 break the seal of their line, and of no other
+    with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="surrogateescape") as stream:
+        for line in stream:
+            with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                values = Kept("", "", line).values()
+                kept[values["name"]] = Kept(values["name"], values["key"], line)
+    return kept
 
 
 def _ends_whole(path: Path) -> bool:
@@ -165,8 +348,8 @@ class Keys:
     def hold(self, kept: Kept | None, source: Part | Member) -> bool:
         """Return whether a record is there and its source is unchanged."""
         with suppress(CalibError, OSError):
-            key = self.of(source) if isinstance(source, Part) else self.of_member(source)
-            return kept is not None and kept.key != "" and kept.key == key
+            if kept is not None and kept.key:
+                return kept.key == (self.of(source) if isinstance(source, Part) else self.of_member(source))
         return False
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,12 +12,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, CalibError, RefusedError
-from calib.fleet.comparison import Labels, Quantities, SharedCause, quantities_of, shared_causes
-from calib.fleet.members import Member, labels_of, members_of, one_line
+from calib.fleet.comparison import Labels, Quantities, SharedCause, VehicleResult, quantities_of, shared_causes
 from calib.fleet.reading import campaign_of
-from calib.fleet.run import Progress
-from calib.fleet.store import Keys, Store, VehicleResult, line_of
-from calib.fleet.workers import run_tasks
+from calib.fleet.store import Kept, Keys, Member, Progress, labels_of, members_of, one_line, renewed
+from calib.fleet.workers import engine
 from calib.result import plain, plain_fields
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
@@ -80,29 +79,31 @@ def survey_fleet(
     """
     if what not in TASKS:
         raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")
-    members = members_of(folder)
-    store = Store(Path(into) / f"{what}.jsonl", lambda values: VehicleResult(**values))
-    before, keys = store.read(), Keys()
-    kept = {
-        member.vehicle: before[member.vehicle] for member in members if keys.hold(before.get(member.vehicle), member)
-    }
-    todo = [member for member in members if member.vehicle not in kept]
-    n_kept = len(kept)
-    results = run_tasks(TASKS[what], todo, _given_up, lambda _member: WEIGHT, workers=workers, scheduler=scheduler)
-    with store.adding() as add:
-        for number, record in enumerate(results, 1):
-            add({record.name: line_of(record)})
-            kept[record.name] = record
-            if progress is not None:
-                progress(number, len(todo))
-    store.rewrite({name: line_of(record) for name, record in kept.items()})
-    records = tuple(kept[member.vehicle] for member in members)
-    labels = labels_of(folder, members)
-    return Survey(what, records, shared_causes(records, labels), len(todo), n_kept, _quantities(records, labels))
+    members = {member.vehicle: member for member in members_of(folder)}
+    with engine(workers, scheduler) as opened:
+        path, task = Path(into) / f"{what}.jsonl", partial(_results, what)
+        kept, n_new = renewed(path, members, opened, task, _given_up, progress, lambda _member: WEIGHT)
+    records = tuple(VehicleResult(**kept[name].values()) for name in members)
+    labels = labels_of(folder, tuple(members.values()))
+    shared = shared_causes(records, labels)
+    return Survey(what, records, shared, n_new, len(members) - n_new, _quantities(records, labels))
 
 
-def _given_up(member: Member, why: str) -> VehicleResult:
-    return VehicleResult(member.vehicle, "", why=why)
+def _given_up(member: Member, why: str) -> Kept:
+    return Kept.of(VehicleResult(member.vehicle, "", why=why))
+
+
+def _results(what: str, members: Sequence[Member]) -> list[Kept]:
+    """Do a task for some vehicles; never raises for bad input: what is wrong is in the result."""
+    results, keys = [], Keys()
+    for member in members:
+        key = ""
+        try:
+            key = keys.of_member(member)
+            results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
+        except (CalibError, OSError) as error:
+            results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
+    return [Kept.of(result) for result in results]
 
 
 def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:
@@ -128,7 +129,7 @@ def _campaign(member: Member) -> Campaign:
     return campaign_of(member.parts[0])
 
 
-def _check(member: Member) -> dict[str, Any]:
+def _check(member: Member) -> dict[str, object]:
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_campaign
 
@@ -143,7 +144,7 @@ def _check(member: Member) -> dict[str, Any]:
     }
 
 
-def _diagnose(member: Member) -> dict[str, Any]:
+def _diagnose(member: Member) -> dict[str, object]:
     from calib.gap.diagnose import diagnose_in_full
 
     verdict = diagnose_in_full(_campaign(member), plan=False)
@@ -154,7 +155,7 @@ def _diagnose(member: Member) -> dict[str, Any]:
     return {"verdict": str(verdict.kind), "sentence": verdict.sentence, "causes": causes}
 
 
-def _geometry(member: Member) -> dict[str, Any]:
+def _geometry(member: Member) -> dict[str, object]:
     from calib.kinematics.estimate import estimate_geometry
 
     geometry = estimate_geometry(_campaign(member))
@@ -167,36 +168,9 @@ def _geometry(member: Member) -> dict[str, Any]:
     }
 
 
-def _run(task: Callable[[Member], dict[str, Any]], members: Sequence[Member]) -> list[VehicleResult]:
-    records, keys = [], Keys()
-    for member in members:
-        key = ""
-        try:
-            key = keys.of_member(member)
-            records.append(VehicleResult(member.vehicle, key, task(member)))
-        except (CalibError, OSError) as error:
-            records.append(VehicleResult(member.vehicle, key, why=one_line(error)))
-    return records
-
-
-def check_members(members: Sequence[Member]) -> list[VehicleResult]:
-    """Check vehicles: what is wrong and what is suspicious in each."""
-    return _run(_check, members)
-
-
-def geometry_members(members: Sequence[Member]) -> list[VehicleResult]:
-    """Estimate radii, track and sensor of vehicles."""
-    return _run(_geometry, members)
-
-
-def diagnose_members(members: Sequence[Member]) -> list[VehicleResult]:
-    """Diagnose vehicles: verdict and causes of each."""
-    return _run(_diagnose, members)
-
-
-#: task -> function of some members; a new task is a function and a line here
-TASKS: Final[dict[str, Callable[[Sequence[Member]], list[VehicleResult]]]] = {
-    "check": check_members,
-    "geometry": geometry_members,
-    "diagnose": diagnose_members,
+#: task -> function of a vehicle; a new task is a function and a line here
+TASKS: Final[dict[str, Callable[[Member], dict[str, object]]]] = {
+    "check": _check,
+    "geometry": _geometry,
+    "diagnose": _diagnose,
 }

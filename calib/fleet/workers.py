@@ -52,20 +52,6 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
         opened.close()
 
 
-def run_tasks(
-    task: Task[Item, Result],
-    items: Sequence[Item],
-    given_up: Callable[[Item, str], Result],
-    weigh: Callable[[Item], int] = lambda _item: 1,
-    *,
-    workers: int = 1,
-    scheduler: str = "",
-) -> Iterator[Result]:
-    """Run one task on an engine of its own; see `engine` and `Engine.run`."""
-    with engine(workers, scheduler) as opened:
-        yield from opened.run(task, items, given_up, weigh)
-
-
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
@@ -141,7 +127,7 @@ class Engine:
         task: Task[Item, Result],
         items: Sequence[Item],
         given_up: Callable[[Item, str], Result],
-        weigh: Callable[[Item], int],
+        weigh: Callable[[Item], int] = lambda _item: 1,
     ) -> Iterator[Result]:
         """Run a task on all items, a few at a time, and yield the results as they come, one an item.
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.write import write_campaign
-from calib.fleet.store import VehicleResult
+from calib.fleet.comparison import VehicleResult
 from calib.fleet.survey import survey_fleet
 from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign

@@ -29,7 +29,7 @@ from calib.documents import to_json
 from calib.fleet import run
 from calib.fleet.run import fit_fleet
 from calib.fleet.store import SUMS
-from calib.fleet.workers import run_tasks
+from calib.fleet.workers import Engine
 from tests.fleet.speeds import ROOT, at_once, dask_workers, fleet_in, say
 
 #: files done before something is killed: some, and far from all
@@ -39,10 +39,10 @@ SOME = 20
 class Shuffled:
     """Hands items out one by one in a drawn order."""
 
-    def run(self, task: Any, items: Sequence[Any], given_up: Any, _weigh: Any) -> Iterator[Any]:
+    def run(self, task: Any, items: Sequence[Any], given_up: Any, _weigh: Any = None) -> Iterator[Any]:
         """Run all of them."""
         order = np.random.default_rng(6).permutation(len(items))
-        return run_tasks(task, [items[k] for k in order], given_up)
+        return Engine().run(task, [items[k] for k in order], given_up)
 
 
 def hash_of(folder: Path, into: Path, **options: Any) -> str:

@@ -15,7 +15,7 @@ import pytest
 from calib.cli.main import run
 from calib.errors import BadInputError, RefusedError
 from calib.fleet import workers as engine_module
-from calib.fleet.workers import engine, run_tasks
+from calib.fleet.workers import engine
 from tests.fleet.slow import doubled
 
 pytest.importorskip("distributed", reason="the extra fleet is not installed")
@@ -76,11 +76,12 @@ def test_a_scheduler_that_is_gone_in_the_middle_ends_the_run(
     monkeypatch.setattr(engine_module, "ANSWER_S", 4.0)
     address, process = scheduler
     _wait_for(address)
-    results = run_tasks(doubled, list(range(200)), lambda item, _why: -item, scheduler=address)
-    assert next(results) in range(0, 400, 2)
-    process.send_signal(how)
-    with pytest.raises(RefusedError, match="found no answer"):
-        list(results)
+    with engine(scheduler=address) as opened:
+        results = opened.run(doubled, list(range(200)), lambda item, _why: -item)
+        assert next(results) in range(0, 400, 2)
+        process.send_signal(how)
+        with pytest.raises(RefusedError, match="found no answer"):
+            list(results)
 
 
 def _wait_for(address: str) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.fleet.order import WheelSums, widened
+from calib.fleet.vehicle import WheelSums, widened
 from calib.radius.regression import fit_wheel
 from calib.radius.sessions import line_from_sums
 from calib.types import FloatArray, StrArray

@@ -17,7 +17,7 @@ from calib.documents import to_json
 from calib.fleet import run
 from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS
-from calib.fleet.workers import run_tasks
+from calib.fleet.workers import Engine, engine
 from calib.plant.fleet import FleetTruth
 from calib.radius.fit import fit_campaign
 
@@ -58,9 +58,9 @@ def test_partitions_shuffled_give_the_same_bytes(
     class Shuffled:
         """Hands items out in a drawn order."""
 
-        def run(self, task: Any, items: Sequence[Any], given_up: Any, _weigh: Any) -> Iterator[Any]:
+        def run(self, task: Any, items: Sequence[Any], given_up: Any, _weigh: Any = None) -> Iterator[Any]:
             order = np.random.default_rng(6).permutation(len(items))
-            return run_tasks(task, [items[k] for k in order], given_up)
+            return Engine().run(task, [items[k] for k in order], given_up)
 
     monkeypatch.setattr(run, "engine", lambda *_: nullcontext(Shuffled()))
     assert _bytes(fit_fleet(small[0], tmp_path / "shuffled")) == _bytes(straight)
@@ -124,7 +124,8 @@ def _dies_at_seven(batch: list[int]) -> list[int]:
 
 def test_a_worker_that_dies_costs_its_own_task_only() -> None:
     """The item that kills its worker is given up after two tries; every other has its result."""
-    results = run_tasks(_dies_at_seven, list(range(40)), lambda item, why: -item, workers=2)
+    with engine(2) as opened:
+        results = list(opened.run(_dies_at_seven, list(range(40)), lambda item, why: -item))
     assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
 
 
@@ -150,5 +151,6 @@ def test_a_dask_scheduler_gives_the_same_bytes(small: tuple[Path, FleetTruth], t
 
 def test_a_dask_worker_that_dies_costs_its_own_task_only(scheduler: str) -> None:
     """The item that kills its worker is given up; every other of its task has its result from another worker."""
-    results = run_tasks(_dies_at_seven, list(range(40)), lambda item, why: -item, scheduler=scheduler)
+    with engine(scheduler=scheduler) as opened:
+        results = list(opened.run(_dies_at_seven, list(range(40)), lambda item, why: -item))
     assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])

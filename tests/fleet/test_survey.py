@@ -13,9 +13,8 @@ from markupsafe import escape
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
 from calib.fleet import survey as survey_module
-from calib.fleet.comparison import shared_causes
-from calib.fleet.members import Member
-from calib.fleet.store import VehicleResult
+from calib.fleet.comparison import VehicleResult, shared_causes
+from calib.fleet.store import Member
 from calib.fleet.survey import survey_fleet
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.fleet import make_posed_fleet
@@ -79,7 +78,7 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
         values = {"track_m": (track, 2e-5), "radius_left_m": (radius, 2e-6)}
         return {"estimates": {name: {"value": value, "sd": sd} for name, (value, sd) in values.items()}, "wrong": []}
 
-    monkeypatch.setattr(survey_module, "_geometry", estimated)
+    monkeypatch.setitem(survey_module.TASKS, "geometry", estimated)
     survey = survey_fleet(fleet, tmp_path / "out", "geometry")
     assert survey.quantities is not None
     assert [outlier.vehicle for outlier in survey.quantities.outliers] == ["v05"]
