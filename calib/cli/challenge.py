@@ -7,12 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, keep, note, progress, say, show, then, wrote
-from calib.io import refuse_existing
+from calib.cli import terminal
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
 Cases = Annotated[int | None, typer.Option("--cases", metavar="N", min=1, help="Only so many cases.")]
-Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes.")]
 Truth = Annotated[
     Path | None, typer.Option("--truth", metavar="FILE", help="The sealed truth; DIR.truth.json where not given.")
 ]
@@ -23,9 +21,7 @@ def make(
     into: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,
-    workers: Workers = 2,
-    json: JsonTarget = None,
-    force: Force = False,
+    workers: terminal.Workers = 2,
 ) -> None:
     """Make sealed cases: first the truth, in one file apart whose hash is stored, then the campaigns.
 
@@ -34,35 +30,33 @@ def make(
     from calib.challenge.seal import make
     from calib.reporting.next_step import after_challenge
 
-    with progress("making") as tick:
+    with terminal.progress("making") as tick:
         sealed_set = make(
             seeds,
             into,
             limit=cases,
             truth_file=truth,
             workers=workers,
-            force=force,
+            force=terminal.forced(),
             tick=lambda stage, done, total: tick(done, total, stage),
-            sealed=lambda digest: say(f"truth sealed, SHA-256 {digest}", target=json),
+            sealed=lambda digest: terminal.say(f"truth sealed, SHA-256 {digest}"),
         )
-    say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}", target=json)
+    terminal.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
     document = {
         "folder": str(sealed_set.folder),
         "truth": str(sealed_set.truth),
         "sha256": sealed_set.sha256,
         "cases": sealed_set.cases,
     }
-    then(after_challenge("make", into), target=json)
-    emit_json(document, json, force=force)
+    terminal.then(after_challenge("make", into))
+    terminal.emit_json(document)
 
 
 def run(
     folder: Folder,
     cases: Cases = None,
-    workers: Workers = 2,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the diagnosis.")] = 0,
-    json: JsonTarget = None,
-    force: Force = False,
+    workers: terminal.Workers = 2,
+    seed: terminal.Seed = 0,
 ) -> None:
     """Diagnose every case that has no verdict yet; the truth is not opened.
 
@@ -71,14 +65,14 @@ def run(
     from calib.challenge.run import run as run_set
     from calib.reporting.next_step import after_challenge
 
-    keep(f"the verdicts so far, in {folder}; the same command goes on")
-    with progress("diagnosing") as tick:
+    terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
+    with terminal.progress("diagnosing") as tick:
         ran = run_set(
             folder, workers=workers, seed=seed, limit=cases, tick=lambda done, total: tick(done, total, "cases")
         )
-    say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error", target=json)
-    then(after_challenge("run", folder), target=json)
-    emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed}, json, force=force)
+    terminal.say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error")
+    terminal.then(after_challenge("run", folder))
+    terminal.emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed})
 
 
 def score(
@@ -87,8 +81,6 @@ def score(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="PNG, SVG or PDF; the confusion matrix goes beside it.")
     ] = None,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> int:
     """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed.
 
@@ -99,17 +91,17 @@ def score(
     from calib.reporting.topics.challenge import score_content
 
     beside = None if plot is None else plot.with_name(f"{plot.stem}-confusion{plot.suffix}")
-    refuse_existing([plot, beside], force=force)
+    terminal.refuse_outputs(plot, beside)
     scored = score_set(folder, truth_file=truth)
-    show(score_content(scored), target=json)
+    terminal.show(score_content(scored))
     if plot is not None and beside is not None:
         from calib.reporting.figures.challenge import board_figure, confusion_figure, save
 
-        save(board_figure(scored), plot, force=force)
-        save(confusion_figure(scored), beside, force=force)
-        wrote([plot, beside], target=json)
-    then(after_challenge("score", folder), target=json)
-    emit_json(scored.to_dict(), json, force=force)
+        save(board_figure(scored), plot, force=terminal.forced())
+        save(confusion_figure(scored), beside, force=terminal.forced())
+        terminal.wrote([plot, beside])
+    terminal.then(after_challenge("score", folder))
+    terminal.emit_json(scored.to_dict())
     return 1 if any(scored.meets(line) is False for line in scored.board) else 0
 
 
@@ -122,11 +114,9 @@ def own(
         str, typer.Option(metavar="LIST", help="10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
     planted: Annotated[int, typer.Option(metavar="N", min=1, help="How often each.")] = 5,
-    workers: Workers = 2,
+    workers: terminal.Workers = 2,
     seconds: Annotated[float, typer.Option(metavar="S", min=1.0, help="Begin no diagnosis after so long.")] = 900.0,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of everything that is drawn.")] = 0,
-    json: JsonTarget = None,
-    force: Force = False,
+    seed: terminal.Seed = 0,
 ) -> int:
     """Plant known effects on this campaign's own noise and route, and say what its data would find.
 
@@ -143,13 +133,13 @@ def own(
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
     campaign = read_campaign(folder)
-    with progress("planting") as tick:
+    with terminal.progress("planting") as tick:
         own_score = challenge_own(campaign, asked, tick=lambda done, total: tick(done, total, "diagnoses"))
     if own_score.done < own_score.asked:
-        note(
+        terminal.note(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"
         )
-    show(own_content(own_score), target=json)
-    then(after_challenge("own", folder), target=json)
-    emit_json(own_score.to_dict(), json, force=force)
+    terminal.show(own_content(own_score))
+    terminal.then(after_challenge("own", folder))
+    terminal.emit_json(own_score.to_dict())
     return 0 if own_score.trusted else 1

@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, MappingOption, answer, progress, then
+from calib.cli import terminal
 
 
 def run(
     campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 on suspicious things, too.")] = False,
-    mapping: MappingOption = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    mapping: terminal.MappingOption = None,
 ) -> int:
     """Say what was found in a campaign, what is wrong and what is suspicious; nothing is changed.
 
@@ -32,7 +30,7 @@ def run(
     from calib.reporting.next_step import after_check
     from calib.reporting.topics.checks import check_content
 
-    with progress("checking") as tick:
+    with terminal.progress("checking") as tick:
         report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)
     document = {
         "campaign": report.campaign,
@@ -42,6 +40,6 @@ def run(
         "found": asdict(report.found),
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
-    answer(document, check_content(report), json=json, force=force)
-    then(after_check(report.verdict, campaign, distances=report.found.distance_m is not None), target=json)
+    terminal.answer(document, check_content(report))
+    terminal.then(after_check(report.verdict, campaign, distances=report.found.distance_m is not None))
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

@@ -12,8 +12,9 @@ import typer
 from typer.core import TyperCommand
 
 from calib.arguments import inputs_kept, refuse_special
+from calib.cli.terminal import FORCE, JSON_TARGET, Force, JsonTarget, refuse_outputs
 from calib.errors import BadInputError
-from calib.io import refuse_empty, refuse_existing
+from calib.io import refuse_empty
 
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
@@ -21,8 +22,17 @@ OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", 
 ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
 
 
+def _shared(json: JsonTarget = None, force: Force = False) -> None:
+    """Declare the options of every command."""
+
+
 class Guarded(TyperCommand):
-    """A command whose path arguments are held sacred while it runs."""
+    """A command with ``--json`` and ``--force``, whose inputs are never written while it runs."""
+
+    def __init__(self, *args: Any, params: list[Any] | None = None, **kwargs: Any) -> None:
+        shared = typer.Typer(add_completion=False)
+        shared.command()(_shared)
+        super().__init__(*args, params=[*(params or ()), *typer.main.get_command(shared).params], **kwargs)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of a command line, none of whose paths may be empty."""
@@ -38,9 +48,12 @@ class Guarded(TyperCommand):
         seed = ctx.params.get("seed")
         if isinstance(seed, int) and not 0 <= seed < 2**63:
             raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
+        target = ctx.params.pop("json")
+        JSON_TARGET.set(target)
+        FORCE.set(ctx.params.pop("force"))
         with inputs_kept(paths):
             # before the work, not after it
-            refuse_existing([ctx.params.get("json")], force=bool(ctx.params.get("force")))
+            refuse_outputs(target and Path(target))
             return super().invoke(ctx)
 
 
@@ -79,7 +92,7 @@ class Application(typer.Typer):
         return super().command(*args, **kwargs)
 
 
-def _inputs(parameters: dict[str, Any], outputs: frozenset[str]) -> Iterator[Path]:
+def _inputs(parameters: dict[str, object], outputs: frozenset[str]) -> Iterator[Path]:
     for name, value in parameters.items():
         if name in outputs:
             continue

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, answer, then, waiting
+from calib.cli import terminal
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -39,8 +39,6 @@ def run(
     radius_ratio: Annotated[
         float | None, typer.Option(metavar="E_R", help="Also show the steady arc of wheels with r_R / r_L = E_R.")
     ] = None,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> int:
     """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
 
@@ -52,12 +50,12 @@ def run(
     from calib.reporting.next_step import after_deviation
     from calib.reporting.topics.deviation import arc_content, runs_content, weave_content
 
-    with waiting("reading"):
+    with terminal.waiting("reading"):
         read, judged = _judged(campaign, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
     rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
     arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
-    document: dict[str, Any] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
+    document: dict[str, object] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
     content = weave_content(rows, tolerance, track_m) if judged is None or amplitude or wavelength else ()
     content += () if arc is None else arc_content(arc)
     if judged is not None and read is not None:
@@ -70,8 +68,8 @@ def run(
             "notes": list(judged.notes),
             "passed": judged.passed,
         }
-    answer(document, content, json=json, force=force)
-    then(after_deviation(campaign), target=json)
+    terminal.answer(document, content)
+    terminal.then(after_deviation(campaign))
     return 0 if judged is None or judged.passed else 1
 
 

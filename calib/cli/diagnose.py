@@ -7,27 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import (
-    CampaignOrRecording,
-    Figures,
-    Force,
-    JsonTarget,
-    MappingOption,
-    Seed,
-    draw,
-    emit_json,
-    figure_files,
-    keep,
-    nearest,
-    progress,
-    say,
-    show,
-    then,
-    waiting,
-    wrote,
-)
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,19 +30,19 @@ Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Run
 
 
 def run(
-    campaign: CampaignOrRecording,
+    campaign: terminal.CampaignOrRecording,
     model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Coefficient file that the simulator believes.")
     ] = None,
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="EFFECT", help="Leave an effect out of the library; again for more.")
     ] = None,
-    seed: Seed = 0,
+    seed: terminal.Seed = 0,
     apply: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the model with the named effect; of a simulator: what to set."),
     ] = None,
-    figures: Figures = None,
+    figures: terminal.Figures = None,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write one page to look into, with linked panels.")
     ] = None,
@@ -71,9 +52,7 @@ def run(
     ] = None,
     simulator: Simulator = None,
     workers: Workers = 1,
-    mapping: MappingOption = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    mapping: terminal.MappingOption = None,
 ) -> int:
     """Say where the gap between measured and simulated motion lies, and which unmodelled effect causes it.
 
@@ -84,18 +63,17 @@ def run(
     """
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
-    from calib.io import write_json, write_text
     from calib.reporting.next_step import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
-    refuse_existing([apply, html, result, *_pictures(figures)], force=force)
+    terminal.refuse_outputs(apply, html, result, *_pictures(figures))
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
         raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
     left_out = tuple(exclude or ())
-    with progress("diagnosing") as tick:
+    with terminal.progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         diagnosis, effects, ran = (
             _diagnosed(read, model, left_out, seed, journeys, tick)
@@ -103,51 +81,40 @@ def run(
             else _simulated(read, simulator, left_out, seed, workers, tick)
         )
     document = verdict_document(diagnosis)
-    show(diagnosis_full(diagnosis), target=json)
-    say(ran, target=json)
+    terminal.show(diagnosis_full(diagnosis))
+    terminal.say(ran)
     if apply is not None:
-        _apply(diagnosis, read, effects, apply, json=json, force=force)
-    if result is not None:
-        wrote([write_json(result, document, force=force)], target=json)
+        _apply(diagnosis, read, effects, apply)
+    terminal.save(result, document)
     if html is not None:
-        wrote([write_text(html, _page(diagnosis, read), force=force)], target=json)
-    draw(lambda: _figures(diagnosis), figures, json=json, force=force)
-    emit_json(document, json, force=force)
-    then(after_diagnosis(diagnosis, campaign), target=json)
+        terminal.save(html, _page(diagnosis, read))
+    terminal.draw(lambda: _figures(diagnosis), figures)
+    terminal.emit_json(document)
+    terminal.then(after_diagnosis(diagnosis, campaign))
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
-def _apply(
-    diagnosis: Diagnosis,
-    campaign: Campaign,
-    effects: tuple[EffectSection, ...] | None,
-    target: Path,
-    *,
-    json: str | None,
-    force: bool,
-) -> None:
+def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path) -> None:
     """Write the model with its correction, and say so where that is not recommended.
 
     `effects` are those that the model has already; None for a simulator, of which the parameters to set are written.
     """
     from calib.gap.apply import applied_model
     from calib.gap.simulator.fix import parameters_to_set
-    from calib.io import write_bytes, write_json
 
     if effects is None:
-        written, what = write_json(target, parameters_to_set(diagnosis), force=force), "parameters are"
+        terminal.save(target, parameters_to_set(diagnosis))
     else:
-        model = applied_model(diagnosis, campaign, effects)
-        written, what = write_bytes(target, model.to_bytes(), force=force), "model is"
-    wrote([written], target=json)
+        terminal.save(target, applied_model(diagnosis, campaign, effects).to_bytes())
     if not diagnosis.recommended:
-        say(f"The written {what} not recommended: see above what speaks against it.", target=json)
+        what = "parameters are" if effects is None else "model is"
+        terminal.say(f"The written {what} not recommended: see above what speaks against it.")
 
 
 def _page(diagnosis: Diagnosis, campaign: Campaign) -> str:
     from calib.reporting.html import diagnosis_page
 
-    with waiting("making the page"):
+    with terminal.waiting("making the page"):
         return diagnosis_page(diagnosis, campaign)
 
 
@@ -156,7 +123,7 @@ def _pictures(folder: Path | None) -> list[Path]:
         return []
     from calib.reporting.figures.gap import GAP_FIGURES
 
-    return figure_files(folder, GAP_FIGURES)
+    return terminal.figure_files(folder, GAP_FIGURES)
 
 
 def _figures(diagnosis: Diagnosis) -> dict[str, Figure]:
@@ -213,7 +180,7 @@ def _simulated(
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
         if finished and cache_folder("simulator") is not None:
-            keep(f"results of {finished} runs of the simulator, which will not run again")
+            terminal.keep(f"results of {finished} runs of the simulator, which will not run again")
         raise
     return done.diagnosis, None, done.runs.sentence
 
@@ -226,5 +193,5 @@ def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
     try:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     except BadInputError as error:
-        near = "".join(nearest(name, REGISTRY) for name in exclude if name not in REGISTRY)
+        near = "".join(terminal.nearest(name, REGISTRY) for name in exclude if name not in REGISTRY)
         raise BadInputError(f"--{error}{near}") from error

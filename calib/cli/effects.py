@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, draw, emit_json, figure_files, nearest, show, then, waiting
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,9 +30,7 @@ def run(
             metavar="CAMPAIGN", help="Judge on this campaign's runs; its columns and declared effects are listed, too."
         ),
     ] = None,
-    figures: Figures = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    figures: terminal.Figures = None,
 ) -> None:
     """List the effects that may cause a gap, or say of one what it needs, what separates it, and what it leaves.
 
@@ -42,17 +39,17 @@ def run(
 
     Example: calib effects track_width --figures pictures
     """
-    with waiting("looking"):
+    with terminal.waiting("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
     drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
-    refuse_existing(figure_files(figures, drawable), force=force)
+    terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
     from calib.reporting.next_step import after_effects
     from calib.reporting.topics.effects import effect_content, effects_content
 
-    show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs), target=json)
-    draw(lambda: _figures(entries, nominal), figures, json=json, force=force)
-    then(after_effects(effect, campaign), target=json)
-    emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]}, json, force=force)
+    terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
+    terminal.draw(lambda: _figures(entries, nominal), figures)
+    terminal.then(after_effects(effect, campaign))
+    terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
 
 def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
@@ -69,7 +66,7 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
     if effect is not None:
         known = every_effect(nominal.s, declared=declared)
         if effect not in known:
-            near = nearest(effect, known)
+            near = terminal.nearest(effect, known)
             raise BadInputError(
                 f"found the effect {effect!r}; expected one that 'calib effects' lists{near or '; choose one of it'}"
             )

@@ -4,25 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import (
-    AcceptImplausible,
-    Force,
-    JsonTarget,
-    emit_json,
-    emit_text,
-    note,
-    progress,
-    then,
-    wants_stdout,
-    wrote,
-)
+from calib.cli import terminal
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 from calib.reporting.exports import BINARY
 from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
@@ -86,9 +74,7 @@ def run(
     right: Right = "",
     velocity_feedback: VelocityFeedback = False,
     open_loop: OpenLoop = False,
-    accept_implausible: AcceptImplausible = "",
-    json: JsonTarget = None,
-    force: Force = False,
+    accept_implausible: terminal.AcceptImplausible = "",
 ) -> None:
     """Write the coefficients for a vehicle, a controller, a simulator's model, or a calibration certificate.
 
@@ -99,9 +85,9 @@ def run(
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
-    refuse_existing([output if output is not None and output.is_file() else None], force=force)
+    terminal.refuse_outputs(output if output is not None and output.is_file() else None)
     if to in OTHER_FORMATS:
-        _export_other(source, to, output, accept_implausible.strip(), json, force=force)
+        _export_other(source, to, output, accept_implausible.strip())
         return
     coefficients = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
     options = ExportOptions(
@@ -116,9 +102,9 @@ def run(
     artifacts = export(coefficients.file, to, options=options)
     notes = [*coefficients.notes, *(text for artifact in artifacts for text in artifact.notes)]
     for text in notes:
-        note(text)
-    files = _written(artifacts, output, json, force=force)
-    _tell_next(to, source, output, json)
+        terminal.note(text)
+    files = _written(artifacts, output)
+    _tell_next(to, source, output)
     document = {
         "to": to,
         "checksum": coefficients.file.checksum,
@@ -127,44 +113,42 @@ def run(
         "files": files,
         "notes": notes,
     }
-    emit_json(document, json, force=force)
+    terminal.emit_json(document)
 
 
-def _export_other(source: Path, to: str, output: Path | None, accept: str, json: str | None, *, force: bool) -> None:
+def _export_other(source: Path, to: str, output: Path | None, accept: str) -> None:
     """Write a format that needs the fit or the runs beside the coefficients."""
     from calib.reporting.exports import export_from
 
     if to in BINARY and output is None:
         raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
-    with progress(to) as tick:
+    with terminal.progress(to) as tick:
         artifacts = export_from(source, to, accept=accept, progress=tick)
     notes = [text for artifact in artifacts for text in artifact.notes]
     for text in notes:
-        note(text)
-    files = _written(artifacts, output, json, force=force)
-    _tell_next(to, source, output, json)
-    emit_json({"to": to, "files": files, "notes": notes}, json, force=force)
+        terminal.note(text)
+    files = _written(artifacts, output)
+    _tell_next(to, source, output)
+    terminal.emit_json({"to": to, "files": files, "notes": notes})
 
 
-def _tell_next(to: str, source: Path, output: Path | None, json: str | None) -> None:
+def _tell_next(to: str, source: Path, output: Path | None) -> None:
     """Say what to do with the files; where they went to standard output, nothing is added to them."""
     from calib.reporting.next_step import after_export
 
     if output is not None:
-        then(after_export(to, source, output), target=json)
+        terminal.then(after_export(to, source, output))
 
 
-def _written(
-    artifacts: Sequence[Artifact], output: Path | None, json: str | None, *, force: bool
-) -> list[dict[str, Any]]:
+def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
     """Write the files, or their text to standard output, or into the JSON where that goes there."""
     from calib.coefficients.export import place
 
     if output is not None:
-        files = place(artifacts, output, force=force)
-        wrote([written["path"] for written in files], target=json)
+        files = place(artifacts, output, force=terminal.forced())
+        terminal.wrote([written["path"] for written in files])
         return files
-    if wants_stdout(json):
+    if terminal.wants_stdout():
         return [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
-    emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+    terminal.emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
     return []

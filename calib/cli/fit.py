@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import (
-    CampaignOrRecording,
-    Figures,
-    Force,
-    JsonTarget,
-    MappingOption,
-    draw,
-    emit_json,
-    figure_files,
-    progress,
-    show,
-    then,
-    wants_stdout,
-    wrote,
-)
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.coefficients.export import Source
@@ -32,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    campaign: CampaignOrRecording,
+    campaign: terminal.CampaignOrRecording,
     into: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export.")
     ] = None,
@@ -51,10 +36,8 @@ def run(
         ),
     ] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List the radius of every run.")] = False,
-    figures: Figures = None,
-    mapping: MappingOption = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    figures: terminal.Figures = None,
+    mapping: terminal.MappingOption = None,
 ) -> int:
     """Fit each wheel's effective radius against its load.
 
@@ -73,9 +56,9 @@ def run(
     from calib.reporting.topics.fit import FIT_PICTURES, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
-    refuse_existing([*results, *figure_files(figures, FIT_PICTURES)], force=force)
+    terminal.refuse_outputs(*results, *terminal.figure_files(figures, FIT_PICTURES))
     believed, reference_load = _believed(model, reference_load)
-    with progress("fitting") as tick:
+    with terminal.progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
@@ -85,21 +68,21 @@ def run(
         comparison, blocks = _compared(fitted, believed)
         document["model_comparison"] = comparison
         content = (*content[:-1], *blocks, content[-1])
-    if not wants_stdout(json):
-        show(content)
-    wrote([] if into is None else [write_result(fitted, into, force=force)], target=json)
-    draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures, json=json, force=force)
-    emit_json(document, json, force=force)
-    then(after_fit(fitted.passed, campaign), target=json)
+    if not terminal.wants_stdout():
+        terminal.show(content)
+    terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
+    terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
+    terminal.emit_json(document)
+    terminal.then(after_fit(fitted.passed, campaign))
     return 0 if fitted.passed else 1
 
 
 def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
     """Return the coefficients that a simulator believes, and the load to fit at."""
-    from calib.coefficients.export import coefficients_of
-
     if model is None:
         return None, reference_load
+    from calib.coefficients.export import coefficients_of
+
     if reference_load is not None:
         raise BadInputError(
             "--reference-load: found with --model; expected one of them, since the model brings its own; leave one out"
@@ -108,7 +91,7 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
     return source, source.file.law.left.reference_load_N
 
 
-def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, Any], tuple[Block, ...]]:
+def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[Block, ...]]:
     """Return the fit held against the model, as plain values and as blocks."""
     from calib.coefficients.export import effects_left_out
     from calib.radius.fit import compare_laws

@@ -7,24 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.terminal import (
-    AcceptImplausible,
-    CampaignOrRecording,
-    Figures,
-    Force,
-    JsonTarget,
-    MappingOption,
-    draw,
-    emit_json,
-    figure_files,
-    nearest,
-    progress,
-    show,
-    then,
-    wrote,
-)
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +24,7 @@ RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
 
 
 def run(
-    campaign: CampaignOrRecording,
+    campaign: terminal.CampaignOrRecording,
     using: Annotated[
         str | None, typer.Option(metavar="WHAT", help="end-poses or windows; without it what the campaign has.")
     ] = None,
@@ -52,11 +36,9 @@ def run(
     ] = None,
     into: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the result there (geometry.json).")] = None,
     output: Annotated[Path | None, typer.Option(metavar="COEFFICIENTS", help="Write a coefficient file.")] = None,
-    figures: Figures = None,
-    mapping: MappingOption = None,
-    accept_implausible: AcceptImplausible = "",
-    json: JsonTarget = None,
-    force: Force = False,
+    figures: terminal.Figures = None,
+    mapping: terminal.MappingOption = None,
+    accept_implausible: terminal.AcceptImplausible = "",
 ) -> int:
     """Estimate radii, track and the reference's sensor together, with intervals.
 
@@ -67,37 +49,33 @@ def run(
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
     from calib.campaign.read import read_or_ingest
-    from calib.io import write_bytes, write_json
     from calib.kinematics.estimate import estimate_geometry
     from calib.reporting.next_step import after_geometry
     from calib.reporting.topics.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     result = into / RESULT_FILE if into is not None else None
-    refuse_existing([output, result, *figure_files(figures, [PICTURE])], force=force)
-    with progress("estimating") as tick:
+    terminal.refuse_outputs(output, result, *terminal.figure_files(figures, [PICTURE]))
+    with terminal.progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
-    show(geometry_content(estimated), target=json)
+    terminal.show(geometry_content(estimated))
     document = estimated.to_dict()
-    if result is not None:
-        wrote([write_json(result, document, force=force)], target=json)
-    draw(lambda: _figures(estimated, read), figures, json=json, force=force)
-    emit_json(document, json, force=force)
+    terminal.save(result, document)
+    terminal.draw(lambda: _figures(estimated, read), figures)
+    terminal.emit_json(document)
     if output is not None:
         from calib.coefficients.build import from_geometry
 
-        coefficients = from_geometry(estimated, read, accept=accept_implausible.strip())
-        wrote([write_bytes(output, coefficients.to_bytes(), force=force)], target=json)
-    then(after_geometry(estimated, campaign, output), target=json)
+        terminal.save(output, from_geometry(estimated, read, accept=accept_implausible.strip()).to_bytes())
+    terminal.then(after_geometry(estimated, campaign, output))
     return 0 if estimated.passed else 1
 
 
 def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
     if given is not None and given not in known:
-        raise BadInputError(
-            f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{nearest(given, known)}"
-        )
+        near = terminal.nearest(given, known)
+        raise BadInputError(f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{near}")
     return None if given is None else known[given]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, emit_text, progress, say, then, waiting, wants_stdout
+from calib.cli import terminal
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -27,8 +27,6 @@ def run(
         bool, typer.Option("--describe", help="Describe the files and propose a mapping, as TOML.")
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but write.")] = False,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
@@ -43,7 +41,7 @@ def run(
     from calib.errors import BadInputError
 
     if describe:
-        _describe(sources, json, force)
+        _describe(sources)
         return
     if into is None:
         raise BadInputError(
@@ -53,8 +51,8 @@ def run(
     from calib.reporting.next_step import after_ingest
     from calib.result import plain
 
-    with progress("reading") as tick:
-        ingested = ingest(sources, into, mapping=mapping, force=force, dry_run=dry_run, progress=tick)
+    with terminal.progress("reading") as tick:
+        ingested = ingest(sources, into, mapping=mapping, force=terminal.forced(), dry_run=dry_run, progress=tick)
     document = {
         "campaign": str(ingested.folder),
         "n_runs": ingested.n_runs,
@@ -65,28 +63,28 @@ def run(
         "cuts": plain(ingested.cuts),
         "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in ingested.notes],
     }
-    emit_json(document, json, force=force)
-    if wants_stdout(json):
+    terminal.emit_json(document)
+    if terminal.wants_stdout():
         return
     for note in merged_notes(ingested.notes):
-        say(f"{note.where}: {note.text}")
+        terminal.say(f"{note.where}: {note.text}")
     _say_cuts(ingested)
     end = "; nothing was written" if dry_run else ""
-    say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
-    then(after_ingest(ingested.folder, written=not dry_run))
+    terminal.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
+    terminal.then(after_ingest(ingested.folder, written=not dry_run))
 
 
-def _describe(sources: list[Path], json: str | None, force: bool) -> None:
+def _describe(sources: list[Path]) -> None:
     from calib.campaign.ingest.describe import describe
     from calib.reporting.next_step import after_files
 
-    with waiting("looking"):
+    with terminal.waiting("looking"):
         description = describe(sources)
-    emit_json(description.to_dict(), json, force=force)
-    if not wants_stdout(json):
-        emit_text(description.to_toml())
+    terminal.emit_json(description.to_dict())
+    if not terminal.wants_stdout():
+        terminal.emit_text(description.to_toml())
         # standard output is the mapping alone
-        then(after_files(sources), target="-")
+        terminal.then(after_files(sources), aside=True)
 
 
 def _say_cuts(ingested: Ingested) -> None:
@@ -94,4 +92,4 @@ def _say_cuts(ingested: Ingested) -> None:
         return
     shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in ingested.cuts[:_LISTED_RUNS])
     more = f" and {len(ingested.cuts) - _LISTED_RUNS} more" if len(ingested.cuts) > _LISTED_RUNS else ""
-    say(f"Cut into runs: {shown}{more}.")
+    terminal.say(f"Cut into runs: {shown}{more}.")

@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, emit_json, then, wants_stdout, wrote
+from calib.cli import terminal
 
 
 def run(
     folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")],
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
@@ -24,8 +22,8 @@ def run(
     from calib.campaign.ingest.describe import write_blank
     from calib.reporting.next_step import after_init
 
-    written = write_blank(folder, force=force)
-    emit_json({"campaign": str(folder), "written": [str(path) for path in written]}, json, force=force)
-    if not wants_stdout(json):
-        wrote(written)
-        then(after_init(folder))
+    written = write_blank(folder, force=terminal.forced())
+    terminal.emit_json({"campaign": str(folder), "written": [str(path) for path in written]})
+    if not terminal.wants_stdout():
+        terminal.wrote(written)
+        terminal.then(after_init(folder))

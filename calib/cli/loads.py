@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.terminal import Figures, Force, JsonTarget, answer, draw, figure_files, nearest, numbers, then
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,9 +42,7 @@ def run(
     track: Annotated[float | None, typer.Option(metavar="M", help="Track.")] = None,
     wheelbase: Annotated[float | None, typer.Option(metavar="M", help="Wheelbase.")] = None,
     max_load: Annotated[float | None, typer.Option(metavar="N", help="Permissible wheel load.")] = None,
-    figures: Figures = None,
-    json: JsonTarget = None,
-    force: Force = False,
+    figures: terminal.Figures = None,
 ) -> None:
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
 
@@ -70,23 +67,23 @@ def run(
         max_wheel_load_N=max_load,
     )
     if weighed is not None:
-        front, left, right = numbers(weighed, 3, "--weighed")
+        front, left, right = terminal.numbers(weighed, 3, "--weighed")
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
         document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
-        answer(document, weighed_content(known, known=sigma > 0), json=json, force=force)
-        then(after_loads(), target=json)
+        terminal.answer(document, weighed_content(known, known=sigma > 0))
+        terminal.then(after_loads())
         return
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
-        near = "" if sweep in COLUMNS else nearest(sweep, COLUMNS)
+        near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
         raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
     stem = STEMS.get(sweep or "", "loads")
-    refuse_existing(figure_files(figures, [stem]), force=force)
+    terminal.refuse_outputs(*terminal.figure_files(figures, [stem]))
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     swept = sweep_loads(meant, payload, x, y, swept=swept_column, span=span, steps=steps)
-    written = draw(lambda: _figures(stem, swept), figures, json=json, force=force)
+    written = terminal.draw(lambda: _figures(stem, swept), figures)
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
-    answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept), json=json, force=force)
-    then(after_loads(), target=json)
+    terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
+    terminal.then(after_loads())
 
 
 def _figures(stem: str, swept: LoadSweep) -> dict[str, Figure]:

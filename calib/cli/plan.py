@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import Force, JsonTarget, draw, emit_json, figure_files, progress, say, show, then
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,12 +29,10 @@ def run(
         Path | None, typer.Option(metavar="FILE.toml", help="Runs to choose from, as [[runs]]; else the usual ones.")
     ] = None,
     most: Annotated[int, typer.Option(min=1, max=50, help="How many runs to name.")] = 5,
-    seed: Annotated[int, typer.Option(help="Seed of the diagnosis' bootstraps.")] = 0,
+    seed: terminal.Seed = 0,
     figures: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="With --from: write the matrix there as PNG, SVG and PDF.")
     ] = None,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> int:
     """List the runs to drive next, best first, with what each tells apart.
 
@@ -51,14 +48,14 @@ def run(
     if source is not None:
         if candidates is not None:
             raise BadInputError("--candidates: found with --from; expected with a CAMPAIGN; leave one of them out")
-        return _judge(source, figures, json, force=force)
+        return _judge(source, figures)
     assert campaign is not None
     if figures is not None:
         raise BadInputError("--figures: found without --from; expected with it; leave it out")
-    return _next(campaign, candidates, most, seed, json, force=force)
+    return _next(campaign, candidates, most, seed)
 
 
-def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: str | None, *, force: bool) -> int:
+def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs
@@ -66,7 +63,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
     from calib.reporting.next_step import after_plan
     from calib.reporting.topics.effects import next_runs_table
 
-    with progress("planning") as tick:
+    with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
         diagnosis = diagnose_in_full(read, seed=seed, plan=False, progress=tick)
@@ -77,32 +74,32 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int, json: s
                 read, diagnosis.effects, diagnosis.noise, ties, diagnosis.fitted, candidates=offered, most=most
             )
         ]
-    say(f"{diagnosis.campaign}: {diagnosis.sentence}", target=json)
-    show([next_runs_table(runs)], target=json)
-    then(after_plan(campaign, len(runs)), target=json)
+    terminal.say(f"{diagnosis.campaign}: {diagnosis.sentence}")
+    terminal.show([next_runs_table(runs)])
+    terminal.then(after_plan(campaign, len(runs)))
     document = {
         "verdict": diagnosis.kind.value,
         "indistinguishable": [list(group.effects) for group in diagnosis.groups],
         "next_runs": runs,
     }
-    emit_json(document, json, force=force)
+    terminal.emit_json(document)
     return 0
 
 
-def _judge(source: Path, figures: Path | None, json: str | None, *, force: bool) -> int:
+def _judge(source: Path, figures: Path | None) -> int:
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
     from calib.reporting.next_step import after_plan_file
     from calib.reporting.topics.effects import outlook_content
 
-    refuse_existing(figure_files(figures, [MATRIX]), force=force)
-    with progress("judging the plan") as tick:
+    terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
+    with terminal.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
-    show(outlook_content(planned.name, len(planned.runs), outlook), target=json)
-    draw(lambda: _figures(outlook), figures, json=json, force=force)
-    then(after_plan_file(), target=json)
-    emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()}, json, force=force)
+    terminal.show(outlook_content(planned.name, len(planned.runs), outlook))
+    terminal.draw(lambda: _figures(outlook), figures)
+    terminal.then(after_plan_file())
+    terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()})
     return 0
 
 

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.terminal import (
-    AcceptImplausible,
-    Date,
-    Figures,
-    Force,
-    JsonTarget,
-    emit_json,
-    progress,
-    say,
-    then,
-    wrote,
-)
+from calib.cli import terminal
 from calib.errors import BadInputError, RefusedError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -42,8 +30,8 @@ def run(
         Path | None,
         typer.Option(metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."),
     ] = None,
-    date: Date = None,
-    figures: Figures = None,
+    date: terminal.Date = None,
+    figures: terminal.Figures = None,
     html: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the same as one HTML page, too; with --diagnosis, to look into."),
@@ -51,10 +39,8 @@ def run(
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
     ] = False,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the diagnosis.")] = 0,
-    accept_implausible: AcceptImplausible = "",
-    json: JsonTarget = None,
-    force: Force = False,
+    seed: terminal.Seed = 0,
+    accept_implausible: terminal.AcceptImplausible = "",
 ) -> int:
     """Write the report on a campaign as PDF/A-3, the coefficient file attached.
 
@@ -71,42 +57,44 @@ def run(
     from calib.reporting.pdf import to_pdf
     from calib.reporting.source import issue_date
 
-    refuse_existing([html], force=force)
+    terminal.refuse_outputs(html)
     issued = issue_date(date)
-    _refuse_targets(source, into, figures, force=force)
-    with progress("report") as tick:
+    _refuse_targets(source, into, figures)
+    with terminal.progress("report") as tick:
         content = _content(source, issued, accept_implausible.strip(), seed if diagnosis else None, tick)
         report = content.report
-        target = place_of(report.name, into, force=force)
-        drawn = [] if figures is None else write_figures(report.figures(), figures, force=force, progress=tick)
+        target = place_of(report.name, into, force=terminal.forced())
+        drawn = (
+            [] if figures is None else write_figures(report.figures(), figures, force=terminal.forced(), progress=tick)
+        )
         page = "" if html is None else _page(content, tick)
-        write_bytes(target, to_pdf(report, tick), force=force)
+        write_bytes(target, to_pdf(report, tick), force=terminal.forced())
     if html is not None:
-        write_text(html, page, force=force)
-    _tell(content, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "", json)
+        write_text(html, page, force=terminal.forced())
+    _tell(content, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
     if content.diagnosis is not None:
         following = after_diagnosis(content.diagnosis, source)
     elif content.geometry is not None:
         following = after_geometry(content.geometry, source, None)
     else:
         following = after_report(report.passed, source)
-    then(following, target=json)
-    document: dict[str, Any] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
-    emit_json(document, json, force=force)
+    terminal.then(following)
+    document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
+    terminal.emit_json(document)
     return 0 if report.passed else 1
 
 
-def _tell(content: _Content, target: Path, html: Path | None, drawn: str, json: str | None) -> None:
+def _tell(content: _Content, target: Path, html: Path | None, drawn: str) -> None:
     """Say what was written, and whether the law or the geometry can be used."""
     report, geometry = content.report, content.geometry
     marked = ", simulated data" if report.simulated else ""
-    wrote([], target=json, what=f"{target} (report {report.report_id}{marked})")
-    wrote([] if html is None else [html], target=json)
+    terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
+    terminal.wrote([] if html is None else [html])
     if drawn:
-        wrote([], target=json, what=drawn)
+        terminal.wrote([], what=drawn)
     if not report.passed:
         what = "law" if geometry is None else "geometry"
-        say(f"A check failed: the {what} should not be used as it is; the report says why.", target=json)
+        terminal.say(f"A check failed: the {what} should not be used as it is; the report says why.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,20 +107,20 @@ class _Content:
     geometry: Geometry | None = None
 
 
-def _refuse_targets(source: Path, into: Path | None, figures: Path | None, *, force: bool) -> None:
+def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> None:
     """Refuse existing targets before the work, as far as their names are known before it."""
     from calib.campaign.settings_file import read_settings
     from calib.reporting.content import place_of
 
     settings = source / "campaign.toml"
     if settings.is_file():
-        place_of(read_settings(settings, str(settings)).name, into, force=force)
+        place_of(read_settings(settings, str(settings)).name, into, force=terminal.forced())
     if figures is not None:
         from calib.reporting.figures.gap import GAP_PICTURES
         from calib.reporting.figures.style import figure_paths
         from calib.reporting.topics.fit import FIT_PICTURES
 
-        refuse_existing(figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)), force=force)
+        terminal.refuse_outputs(*figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)))
 
 
 def _content(path: Path, issued: str, accept: str, seed: int | None, tick: Progress) -> _Content:

@@ -9,22 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from calib.cli.terminal import (
-    Force,
-    JsonTarget,
-    Seed,
-    emit_json,
-    nearest,
-    numbers,
-    pairs,
-    show,
-    then,
-    waiting,
-    wants_stdout,
-    wrote,
-)
+from calib.cli import terminal
 from calib.errors import BadInputError
-from calib.io import refuse_existing
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
@@ -55,13 +41,11 @@ Speed = Annotated[float, typer.Option("--speed", metavar="M/S", help="Speed that
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Where a simulation goes: folders of figures and of trajectories, the speed that times these, and the JSON."""
+    """Where a simulation goes: folders of figures and of trajectories, and the speed that times these."""
 
     output: Path | None
     tum: Path | None
     speed_mps: float
-    json: str | None
-    force: bool
 
     def __post_init__(self) -> None:
         if not self.speed_mps > 0.0:
@@ -82,17 +66,19 @@ def finish(
 
     written: list[Path] = []
     if targets.output is not None:
-        written += write_simulation(simulation, targets.output, force=targets.force)
+        written += write_simulation(simulation, targets.output, force=terminal.forced())
     if targets.tum is not None:
-        written += simulation_trajectories(simulation, targets.tum, speed_mps=targets.speed_mps, force=targets.force)
+        written += simulation_trajectories(
+            simulation, targets.tum, speed_mps=targets.speed_mps, force=terminal.forced()
+        )
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
     files = [str(path) for path in written]
     document = simulation.to_dict() | {"seed": seed, "notes": every_note, "files": files}
-    emit_json(document, targets.json, force=targets.force)
-    if not wants_stdout(targets.json):
-        show([*simulation_content(simulation), *items(every_note)])
-        wrote(written)
-    then(after_simulation(law), target=targets.json)
+    terminal.emit_json(document)
+    if not terminal.wants_stdout():
+        terminal.show([*simulation_content(simulation), *items(every_note)])
+        terminal.wrote(written)
+    terminal.then(after_simulation(law))
 
 
 def route(
@@ -110,8 +96,6 @@ def route(
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Drive a route on an odometry that believes other radii than the real ones.
 
@@ -125,12 +109,12 @@ def route(
     from calib.odometry.simulation import CUSTOM, simulate
     from calib.vehicle import Vehicle
 
-    targets = Targets(output, tum, speed, json, force)
+    targets = Targets(output, tum, speed)
     vehicle = Vehicle()
-    cases = [Case.off(which, value) for value in (numbers(ratio, None, "--ratio") if ratio else ())]
+    cases = [Case.off(which, value) for value in (terminal.numbers(ratio, None, "--ratio") if ratio else ())]
     if real is not None:
-        left, right = numbers(real, 2, "--real")
-        base = numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
+        left, right = terminal.numbers(real, 2, "--real")
+        base = terminal.numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
         if min(left, right, *base) <= 0.0:
             raise BadInputError("--believed, --real: found a radius of 0 or below; expected metres above 0")
         cases.append(Case.given(left / base[0], right / base[1]))
@@ -181,12 +165,10 @@ def journey(
     ] = "300,300",
     track: Track = None,
     draws: Draws = DRAWS,
-    seed: Seed = 0,
+    seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Drive a route under a fitted law, without and with radii that follow the load.
 
@@ -199,16 +181,16 @@ def journey(
     from calib.odometry.law_path import carried_loads_N, law_source, loading_on_the_way
     from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
 
-    targets = Targets(output, tum, speed, json, force)
-    base = numbers(reference, 2, "--reference-load")
-    loads_N = pairs(load, "--load")
-    carried = [numbers(text, 3, "--payload") for text in payload or ()]
-    changes = [numbers(text, 4, "--payload-at") for text in payload_at or ()]
+    targets = Targets(output, tum, speed)
+    base = terminal.numbers(reference, 2, "--reference-load")
+    loads_N = terminal.pairs(load, "--load")
+    carried = [terminal.numbers(text, 3, "--payload") for text in payload or ()]
+    changes = [terminal.numbers(text, 4, "--payload-at") for text in payload_at or ()]
     if min([*base, *(value for pair in loads_N for value in pair)]) <= 0.0:
         raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
     source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
-    with waiting("driving"):
+    with terminal.waiting("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
         under = LawJourneys(source, loads_N, (base[0], base[1]), loading, draws)
         rng = np.random.default_rng(seed)
@@ -225,12 +207,10 @@ def study(
     route: Annotated[list[str] | None, typer.Option(help="Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
-    seed: Seed = 0,
+    seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Run a study of the paper's Section 7: what wrong radii do to a vehicle that follows its own odometry.
 
@@ -246,17 +226,19 @@ def study(
     from calib.odometry.simulation import LawJourneys, simulate
     from calib.vehicle import Vehicle
 
-    targets = Targets(output, tum, speed, json, force)
+    targets = Targets(output, tum, speed)
     if name not in STUDIES:
-        raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + nearest(name, STUDIES))
-    loads_N = pairs(load, "--load")
+        raise BadInputError(
+            f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + terminal.nearest(name, STUDIES)
+        )
+    loads_N = terminal.pairs(load, "--load")
     if loads_N and law is None:
         raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
     if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
     vehicle = Vehicle() if source is None else source.vehicle
-    with waiting("simulating"):
+    with terminal.waiting("simulating"):
         simulation = simulate(
             name,
             routes=route or (),
@@ -271,11 +253,9 @@ def replay(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and end poses.")],
     law: Law = None,
     scheme: Annotated[str, typer.Option(help="exact, mid_point, euler or end_point.")] = "exact",
-    seed: Seed = 0,
+    seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
-    json: JsonTarget = None,
-    force: Force = False,
 ) -> None:
     """Replay the logged runs of a campaign: end errors with constant radii and with radii that follow the load.
 
@@ -293,8 +273,8 @@ def replay(
     from calib.reporting.next_step import after_replay
     from calib.reporting.topics.simulation import replay_content
 
-    refuse_existing((output / "replay.json", output / "replay.csv") if output else (), force=force)
-    with waiting("replaying"):
+    terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
+    with terminal.waiting("replaying"):
         read = read_campaign(campaign)
         source = coefficients_of(law if law is not None else campaign)
         replayed = replay_runs(read, source.file, rng=np.random.default_rng(seed), scheme=scheme)
@@ -310,11 +290,11 @@ def replay(
         **replayed.to_dict(),
         "notes": notes,
     }
-    written = [] if output is None else write_replay(replayed, output, document, force=force)
+    written = [] if output is None else write_replay(replayed, output, document, force=terminal.forced())
     if tum is not None:
-        written += replay_trajectories(read, source.file, tum, force=force)
-    emit_json(document | {"files": [str(path) for path in written]}, json, force=force)
-    if not wants_stdout(json):
-        show([*replay_content(replayed), *items(notes)])
-        wrote(written)
-    then(after_replay(campaign), target=json)
+        written += replay_trajectories(read, source.file, tum, force=terminal.forced())
+    terminal.emit_json(document | {"files": [str(path) for path in written]})
+    if not terminal.wants_stdout():
+        terminal.show([*replay_content(replayed), *items(notes)])
+        terminal.wrote(written)
+    terminal.then(after_replay(campaign))

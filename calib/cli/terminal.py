@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from calib.errors import BadInputError
+from calib.io import refuse_existing, write_bytes, write_json, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,9 +50,19 @@ _CONTROLS: Final = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 
 _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 
 
-def wants_stdout(target: str | None) -> bool:
+#: ``--json`` and ``--force`` of the command at work
+JSON_TARGET: Final[ContextVar[str | None]] = ContextVar("json_target", default=None)
+FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
+
+
+def wants_stdout() -> bool:
     """Return whether standard output belongs to the JSON alone."""
-    return target == "-"
+    return JSON_TARGET.get() == "-"
+
+
+def forced() -> bool:
+    """Return whether existing output files are replaced."""
+    return FORCE.get()
 
 
 def heed() -> None:
@@ -60,11 +71,16 @@ def heed() -> None:
         raise KeyboardInterrupt
 
 
-def emit_json(value: Any, target: str | None, *, force: bool) -> None:
-    """Write `value` as JSON where `target` says; nothing where it is None."""
-    from calib.documents import to_json
-    from calib.io import write_json
+def refuse_outputs(*targets: Path | None) -> None:
+    """Refuse output files that exist, before the work; see `calib.io.refuse_existing`."""
+    refuse_existing(targets, force=forced())
 
+
+def emit_json(value: Any) -> None:
+    """Write `value` as JSON where ``--json`` says; nothing without it."""
+    from calib.documents import to_json
+
+    target = JSON_TARGET.get()
     if target is None:
         return
     if target == "-":
@@ -78,7 +94,7 @@ def emit_json(value: Any, target: str | None, *, force: bool) -> None:
             sys.stdout.write(to_json(value, ascii_only=True))
         sys.stdout.flush()
     else:
-        write_json(Path(target), value, force=force)
+        write_json(Path(target), value, force=forced())
 
 
 def emit_text(text: str) -> None:
@@ -94,12 +110,12 @@ def emit_text(text: str) -> None:
     sys.stdout.flush()
 
 
-def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> None:
+def show(blocks: Iterable[Block | Section]) -> None:
     """Print blocks for people; to standard error where standard output belongs to JSON."""
     from calib.reporting.text import text_lines
 
     heed()
-    stream = sys.stderr if wants_stdout(target) else sys.stdout
+    stream = sys.stderr if wants_stdout() else sys.stdout
     lines = text_lines(blocks, _width())
     if _is_coloured(stream):
         from rich.console import Console
@@ -113,23 +129,26 @@ def show(blocks: Iterable[Block | Section], *, target: str | None = None) -> Non
         _write(stream, line.text.rstrip())
 
 
-def answer(document: Any, blocks: Iterable[Block | Section], *, json: str | None, force: bool) -> None:
+def answer(document: Any, blocks: Iterable[Block | Section]) -> None:
     """Write a result as JSON where that was asked for, and print it for people unless standard output is the JSON's."""
-    emit_json(document, json, force=force)
-    if not wants_stdout(json):
+    emit_json(document)
+    if not wants_stdout():
         show(blocks)
 
 
-def say(text: str, *, target: str | None = None) -> None:
+def say(text: str) -> None:
     """Print a sentence for people over as many lines as it takes."""
     from calib.reporting.blocks import Text
 
-    show([Text(text)] if text else [], target=target)
+    show([Text(text)] if text else [])
 
 
-def then(text: str, *, target: str | None = None) -> None:
-    """Print what to do now as one line, never wrapped, so that its command can be copied."""
-    _write(sys.stderr if wants_stdout(target) else sys.stdout, text)
+def then(text: str, *, aside: bool = False) -> None:
+    """Print what to do now as one line, never wrapped, so that its command can be copied.
+
+    `aside`: on standard error, also where no JSON takes standard output.
+    """
+    _write(sys.stderr if aside or wants_stdout() else sys.stdout, text)
 
 
 def note(text: str) -> None:
@@ -137,17 +156,23 @@ def note(text: str) -> None:
     _write(sys.stderr, f"calib: note: {text}")
 
 
-def wrote(paths: Iterable[Path | str], *, target: str | None = None, what: str = "") -> None:
+def wrote(paths: Iterable[Path | str], *, what: str = "") -> None:
     """Say which files were written, and keep that for the line after an interruption.
 
-    `target`: where the JSON goes; `what`: what they are, in place of their names, where they are many: ``18 figure
-    files in FOLDER``.
+    `what`: what they are, in place of their names, where they are many: ``18 figure files in FOLDER``.
     """
-    stream = sys.stderr if wants_stdout(target) else sys.stdout
+    stream = sys.stderr if wants_stdout() else sys.stdout
     texts = [what] if what else [str(path) for path in paths]
     for text in texts:
         _write(stream, f"wrote {text}")
         keep(text)
+
+
+def save(path: Path | None, content: Any) -> None:
+    """Write bytes, a text or what becomes JSON to a file, where one is named, and say so."""
+    if path is not None:
+        write = write_bytes if isinstance(content, bytes) else write_text if isinstance(content, str) else write_json
+        wrote([write(path, content, force=forced())])
 
 
 def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
@@ -159,17 +184,15 @@ def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
     return figure_paths(folder, names)
 
 
-def draw(
-    figures: Callable[[], Mapping[str, Figure]], folder: Path | None, *, json: str | None, force: bool
-) -> list[Path]:
+def draw(figures: Callable[[], Mapping[str, Figure]], folder: Path | None) -> list[Path]:
     """Draw figures and write them, where a folder is given for them; return their files."""
     if folder is None:
         return []
     from calib.reporting.figures.style import write_figures
 
     with progress("drawing") as tick:
-        written = write_figures(figures(), folder, force=force, progress=tick)
-    wrote(written, target=json, what=f"{len(written)} figure files to {folder}" if written else "no figure")
+        written = write_figures(figures(), folder, force=forced(), progress=tick)
+    wrote(written, what=f"{len(written)} figure files to {folder}" if written else "no figure")
     return written
 
 
