@@ -66,7 +66,7 @@ def spreadsheet_cell(value: Any) -> Any:
     return value
 
 
-def canonical_bytes(document: dict[str, Any]) -> bytes:
+def canonical_bytes(document: dict[str, object]) -> bytes:
     """Return the bytes that the checksum covers.
 
     The document without its checksum; keys sorted, no white space, ASCII only, every number written as the shortest
@@ -80,7 +80,7 @@ def canonical_bytes(document: dict[str, Any]) -> bytes:
     return text.encode("ascii")
 
 
-def checksum(document: dict[str, Any]) -> str:
+def checksum(document: dict[str, object]) -> str:
     """Return ``sha256:`` and the hexadecimal SHA-256 of the canonical form of `document`."""
     import hashlib
 

@@ -126,7 +126,7 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
         raise BadFileError(shown, found, expected, "correct the line", row=row)
 
 
-def refuse_hostile_document(document: dict[str, Any], shown: str) -> None:
+def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
     """Refuse a settings document with keys, texts or a nesting beyond all use.
 
     Raises BadFileError with the key.

@@ -47,9 +47,9 @@ class Result:
         figure: Figure = _presentation().figure(self, kind)
         return figure
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the result as plain values: the keys of the command's ``--json``."""
-        document: dict[str, Any] = plain(self)
+        document: dict[str, object] = plain(self)
         return document
 
     def __repr__(self) -> str:

@@ -12,17 +12,16 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass
-from functools import lru_cache
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
 
-from calib.campaign.counters import LogStack
-from calib.campaign.logs_file import LogFile, Renames, read_log, wanted_in_log
+from calib.campaign.logs import LogFile, LogStack, in_log, read_log
 from calib.campaign.model import Border, Logs, Note
 from calib.campaign.readers.delimited import NUMPY_BYTES, read_batch
 from calib.campaign.readers.table import RawTable
@@ -38,7 +37,7 @@ WORTH_BYTES: Final = 16 << 20
 #: the oldest files go where all together are larger than this
 MOST_BYTES: Final = 8 << 30
 #: what reads a log, whose change makes what was kept worthless
-_READ_BY: Final = ("settings.py", "log_reading.py", "logs_file.py", "readers/*.py")
+_READ_BY: Final = ("settings.py", "log_reading.py", "logs.py", "readers/*.py")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,65 +51,40 @@ class ReadLog:
     error: BadFileError | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LogCache:
-    """A folder of logs as read.
-
-    A file is written under another name first and then renamed, so that a reader, this process or another, sees it
-    whole or not at all; one that is damaged is as good as none.
-    """
-
-    folder: Path
-
-    def path_of(self, sha256: str, asked: Sequence[Any]) -> Path:
-        """Return the place of a log.
-
-        `sha256`: of the file's bytes; `asked`: what else the answer depends on: the file's name in messages, columns
-        renamed.
-        """
-        what = json.dumps([_read_by(), sha256, *asked], sort_keys=True)
-        name = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()
-        return self.folder / name[:2] / f"{name}.log"
-
-    def get(self, path: Path, sha256: str) -> ReadLog | None:
-        """Return the log kept at `path` (of `path_of`); None where there is none, or none whole."""
-        try:
-            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
-                columns = dict(zip(map(str, stored["names"]), stored["values"], strict=True))
-                notes = tuple(Note(*map(str, note)) for note in stored["notes"])
-        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
-            return None
-        return ReadLog(columns, notes, sha256)
-
-    def put(self, path: Path, log: ReadLog) -> None:
-        """Keep a log at `path`; where that cannot be done it is read again the next time."""
-        data = io.BytesIO()
-        notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
-        np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
-        with suppress(CalibError, OSError):
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            write_bytes(path, data.getvalue(), force=True)
-
-    def trim(self, most_bytes: int = MOST_BYTES) -> None:
-        """Remove the oldest files until all together are at most `most_bytes`."""
-        files = []
-        for path in self.folder.glob("*/*"):
-            with suppress(OSError):
-                status = path.stat()
-                files.append((status.st_mtime_ns, status.st_size, path))
-        total = sum(size for _, size, _ in files)
-        for _, size, path in sorted(files):
-            if total <= most_bytes:
-                break
-            with suppress(OSError):
-                path.unlink()
-            total -= size
+def _kept(path: Path, sha256: str) -> ReadLog | None:
+    """Return the log kept at `path`; None where there is none, or none whole: a damaged one is as good as none."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+            columns = dict(zip(map(str, stored["names"]), stored["values"], strict=True))
+            return ReadLog(columns, tuple(Note(*map(str, note)) for note in stored["notes"]), sha256)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
+        return None
 
 
-def log_cache(n_bytes: int) -> LogCache | None:
-    """Return the cache for a campaign's logs, or None where they are few bytes or the environment says ``off``."""
-    folder = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
-    return None if folder is None else LogCache(folder)
+def _keep(path: Path, log: ReadLog) -> None:
+    """Keep a log at `path`, whole or not at all; where that cannot be done it is read again the next time."""
+    data = io.BytesIO()
+    notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
+    np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
+    with suppress(CalibError, OSError):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_bytes(path, data.getvalue(), force=True)
+
+
+def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
+    """Remove the oldest files of a cache until all together are at most `most_bytes`."""
+    files = []
+    for path in folder.glob("*/*"):
+        with suppress(OSError):
+            status = path.stat()
+            files.append((status.st_mtime_ns, status.st_size, path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= most_bytes:
+            break
+        with suppress(OSError):
+            path.unlink()
+        total -= size
 
 
 def cache_folder(name: str) -> Path | None:
@@ -152,13 +126,7 @@ MANY_BYTES: Final = 16 << 20
 
 
 def read_logs(
-    files: Sequence[LogFile],
-    n_runs: int,
-    encoder: Encoder,
-    border: Border,
-    renames: Renames | None = None,
-    *,
-    progress: Progress = silent,
+    files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, *, progress: Progress = silent
 ) -> tuple[Logs, dict[str, str]]:
     """Read the logs of a campaign and undo the overflow of their counters.
 
@@ -172,8 +140,6 @@ def read_logs(
         ``wrap_bits`` where the settings name it; else overflows are looked for.
     border : Border
         Takes notes and faults in the order of the runs; a log that cannot be used is a fault.
-    renames : mapping of str to (str, float), optional
-        See `calib.campaign.logs_file.read_log`.
     progress : callable
         See `calib.types.Progress`.
 
@@ -186,7 +152,7 @@ def read_logs(
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}
-    for (index, run_id, _, name), log in zip(stepped(files, progress, "logs"), _read_all(files, renames), strict=True):
+    for (index, run_id, _, name), log in zip(stepped(files, progress, "logs"), _read_all(files), strict=True):
         border.notes.extend(log.notes)
         if log.sha256:
             hashes[name] = log.sha256
@@ -198,78 +164,74 @@ def read_logs(
     return stack.finished(encoder, names, border), hashes
 
 
-def _read_all(files: Sequence[LogFile], renames: Renames | None) -> Iterator[ReadLog]:
+def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
     """Yield the logs in their order."""
     n_bytes = 0
     for _, _, path, _ in files:
         with suppress(OSError):
             n_bytes += path.stat().st_size
-    cache, large = log_cache(n_bytes), n_bytes >= LARGE_BYTES * len(files)
+    cache = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
+    large = n_bytes >= LARGE_BYTES * len(files)
     together = n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files)
-    reader = _Reader(renames, cache, together=together)
+    read = partial(_read_some, cache=cache, together=together)
     size = 1 if large else TOGETHER
     batches = [files[first : first + size] for first in range(0, len(files), size)]
     threads = min(MOST_THREADS if large else 2, _processors()) if together and len(files) >= MANY else 1
     if threads == 1:
-        yield from chain.from_iterable(map(reader.read, batches))
+        yield from chain.from_iterable(map(read, batches))
     else:
         from concurrent.futures import ThreadPoolExecutor
 
         pool = ThreadPoolExecutor(threads)
         try:
-            yield from chain.from_iterable(pool.map(reader.read, batches))
+            yield from chain.from_iterable(pool.map(read, batches))
         finally:
             pool.shutdown(cancel_futures=True)
     if cache is not None:
-        cache.trim()
+        trim_cache(cache)
 
 
-@dataclass(frozen=True, slots=True)
-class _Reader:
-    """What reading a log depends on beside its file."""
+def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) -> list[ReadLog]:
+    """Return some logs, from the cache where it has them; `together`: parse small logs as one."""
+    states = [_state(path) for _, _, path, _ in files]
+    hashes = [_sha256(path) for _, _, path, _ in files]
+    places = [
+        _place(cache, sha256, name) if cache is not None and sha256 else None
+        for (_, _, _, name), sha256 in zip(files, hashes, strict=True)
+    ]
+    logs = [_kept(place, sha256) if place else None for place, sha256 in zip(places, hashes, strict=True)]
+    new = [number for number, log in enumerate(logs) if log is None]
+    raws: dict[int, RawTable | None] = {}
+    # an odd log may have asked for the parser of many already
+    if (together or "pandas" in sys.modules) and len(new) > 1:
+        raws = dict(zip(new, read_batch([files[number][2:] for number in new], in_log), strict=True))
+    for number in new:
+        path, place = files[number][2], places[number]
+        log = _parsed(files[number], hashes[number], raws.get(number))
+        if _state(path) != states[number]:
+            # a file that changed while it was read is neither kept nor named under the hash of what it was
+            log = replace(log, sha256=_sha256(path))
+        elif place is not None and log.error is None:
+            _keep(place, log)
+        logs[number] = log
+    return [log for log in logs if log is not None]
 
-    renames: Renames | None
-    cache: LogCache | None
-    #: parse small logs as one
-    together: bool
 
-    def read(self, files: Sequence[LogFile]) -> list[ReadLog]:
-        """Return some logs, from the cache where it has them."""
-        states = [_state(path) for _, _, path, _ in files]
-        hashes = [_sha256(path) for _, _, path, _ in files]
-        places = [self._place(name, sha256) for (_, _, _, name), sha256 in zip(files, hashes, strict=True)]
-        logs = {
-            number: log
-            for number, place in enumerate(places)
-            if self.cache is not None and place is not None and (log := self.cache.get(place, hashes[number]))
-        }
-        new = [number for number in range(len(files)) if number not in logs]
-        raws: dict[int, RawTable | None] = {}
-        # an odd log may have asked for the parser of many already
-        if (self.together or "pandas" in sys.modules) and len(new) > 1:
-            plain = [(files[number][2], files[number][3]) for number in new]
-            raws = dict(zip(new, read_batch(plain, wanted_in_log(self.renames)), strict=True))
-        for number in new:
-            logs[number] = log = self._parsed(files[number], hashes[number], raws.get(number))
-            if _state(files[number][2]) != states[number]:
-                # a file that changed while it was read is neither kept nor named under the hash of what it was
-                logs[number] = ReadLog(log.columns, log.notes, _sha256(files[number][2]), log.error)
-            elif self.cache is not None and (place := places[number]) is not None and log.error is None:
-                self.cache.put(place, log)
-        return [logs[number] for number in range(len(files))]
+def _place(cache: Path, sha256: str, name: str) -> Path:
+    """Return the place of a log: by its bytes, its name in messages, and the code that reads it."""
+    what = json.dumps([_read_by(), sha256, name])
+    key = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()
+    return cache / key[:2] / f"{key}.log"
 
-    def _place(self, name: str, sha256: str) -> Path | None:
-        if self.cache is None or not sha256:
-            return None
-        return self.cache.path_of(sha256, [name, sorted((self.renames or {}).items())])
 
-    def _parsed(self, file: LogFile, sha256: str, raw: RawTable | None) -> ReadLog:
-        own = Border(lenient=False)
-        try:
-            columns = read_log(file[2], file[3], own, self.renames, raw=raw)
-        except BadFileError as error:
-            return ReadLog({}, tuple(own.notes), sha256, error)
-        return ReadLog(columns, tuple(own.notes), sha256)
+def _parsed(file: LogFile, sha256: str, raw: RawTable | None) -> ReadLog:
+    own = Border(lenient=False)
+    columns, error = dict[str, FloatArray](), None
+    try:
+        columns = read_log(file[2], file[3], own, raw)
+    except BadFileError as fault:
+        error = fault
+    return ReadLog(columns, tuple(own.notes), sha256, error)
 
 
 def _sha256(path: Path) -> str:

@@ -140,6 +140,11 @@ class RunTable:
         """Names of the further numeric columns, candidates of ``covariate:<column>``."""
         return tuple(name for name in self.numbers if name not in NUMERIC_COLUMNS)
 
+    @staticmethod
+    def empty() -> RunTable:
+        """Return a table without runs."""
+        return RunTable({"run_id": np.zeros(0, np.str_)}, {}, np.zeros(0, np.bool_), np.zeros(0, np.int64))
+
     def frame(self) -> DataFrame:
         """Return a pandas table, a row a run in the order driven; SI units, NaN where unknown."""
         from pandas import DataFrame

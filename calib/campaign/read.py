@@ -9,9 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.counters import rewrap_total
 from calib.campaign.log_reading import read_logs
-from calib.campaign.logs_file import log_files
+from calib.campaign.logs import log_files, rewrap_total
 from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.references import with_references
@@ -64,7 +63,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         hashes |= of_logs
         if found_logs.columns.keys() & set(SPEEDS):
             found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
-    campaign = settings.campaign(runs, found_logs, root=folder, hashes=hashes)
+    campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes)
     campaign = _completed(campaign, shown, border)
     campaign = with_references(campaign, shown, border)
     return replace(campaign, notes=tuple(border.notes))

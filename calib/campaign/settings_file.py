@@ -6,7 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -63,30 +63,8 @@ class _Heading(BaseModel):
     assumed: list[str] = []
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What ``campaign.toml`` says, with what was said on the API."""
-
-    name: str
-    simulated: bool
-    vehicle: Vehicle
-    encoder: Encoder
-    model: OdometryModel
-    rangefinder: Rangefinder
-    reference: Reference
-    odometry: Odometry
-    extra: Mapping[str, Any]
-    notes: tuple[Note, ...]
-    assumed: tuple[str, ...] = ()
-
-    def campaign(self, runs: RunTable, logs: Logs, **further: Any) -> Campaign:
-        """Return the campaign of these settings; `further` fields of `Campaign` default to what a new one has."""
-        own = {part.name: getattr(self, part.name) for part in fields(self)}
-        return Campaign(**{"root": None, **own, "notes": (), "runs": runs, "logs": logs, **further})
-
-
-def read_settings(path: Path, shown: str) -> Settings:
-    """Read and check ``campaign.toml``.
+def read_settings(path: Path, shown: str) -> Campaign:
+    """Read and check ``campaign.toml``; returns a campaign that has no runs yet.
 
     With defaults where keys are missing; without ``[model]`` the simulator believes in the nominal vehicle. Raises
     BadFileError where the file is missing, is no TOML, or holds a value of the wrong kind or range.
@@ -94,7 +72,7 @@ def read_settings(path: Path, shown: str) -> Settings:
     return parse_settings(load_toml(path, shown), shown, path.parent.resolve().name)
 
 
-def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> Settings:
+def parse_settings(document: dict[str, object], shown: str, default_name: str) -> Campaign:
     """Check a settings document; see `read_settings`. The keys above its sections are taken out."""
     heading = {key: document.pop(key) for key in _Heading.model_fields if key in document}
     try:
@@ -112,7 +90,8 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
         "track_m": vehicle.track_m,
         "reference_load_N": vehicle.unladen_load_N,
     }
-    settings = Settings(
+    settings = Campaign(
+        root=None,
         name=head.name,
         simulated=head.simulated,
         vehicle=vehicle,
@@ -121,6 +100,8 @@ def parse_settings(document: dict[str, Any], shown: str, default_name: str) -> S
         rangefinder=part.checked("rangefinder"),
         reference=part.checked("reference"),
         odometry=part.checked("odometry"),
+        runs=RunTable.empty(),
+        logs=Logs.empty(0),
         extra={key: value for key, value in document.items() if key not in part.read} | part.unknown,
         notes=tuple(part.notes),
         assumed=tuple(dict.fromkeys((*head.assumed, *not_stated(document)))),
@@ -136,9 +117,9 @@ class _Sections:
         self.document, self.shown = document, shown
         self.notes: list[Note] = []
         self.read: set[str] = set()
-        self.unknown: dict[str, dict[str, Any]] = {}
+        self.unknown: dict[str, dict[str, object]] = {}
 
-    def keys(self, section: str) -> dict[str, Any]:
+    def keys(self, section: str) -> dict[str, object]:
         """Return the known keys of a section: numbers in SI units, words as they are."""
         self.read.add(section)
         table = self.document.get(section, {})
@@ -146,7 +127,7 @@ class _Sections:
             expected, remedy = f"a section [{section}]", "correct the value"
             raise BadFileError(self.shown, repr(table)[:60], expected, remedy, column=section)
         known = _known(section)
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         for key, value in table.items():
             column = f"{section}.{key}"
             match = recognise(key, known, further=False)
@@ -220,7 +201,7 @@ def _refused(
     return BadFileError(shown, shown_value, expected, remedy, column=f"{section}.{key}" if section else key)
 
 
-def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, Any]:
+def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
     """Return the keys of ``[encoder]``, ``counts_per_rev`` as those of both wheels."""
     values = part.keys("encoder")
     both = values.pop("counts_per_rev", None)
@@ -236,7 +217,7 @@ def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, Any]:
     return values
 
 
-def _check_together(settings: Settings, shown: str) -> None:
+def _check_together(settings: Campaign, shown: str) -> None:
     """Refuse an odometry that the vehicle's drive cannot have, and a centre of mass beyond the wheels."""
     vehicle, source = settings.vehicle, settings.odometry.source
     drive = {"front": "tricycle", "wheels": "mecanum", "shaft": "ackermann"}.get(source or "", vehicle.drive)
@@ -262,7 +243,7 @@ def not_stated(document: Mapping[str, Any]) -> list[str]:
     return missing
 
 
-def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, Any]:
+def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
     """Return a TOML file as read, within the sizes of `calib.limits`, with errors that name the place.
 
     `remedy`: what to do where there is none; without it, how to make a campaign.

@@ -134,7 +134,7 @@ def _write_into(campaign: Campaign, folder: Path, log_decimals: Mapping[str, int
     (folder / "campaign.toml").write_text(to_toml(_settings(campaign)), encoding="utf-8", newline="\n")
 
 
-def _settings(campaign: Campaign) -> dict[str, Any]:
+def _settings(campaign: Campaign) -> dict[str, object]:
     encoder = _plain(campaign.encoder)
     if encoder["counts_per_rev_left"] == encoder["counts_per_rev_right"]:
         both = encoder.pop("counts_per_rev_right")
@@ -142,7 +142,7 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
             key: value for key, value in encoder.items() if key != "counts_per_rev_left"
         }
     encoder = {key: _short(value) for key, value in encoder.items()}
-    document: dict[str, Any] = {
+    document: dict[str, object] = {
         "format": FORMAT,
         "name": campaign.name,
         "simulated": bool(campaign.simulated),
@@ -156,8 +156,9 @@ def _settings(campaign: Campaign) -> dict[str, Any]:
     if campaign.odometry.source is not None:
         document["odometry"] = {"from": campaign.odometry.source}
     for key, value in campaign.extra.items():
-        if isinstance(value, Mapping) and isinstance(document.get(key), dict):
-            document[key] = {**value, **document[key]}
+        own = document.get(key)
+        if isinstance(value, Mapping) and isinstance(own, dict):
+            document[key] = {**value, **own}
         elif key not in document:
             document[key] = value
     return document
@@ -223,7 +224,7 @@ def _cell(value: float) -> str:
 def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -> bytes:
     import pandas as pd
 
-    frame: dict[str, Any] = {}
+    frame: dict[str, object] = {}
     for name in LOG_COLUMNS:
         if name not in columns:
             continue

@@ -170,7 +170,7 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
     return tuple(pairs)
 
 
-def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, Any]]:
+def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
     """Write the files of an export.
 
     `output`: a file where there is one artifact and `output` is no folder; else the folder that gets them. ``path`` and

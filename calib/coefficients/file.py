@@ -96,7 +96,7 @@ class CoefficientFile(Section):
             raise ValueError("load_table: two lines have the same name")
         return self
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the document as plain Python values, in the order of the file."""
         document = self.model_dump(mode="json")
         for name in ("joint_geometry", "accepted_implausible"):
@@ -261,7 +261,7 @@ def _radius(wheel: WheelSection, load_N: npt.ArrayLike, outside: Outside, side: 
     return wheel.law.radius_m(np.clip(loads, low, high))
 
 
-def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, object]:
     document = dict(pairs)
     if len(document) != len(pairs):
         raise ValueError("an object has the same key twice")

@@ -167,7 +167,7 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     return ".".join(str(part) for part in first["loc"]), found, first["msg"].removeprefix("Value error, ")
 
 
-def validated(section: type[SectionT], fields: dict[str, Any]) -> SectionT:
+def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:
     """Return a section of its fields, as models or plain values.
 
     Raises BadInputError where they break the schema.

@@ -132,7 +132,7 @@ def test_the_oldest_go_first(source: Path, cache: Path) -> None:
     for age, path in enumerate(entries):
         os.utime(path, (1e9 - age, 1e9 - age))
     sizes = [path.stat().st_size for path in entries]
-    log_reading.LogCache(cache).trim(sum(sizes[:5]))
+    log_reading.trim_cache(cache, sum(sizes[:5]))
     assert _entries(cache) == entries[:5]
 
 

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from calib.campaign.settings_file import Settings, parse_settings, read_settings
+from calib.campaign.model import Campaign
+from calib.campaign.settings_file import parse_settings, read_settings
 from calib.errors import BadFileError
 
 PLAIN = {"vehicle": {"track_m": 0.7, "wheel_radius_m": 0.1}, "encoder": {"counts_per_rev": 4096}}
 ROUNDING = 1e-15  # relative, one multiplication in double precision
 
 
-def parsed(**sections: dict[str, object]) -> Settings:
+def parsed(**sections: dict[str, object]) -> Campaign:
     merged = {name: {**PLAIN.get(name, {}), **sections.get(name, {})} for name in {*PLAIN, *sections}}
     return parse_settings({"format": "calib-campaign/1", **merged}, "campaign.toml", "made")
 

@@ -84,6 +84,7 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
     """Data files that code opens are inside the package, so that an installed wheel has them."""
     for name in (
         "py.typed",
+        "campaign/ingest/blank.toml",
         "coefficients/coefficients.schema.json",
         "coefficients/formats/c_runtime.h",
         "reporting/page.typ",

@@ -7,20 +7,20 @@ from collections.abc import Mapping as MappingType
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from calib.campaign.counters import LogStack, detect_wrap_bits
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
 from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
+from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
-from calib.campaign.settings_file import Settings, parse_settings
+from calib.campaign.settings_file import parse_settings
 from calib.campaign.write import write_campaign
 from calib.documents import to_json
 from calib.errors import BadInputError
@@ -66,7 +66,7 @@ class _Ingestion:
     """What an ingestion reads and collects."""
 
     mapping: Mapping
-    settings: Settings
+    settings: Campaign
     border: Border
     progress: Progress
     #: path of each file read -> its SHA-256
@@ -205,7 +205,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         stack.add(index, {name: values for name, values in logs[index].columns.items() if name != "cut"})
     named = {index: (str(runs.run_id[index]), log.shown) for index, log in logs.items()}
     finished = stack.finished(encoder, named, work.border)
-    return replace(work.settings, encoder=encoder).campaign(runs, finished, notes=tuple(work.border.notes))
+    return replace(work.settings, encoder=encoder, runs=runs, logs=finished, notes=tuple(work.border.notes))
 
 
 def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
@@ -297,8 +297,8 @@ def _csv(columns: MappingType[str, FloatArray]) -> bytes:
     return text.encode("utf-8")
 
 
-def _record(work: _Ingestion) -> dict[str, Any]:
-    record: dict[str, Any] = {
+def _record(work: _Ingestion) -> dict[str, object]:
+    record: dict[str, object] = {
         "sources": [{"path": name, "sha256": digest} for name, digest in sorted(work.hashes.items())],
         "notes": [{"where": note.where, "text": note.text} for note in work.border.notes],
         "summary": [{"where": note.where, "text": note.text} for note in merged_notes(work.border.notes)],

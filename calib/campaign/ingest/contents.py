@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.counters import detect_wrap_bits
 from calib.campaign.ingest.guesses import (
     behaviour,
     count_unit,
@@ -22,6 +21,7 @@ from calib.campaign.ingest.guesses import (
     stem_and_unit,
     usual_step,
 )
+from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
 from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, numbers

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
@@ -52,39 +54,11 @@ RUNS_HEADER: Final = (
     "counts_left,counts_right,log,excluded,exclusion_reason"
 )
 
-#: settings of an empty campaign: every key with an example and a remark
-BLANK_SETTINGS: Final = """simulated = false          # true: a program made the data; every report then says so
 
-# Take out the '#' before a key and give your own value. What stays out is assumed, and 'calib check' and every report
-# say so. A unit may differ if the key names it: track_mm = 700.
-
-[vehicle]
-#drive = "tricycle"        # or "differential", "mecanum", "ackermann", "skid"
-#track_m = 0.700           # between the contact points of the rear wheels
-#wheelbase_m = 1.000       # rear axle to front wheel
-#wheel_radius_m = 0.100    # nominal free radius
-#mass_kg = 100.0           # without payload
-#cog_x_m = 0.388           # centre of mass ahead of the rear axle
-#cog_y_m = 0.0             # left positive
-
-[encoder]
-#counts_per_rev = 4096     # counts a wheel revolution, gear and quadrature included
-#wrap_bits = 16            # width of the counter, where it overflows
-
-[rangefinder]
-#sigma_m = 0.0015          # standard uncertainty of one distance
-
-#[reference]               # end poses or trajectories, where there are any
-#sigma_xy_m = 0.002
-#sigma_theta_rad = 0.0008
-#frame = "start"           # poses in each run's own start frame, or "map": one frame for all runs
-
-#[model]                   # what the simulator believes; without it the nominal vehicle above
-#radius_left_m = 0.100
-#radius_right_m = 0.100
-#track_m = 0.700
-#reference_load_N = 300.0
-"""
+@cache
+def blank_settings() -> str:
+    """Return the settings of an empty campaign: every key with an example and a remark."""
+    return resources.files("calib.campaign.ingest").joinpath("blank.toml").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +94,7 @@ class Description:
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return the description for JSON."""
         table = None if self.table is None else self.table.name
         return {"n_files": self.n_files, "table": table, "files": plain(self.files), "mapping": self.to_toml()}
@@ -241,7 +215,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
             if key == "counts_per_rev" and as_angles:
                 lines.append("counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in")
                 continue
-            [meaning] = re.findall(rf"^#{key} .*# (.*)", BLANK_SETTINGS, re.MULTILINE)
+            [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
             lines.append(f"#{key} =   # {meaning}")
             if key == "wheel_radius_m" and wheels == "counts_front":
                 lines += vehicle
@@ -263,7 +237,7 @@ def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
         if path.exists() and not force:
             raise would_overwrite(path)
     head = to_toml({"format": FORMAT, "name": folder.resolve().name})
-    write_text(settings, head + BLANK_SETTINGS, force=force)
+    write_text(settings, head + blank_settings(), force=force)
     write_text(runs, RUNS_HEADER + "\n", force=force)
     (folder / "logs").mkdir(exist_ok=True)
     return settings, runs, folder / "logs"

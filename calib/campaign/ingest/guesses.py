@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Final
 from unicodedata import combining, normalize
 
@@ -29,88 +29,78 @@ _ON_WHEEL: Final = r"((normal|vertical|on|at|the|de|sur|en|la|sulla|della|sul)e?
 _PLACE: Final = r"(hallen|hall|boden|floor|luft|air|raum|room|ambient|umgebungs?|aussen|reifen|tyre|tire)"
 
 #: column of the run table -> what its name may look like, letters lower and umlauts spelt out
-_TABLE: Final[Sequence[tuple[str, str]]] = (
-    (
-        "run_id",
+_TABLE: Final[Mapping[str, str]] = {
+    "run_id": (
         r"(run|lauf|fahrt|messung|messfahrt|versuch|trial|test|drive)(_?(id|no|nr|nummer|number|name|#))?\.?|nr\.?|id|#"
-        r"|(lfd|lauf)_nr|((n|no|num|numero)_)?(essai|mesure|passage|ensayo|prueba|corsa|prova|misura)|num|numero",
+        r"|(lfd|lauf)_nr|((n|no|num|numero)_)?(essai|mesure|passage|ensayo|prueba|corsa|prova|misura)|num|numero"
     ),
-    (
-        "session",
+    "session": (
         r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?|datum|date|messdatum"
-        r"|jour|seance|fecha|sesion|data|giorno",
+        r"|jour|seance|fecha|sesion|data|giorno"
     ),
-    ("direction", r".*(richtung|direction|heading_of_run)|way|dir|sens|sentido|direccion|senso|verso|direzione"),
-    ("kind", r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)"),
-    (
-        "load_left_N",
+    "direction": r".*(richtung|direction|heading_of_run)|way|dir|sens|sentido|direccion|senso|verso|direzione",
+    "kind": r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)",
+    "load_left_N": (
         r"(rad|wheel|waage|scale)?_?(last|load)?_?(links|left)|((rad|wheel)_?)?(last|load)_?(li|l)|f_?(left|l)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)|{_LEFT}_{_ON_WHEEL}{_FORCE}",
+        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)|{_LEFT}_{_ON_WHEEL}{_FORCE}"
     ),
-    (
-        "load_right_N",
+    "load_right_N": (
         r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)|{_RIGHT}_{_ON_WHEEL}{_FORCE}",
+        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)|{_RIGHT}_{_ON_WHEEL}{_FORCE}"
     ),
-    (
-        "payload_x_m",
+    "payload_x_m": (
         r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)|x_(of_)?(the_)?(payload|load)"
-        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?x",
+        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?x"
     ),
-    (
-        "payload_y_m",
+    "payload_y_m": (
         r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*|y_(of_)?(the_)?(payload|load)"
-        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?y",
+        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?y"
     ),
-    (
-        "payload_kg",
+    "payload_kg": (
         r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last|massa)"
         r"|(charge|carga|carico)(_(utile|util))?"
         r"|(mass|masse|gewicht|weight|load|masa|massa)_(on|auf|in|sur|en|su)_.*"
         r"|(mass|masse|gewicht|weight)_(of_)?(the_)?(zuladung|nutzlast|ladung|payload|load|last)"
-        r"|(zuladung|nutzlast|ladung|payload|load|last)s?_?(masse|mass|gewicht|weight)",
+        r"|(zuladung|nutzlast|ladung|payload|load|last)s?_?(masse|mass|gewicht|weight)"
     ),
-    ("speed_mps", r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v|vitesse.*|velocidad.*|velocita.*)"),
-    ("temperature_C", rf"({_PLACE}_?)?temp(eratur[ea]?)?(_.*)?"),
-    ("minutes_under_load", r"(standzeit|minutes?_under_load|dwell.*)"),
-    (
-        "distance_m",
+    "speed_mps": r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v|vitesse.*|velocidad.*|velocita.*)",
+    "temperature_C": rf"({_PLACE}_?)?temp(eratur[ea]?)?(_.*)?",
+    "minutes_under_load": r"(standzeit|minutes?_under_load|dwell.*)",
+    "distance_m": (
         r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o|longueur|trajet|distancia|recorrido|distanza|percorso)"
-        r"(_.*)?|travel(led)?",
+        r"(_.*)?|travel(led)?"
     ),
-    ("counts_left", rf"{_COUNTS}.*(_?{_LEFT}|_g)"),
-    ("counts_right", rf"{_COUNTS}.*(_?{_RIGHT}|_d)"),
-    ("ref_x_m", r"(ref|mocap|tracker|end|ziel|final)_?x"),
-    ("ref_y_m", r"(ref|mocap|tracker|end|ziel|final)_?y"),
-    (
-        "ref_theta_rad",
-        r"(ref|mocap|tracker|end|ziel|final)_?(theta|yaw|heading|winkel|kurs|kurswinkel)|theta|yaw|heading|kurswinkel",
+    "counts_left": rf"{_COUNTS}.*(_?{_LEFT}|_g)",
+    "counts_right": rf"{_COUNTS}.*(_?{_RIGHT}|_d)",
+    "ref_x_m": r"(ref|mocap|tracker|end|ziel|final)_?x",
+    "ref_y_m": r"(ref|mocap|tracker|end|ziel|final)_?y",
+    "ref_theta_rad": (
+        r"(ref|mocap|tracker|end|ziel|final)_?(theta|yaw|heading|winkel|kurs|kurswinkel)|theta|yaw|heading|kurswinkel"
     ),
-    ("excluded", r"(excluded|ungueltig|ausschluss|ausgeschlossen)"),
-)
+    "excluded": r"(excluded|ungueltig|ausschluss|ausgeschlossen)",
+}
 #: what measures poses from outside, and what a speed is called
 _TRACKER: Final = r"(ref|mocap|pose|pos|tracker|vicon|optitrack|qualisys|motive)"
 _SPEED: Final = r"(vel|velocity|speed|geschwindigkeit)"
-_LOG: Final[Sequence[tuple[str, str]]] = (
-    (
-        "t_s",
-        r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?|horodatage|temps|tiempo|tempo)(_.*)?",
+_LOG: Final[Mapping[str, str]] = {
+    "t_s": (
+        r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?|horodatage|temps|tiempo|tempo)(_.*)?"
     ),
-    ("counts_front_left", r".*(front_?(l|left)|v_?l|vorn.*links)"),
-    ("counts_front_right", r".*(front_?(r|right)|v_?r|vorn.*rechts)"),
-    ("counts_rear_left", r".*((rear|back)_?(l|left)|h_?l|hinten.*links)"),
-    ("counts_rear_right", r".*((rear|back)_?(r|right)|h_?r|hinten.*rechts)"),
-    ("counts_front", _COUNTS + r".*_?(front|vorn|vorne|v)"),
-    ("counts_left", rf"({_COUNTS}.*_?)?{_LEFT}|{_COUNTS}.*_g"),
-    ("counts_right", rf"({_COUNTS}.*_?)?{_RIGHT}|{_COUNTS}.*_d"),
-    ("steer_rad", r".*(steer|lenk|braquage|sterzo).*"),
-    ("speed_rear_mps", rf"{_SPEED}_?(encoder|enc|rear|shaft|drive|antrieb)|(encoder|rear|shaft|drive)_?{_SPEED}"),
-    ("range_m", r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke|telemetr[eo]).*"),
-    ("ref_x_m", rf"({_TRACKER}_?)?x(_?true)?"),
-    ("ref_y_m", rf"({_TRACKER}_?)?y"),
-    ("gyro_z_radps", r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)"),
-    ("ref_theta_rad", rf"({_TRACKER}_?)?(theta|yaw|heading|gier.*)"),
-)
+    "counts_front_left": r".*(front_?(l|left)|v_?l|vorn.*links)",
+    "counts_front_right": r".*(front_?(r|right)|v_?r|vorn.*rechts)",
+    "counts_rear_left": r".*((rear|back)_?(l|left)|h_?l|hinten.*links)",
+    "counts_rear_right": r".*((rear|back)_?(r|right)|h_?r|hinten.*rechts)",
+    "counts_front": _COUNTS + r".*_?(front|vorn|vorne|v)",
+    "counts_left": rf"({_COUNTS}.*_?)?{_LEFT}|{_COUNTS}.*_g",
+    "counts_right": rf"({_COUNTS}.*_?)?{_RIGHT}|{_COUNTS}.*_d",
+    "steer_rad": r".*(steer|lenk|braquage|sterzo).*",
+    "speed_rear_mps": rf"{_SPEED}_?(encoder|enc|rear|shaft|drive|antrieb)|(encoder|rear|shaft|drive)_?{_SPEED}",
+    "range_m": r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke|telemetr[eo]).*",
+    "ref_x_m": rf"({_TRACKER}_?)?x(_?true)?",
+    "ref_y_m": rf"({_TRACKER}_?)?y",
+    "gyro_z_radps": r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)",
+    "ref_theta_rad": rf"({_TRACKER}_?)?(theta|yaw|heading|gier.*)",
+}
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
@@ -195,8 +185,8 @@ def _guessed_in_log(name: str) -> str | None:
     return wheel if wheel and wheel.startswith("counts_") else _matching(stem, unit, _LOG)
 
 
-def _matching(stem: str, unit: str | None, words: Sequence[tuple[str, str]]) -> str | None:
-    for target, pattern in words:
+def _matching(stem: str, unit: str | None, words: Mapping[str, str]) -> str | None:
+    for target, pattern in words.items():
         if not re.fullmatch(pattern, stem):
             continue
         if target.startswith("load_") and unit is None and not re.search(rf"las|loa|^f|(^|_){_FORCE}(_|$)", stem):

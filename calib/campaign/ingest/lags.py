@@ -8,11 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.counters import detect_wrap_bits, unwrap
 from calib.campaign.ingest.mapping import MappedColumn
+from calib.campaign.logs import detect_wrap_bits, unwrap
 from calib.campaign.model import Border
-from calib.campaign.readers import Recording
-from calib.campaign.readers.recording import Stream
+from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import NS_PER_S
 from calib.types import BoolArray, FloatArray
 

@@ -13,20 +13,18 @@ import numpy as np
 from calib.campaign.ingest.lags import Lag, Lines, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
-from calib.campaign.logs_file import log_column, refuse_incomplete
+from calib.campaign.logs import add_recognised, from_first_sample, in_log, log_column, refuse_incomplete
 from calib.campaign.model import LOG_COLUMNS, Border, Note
-from calib.campaign.readers import RawTable, Recording, holds_recording, read_recording, read_table
-from calib.campaign.readers.recording import Stream, WantedColumns, check_not_empty, joined_table
+from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
+from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty, joined_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
-from calib.campaign.settings import Encoder, converted, recognise, second_column
+from calib.campaign.settings import Encoder, converted, recognise
 from calib.errors import BadFileError
 from calib.types import FloatArray
 
 #: name under which the column that tells the runs is kept
 CUT_COLUMN: Final = "cut"
-#: a log whose first sample is later than this is noted: its times count from the first sample
-_LATE_START_S: Final = 1.0
 #: an angle that spans more than one turn by this share does not start again at each turn
 _ONE_TURN: Final = 1.001
 
@@ -84,7 +82,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
         sources = {line.column for line in lines.values()}
 
         def wanted(name: str) -> bool:
-            return name in sources or without_unit(name) in sources or log_column(name).name in LOG_COLUMNS
+            return name in sources or without_unit(name) in sources or in_log(name)
 
         raw = read_table(path, shown, wanted, mapping.log.layout)
         lines = resolved(lines, raw.columns)
@@ -94,13 +92,8 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
     if "t_s" in columns:
         _to_counts(columns, lines, encoder)
     refuse_incomplete(columns, shown, raw.line)
-    if not len(raw.line):
-        raise BadFileError(shown, found="no rows", expected="one row a sample", remedy="export the log again")
     columns = _without_repeats(columns, shown, border)
-    start = float(columns["t_s"][0])
-    if abs(start) > _LATE_START_S:
-        border.say(shown, f"times count from the first sample, which was at {start:.10g} s", "start_time")
-        columns["t_s"] = columns["t_s"] - start
+    start = from_first_sample(columns, shown, border)
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
 
 
@@ -225,16 +218,8 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
     mapped = {line.column for line in lines.values()}
-    for column, cells in raw.columns.items():
-        match = log_column(column)
-        if column in mapped or match.name not in LOG_COLUMNS or match.name in lines:
-            continue
-        if match.name in columns:
-            raise second_column(match, column, shown)
-        if match.said:
-            border.say(f"{shown}, column {column}", match.said, "unit" if match.factor != 1.0 else "name")
-        time_column = column if match.name == "t_s" else time_column
-        columns[match.name] = converted(cells, match.factor, match.offset)
+    recognised = add_recognised(columns, raw, shown, border, mapped)
+    time_column = recognised if "t_s" not in lines else time_column
     order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)
 

@@ -188,7 +188,7 @@ class _Section(_Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _gather_columns(cls, section: dict[str, Any]) -> dict[str, Any]:
+    def _gather_columns(cls, section: dict[str, object]) -> dict[str, object]:
         keys = set(cls.model_fields) - {"columns"}
         lines = {name: line for name, line in section.items() if name not in keys}
         columns = {name: {"column": line} if isinstance(line, str) else line for name, line in lines.items()}
@@ -293,7 +293,7 @@ class Mapping:
     #: None where the logs are of one run each
     cut: Segmentation | None
     #: all other keys and sections: those of ``campaign.toml``
-    settings: dict[str, Any]
+    settings: dict[str, object]
     #: the run table beside the mapping, where it names one
     table_file: Path | None = None
 
@@ -306,14 +306,9 @@ def read_mapping(path: Path | None) -> Mapping:
     """
     shown = str(path) if path else "mapping"
     document = load_toml(path, shown) if path else {}
-    has_cut = "cut" in document
-    sections = {name: document.pop(name, {}) for name in ("table", "log", "cut")}
-    for name, section in sections.items():
-        if not isinstance(section, dict):
-            raise BadFileError(shown, repr(section)[:60], f"a section [{name}]", "correct the mapping", column=name)
-    table = parse_section(TableSection, sections["table"], shown, "table")
-    log = parse_section(LogSection, sections["log"], shown, "log")
-    cut = parse_section(Segmentation, sections["cut"], shown, "cut") if has_cut else None
+    table = parse_section(TableSection, document.pop("table", {}), shown, "table")
+    log = parse_section(LogSection, document.pop("log", {}), shown, "log")
+    cut = parse_section(Segmentation, document.pop("cut"), shown, "cut") if "cut" in document else None
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
     return Mapping(shown, table, log, cut, document, table_file)
 
@@ -321,14 +316,14 @@ def read_mapping(path: Path | None) -> Mapping:
 _Parsed = TypeVar("_Parsed", bound=BaseModel)
 
 
-def parse_section(model: type[_Parsed], section: dict[str, Any], shown: str, where: str) -> _Parsed:
+def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
     Parameters
     ----------
     model : type
         `TableSection`, `LogSection` or `Segmentation`.
-    section : dict
+    section : object
         As TOML gives it.
     shown, where : str
         The mapping and the section's name, for messages.
@@ -341,8 +336,10 @@ def parse_section(model: type[_Parsed], section: dict[str, Any], shown: str, whe
     Raises
     ------
     BadFileError
-        At the first key that cannot be used, with what was expected there.
+        Where it is no section, or at the first key that cannot be used, with what was expected there.
     """
+    if not isinstance(section, dict):
+        raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)
     try:
         return model.model_validate(section)
     except ValidationError as error:

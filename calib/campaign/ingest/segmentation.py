@@ -15,10 +15,9 @@ from calib.campaign.ingest.lags import continuous_counts
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
 from calib.campaign.ingest.mapping import Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, with_number
-from calib.campaign.model import Border, RunTable
+from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
-from calib.campaign.settings_file import Settings
 from calib.errors import BadFileError
 from calib.types import BoolArray, FloatArray
 
@@ -54,7 +53,7 @@ def segment_recordings(
     table: RawTable | None,
     recordings: MappingType[Path, MappedLog],
     mapping: Mapping,
-    settings: Settings,
+    settings: Campaign,
     border: Border,
 ) -> tuple[RunTable, dict[int, MappedLog], dict[str, MappedLog], list[Segment]]:
     """Cut recordings into runs.
@@ -69,7 +68,7 @@ def segment_recordings(
         In the order driven.
     mapping : Mapping
         Its section on cutting.
-    settings : Settings
+    settings : Campaign
         Vehicle and encoder, for lengths.
     border : Border
         Takes notes.

@@ -5,17 +5,18 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from calib.campaign.readers.recording import Recording, joined_table
 from calib.campaign.readers.table import Layout, RawTable, Wanted
 from calib.errors import BadFileError
+
+if TYPE_CHECKING:
+    from calib.campaign.readers.recording import Recording
 
 __all__ = [
     "READERS",
     "Layout",
     "RawTable",
-    "Recording",
     "Wanted",
     "holds_recording",
     "is_bag_folder",
@@ -54,6 +55,8 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     module = _module(path, shown)
     try:
         if hasattr(module, "record"):
+            from calib.campaign.readers.recording import joined_table
+
             return joined_table(module.record(path, shown, wanted))
         table: RawTable = module.read(path, shown, wanted, layout or Layout())
     except OSError as error:

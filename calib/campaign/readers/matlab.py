@@ -75,7 +75,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     return Recording(streams, tuple(notes), properties)
 
 
-def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: list[Note]) -> dict[str, Any]:
+def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: list[Note]) -> dict[str, object]:
     """Return the numeric variables and structures by name; `notes` takes one on each other variable."""
     import scipy.io
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -82,27 +82,22 @@ class Stream:
 
     def contents(self) -> StreamContents:
         """Return what the stream holds, with span, rate and gaps of its clock."""
-        clock: dict[str, Any] = {}
+        found = StreamContents(
+            self.name, self.kind, len(self), self.clock, tuple(self.columns), behind_arrival_s=self.behind_arrival_s
+        )
         if self.time_ns is not None and len(self.time_ns):
             steps_s = np.diff(self.time_ns) / NS_PER_S
             usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
             gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
-            clock = {
-                "span_s": float(np.ptp(self.time_ns)) / NS_PER_S,
-                "rate_Hz": 1.0 / usual_s if usual_s > 0 else 0.0,
-                "n_gaps": len(gaps_s),
-                "longest_gap_s": float(gaps_s.max(initial=0.0)),
-                "start_ns": int(self.time_ns.min()),
-            }
-        return StreamContents(
-            self.name,
-            self.kind,
-            len(self),
-            self.clock,
-            tuple(self.columns),
-            behind_arrival_s=self.behind_arrival_s,
-            **clock,
-        )
+            return replace(
+                found,
+                span_s=float(np.ptp(self.time_ns)) / NS_PER_S,
+                rate_Hz=1.0 / usual_s if usual_s > 0 else 0.0,
+                n_gaps=len(gaps_s),
+                longest_gap_s=float(gaps_s.max(initial=0.0)),
+                start_ns=int(self.time_ns.min()),
+            )
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

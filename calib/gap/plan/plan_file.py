@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.campaign.model import Campaign, Logs, RunTable
@@ -97,7 +97,7 @@ def read_plan(path: Path) -> Campaign:
     if settings.odometry.source in _IN_LOG_ONLY and not measured.log:
         only = _IN_LOG_ONLY[settings.odometry.source]
         raise _wrong(path, "measured.log", False, f"true: without a log there is no record of {only}")
-    campaign = settings.campaign(_no_runs(), Logs.empty(0), simulated=True, notes=settings.notes)
+    campaign = replace(settings, simulated=True)
     return drive(campaign, runs, Measured(**measured.model_dump(exclude={"corridor_m"})), measured.corridor_m)
 
 
@@ -155,10 +155,6 @@ def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileErro
     return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")
 
 
-def _no_runs() -> RunTable:
-    return RunTable({"run_id": np.zeros(0, dtype=np.str_)}, {}, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64))
-
-
 #: route and direction of six runs, driven in three sessions under changing conditions
 ROUTES: Final = (
     ("corridor", "out"),
@@ -192,7 +188,7 @@ def demonstration() -> Campaign:
         model=OdometryModel(radius_m, radius_m, track_m, reference_load_N=300.0),
         rangefinder=Rangefinder(),
         reference=Reference(),
-        runs=_no_runs(),
+        runs=RunTable.empty(),
         logs=Logs.empty(0),
     )
     runs = [_demonstrated(number) for number in range(2 * len(SESSIONS) * len(ROUTES))]

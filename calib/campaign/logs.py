@@ -1,0 +1,314 @@
+"""Logs: which file is whose, how one is read, and all of them end to end with the overflow of their counters undone."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Border, Logs, RunTable
+from calib.campaign.readers import READERS, RawTable, read_table
+from calib.campaign.settings import Encoder, Recognised, converted, recognise, second_column
+from calib.errors import BadFileError
+from calib.io import inside
+from calib.types import FloatArray, IntArray
+
+_MAX_PATH: Final = 500
+#: widths that are looked for where the settings name none
+WIDTHS: Final = (13, 16, 32)
+#: how the width of a counter is known
+_STATED: Final = "as the settings say"
+_DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
+#: samples by which the columns grow at least, and the share of what they hold
+_GROWTH: Final = 1 << 16
+_GROWTH_SHARE: Final = 0.125
+#: a log whose first sample is later than this is noted: its times count from the first sample
+LATE_START_S: Final = 1.0
+
+
+def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[LogFile]:
+    """Return the logs that there are, in the order of the runs.
+
+    `folder`: the campaign's; `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`:
+    the run table's name in messages; `border`: takes what is missing or named twice as faults. Raises BadFileError
+    where a path leads out of the folder, or, for a border that is not lenient, at the first fault.
+    """
+    plain = _plain_logs(folder)
+    files: list[LogFile] = []
+    taken: dict[Path, int] = {}
+
+    def fault(found: str, expected: str, remedy: str, row: int) -> BadFileError:
+        return BadFileError(shown, found, expected, remedy, row=row, column="log")
+
+    for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
+        if "log" in runs.labels:
+            relative = str(runs.labels["log"][index])
+        else:
+            # a run id that is no plain file name has no log of that name
+            candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
+            relative = next((name for name in candidates if name in plain or (folder / name).exists()), "")
+        if not relative:
+            continue
+        if len(relative) > _MAX_PATH:
+            raise fault(f"a path of {len(relative)} characters", f"at most {_MAX_PATH}", "correct the path", row)
+        path = plain.get(relative) or inside(folder, relative, named_in=shown, row=row, column="log")
+        if path in taken:
+            twice = f"{relative}, which row {taken[path]} names too"
+            border.fault(fault(twice, "a log of its own for each run", "correct the path", row), "shared_log", run_id)
+        taken.setdefault(path, row)
+        if relative not in plain and not _is_file(path):
+            missing = f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}"
+            remedy = "put the file there, or leave the cell empty"
+            border.fault(fault(missing, "a log file", remedy, row), "missing_log", run_id)
+            continue
+        files.append((index, run_id, path, relative))
+    return files
+
+
+def _plain_logs(folder: Path) -> dict[str, Path]:
+    """Return the files of the folder ``logs`` to which no link leads, by their names in a run table.
+
+    They are found in one go; what is not among them is looked into one by one.
+    """
+    logs = folder.resolve() / "logs"
+    try:
+        if logs.is_symlink():
+            return {}
+        with os.scandir(logs) as entries:
+            names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
+    except OSError:
+        return {}
+    return {f"logs/{name}": logs / name for name in names}
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:
+        # a name that the file system cannot hold
+        return False
+
+
+#: run number, run id, path, and its name in messages
+LogFile = tuple[int, str, Path, str]
+
+
+def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None) -> dict[str, FloatArray]:
+    """Read one log: columns of `LOG_COLUMNS` in SI units, times from the run's start, shape (n_samples,) each.
+
+    `path`: of any format that a reader knows; `shown`: its name in messages; `border`: takes notes; `raw`: the columns
+    that `in_log` picks, where they were read already. Raises BadFileError where a required column is missing or holds a
+    gap, or a cell is no number.
+    """
+    if raw is None:
+        raw = read_table(path, shown, in_log)
+    border.notes.extend(raw.notes)
+    columns: dict[str, FloatArray] = {}
+    add_recognised(columns, raw, shown, border)
+    refuse_incomplete(columns, shown, raw.line)
+    from_first_sample(columns, shown, border)
+    return columns
+
+
+def in_log(name: str) -> bool:
+    """Return whether a column of this name may be one of a log."""
+    return log_column(name).name in LOG_COLUMNS
+
+
+def add_recognised(
+    columns: dict[str, FloatArray], raw: RawTable, shown: str, border: Border, mapped: Collection[str] = ()
+) -> str:
+    """Add the columns that calib knows by their names, in SI units; return the source of the times.
+
+    Parameters
+    ----------
+    columns : dict of str to array of float, shape (n_samples,)
+        Columns that are there already, by calib's names; changed in place.
+    raw : RawTable
+        The log as read.
+    shown : str
+        Its name in messages.
+    border : Border
+        Takes what was converted.
+    mapped : collection of str
+        Columns of `raw` that are not looked at.
+
+    Raises
+    ------
+    BadFileError
+        Where two columns mean the same.
+    """
+    time, given = "t_s", set(columns)
+    for found, cells in raw.columns.items():
+        match = log_column(found)
+        if found in mapped or match.name not in LOG_COLUMNS or match.name in given:
+            continue
+        if match.name in columns:
+            raise second_column(match, found, shown)
+        if match.said:
+            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        time = found if match.name == "t_s" else time
+        columns[match.name] = converted(cells, match.factor, match.offset)
+    return time
+
+
+def from_first_sample(columns: dict[str, FloatArray], shown: str, border: Border) -> float:
+    """Let times that begin later than `LATE_START_S` count from the first sample, in place; return its time."""
+    start = float(columns["t_s"][0])
+    if abs(start) > LATE_START_S:
+        border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
+        columns["t_s"] = columns["t_s"] - start
+    return start
+
+
+def log_column(name: str) -> Recognised:
+    """Return what a column of a log is, by its whole name or, in a recording, by the part after its stream or group.
+
+    `name`: as found: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
+    """
+    whole = recognise(name, LOG_COLUMNS, further=False)
+    if whole.name in LOG_COLUMNS:
+        return whole
+    return replace(recognise(re.split(r"[:/]", name)[-1], LOG_COLUMNS, further=False), found=name)
+
+
+def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntArray) -> None:
+    """Refuse a log without time, wheels or rows, or with gaps in them.
+
+    `columns` (shape (n_samples,)); `line` (shape (n_samples,)): line of each sample in the file. Raises BadFileError:
+    names the column that is missing, or the row of the empty cell.
+    """
+    wheels = max(WHEEL_SETS, key=lambda names: sum(name in columns for name in names) / len(names))
+    for name in ("t_s", *wheels):
+        if name not in columns:
+            expected = f"t_s with {' or '.join(' and '.join(names) for names in WHEEL_SETS)}"
+            remedy = "name the columns so in the header line; a unit may differ if it is named (t_ms)"
+            raise BadFileError(shown, "no such column", expected, remedy, row=1, column=name)
+        # the sum of a column without a gap is a number: one pass
+        if np.isnan(columns[name].sum()) and len(gaps := np.flatnonzero(np.isnan(columns[name]))):
+            remedy = "remove the row; a gap in time is found and said"
+            row = int(line[gaps[0]])
+            raise BadFileError(shown, "an empty cell", "a number in every row", remedy, row=row, column=name)
+    if not len(line):
+        raise BadFileError(shown, "no rows", "one row a sample", "export the log again")
+
+
+def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
+    """Find the width of a counter that overflows inside the logs.
+
+    A jump counts as an overflow where it comes within an eighth of 2^bits, and the log's range never leaves one span of
+    the counter, so that a jump of the wheel itself is never mistaken for one.
+
+    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins. 13, 16
+    or 32, or None where nothing overflows.
+    """
+    if not len(counts) or np.isnan(counts).all():
+        return None
+    low, high = np.nanmin(counts), np.nanmax(counts)
+    for bits in WIDTHS:
+        full = 2.0**bits
+        unsigned, signed = low >= 0 and high < full, low >= -full / 2 and high < full / 2
+        if not (unsigned or signed) or high - low < 0.875 * full:
+            continue
+        magnitude = np.abs(_steps(counts, offsets))
+        overflows = np.abs(magnitude - full) < full / 8
+        if overflows.any() and not (magnitude[~overflows] >= full / 8).any():
+            return bits
+    return None
+
+
+def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
+    """Undo overflows: every step is taken as the shortest one around the counter.
+
+    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins; `bits`:
+    width of the counter. Returns `counts` (shape (n_samples,)): each log continues from its own first value; `wraps`
+    (shape (n_runs,)): overflows undone in each log.
+    """
+    full = 2.0**bits
+    step = _steps(counts, offsets)
+    turns = np.where(np.isnan(step), 0.0, -np.rint(step / full))
+    if not turns.any():
+        return counts, np.zeros(len(offsets) - 1, dtype=np.int64)
+    total = np.cumsum(turns)
+    start = np.repeat(total[np.minimum(offsets[:-1], len(total) - 1)], np.diff(offsets))
+    wraps = np.add.reduceat(np.append(np.abs(turns), 0.0), offsets[:-1])
+    wraps[np.diff(offsets) == 0] = 0
+    return counts + full * (total - start), wraps.astype(np.int64)
+
+
+def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
+    """Return how many full counters to add to `total` so that it meets `expected`; 0 where none fits.
+
+    `total`, `expected`, `tolerance` (shape (n_runs,)): counts found, counts expected, and how far they may be apart;
+    `bits`: width of the counter. Shape (n_runs,): whole numbers.
+    """
+    full = 2.0**bits
+    turns = np.rint((expected - total) / full)
+    fits = np.abs(total + turns * full - expected) <= tolerance
+    return np.where(fits & np.isfinite(turns), turns, 0.0)
+
+
+def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
+    """Return the step to each sample from the one before, 0 at the first of each log."""
+    step = np.diff(counts, prepend=counts[:1])
+    starts = offsets[:-1]
+    step[starts[starts < len(step)]] = 0.0
+    return step
+
+
+class LogStack:
+    """Columns that grow as logs come, one array each, so that no log is held twice.
+
+    `n_runs`: rows of the run table.
+    """
+
+    def __init__(self, n_runs: int) -> None:
+        self._lengths = np.zeros(n_runs, dtype=np.int64)
+        self._columns: dict[str, FloatArray] = {}
+        self._size = 0
+        self._next = 0
+
+    def add(self, run: int, columns: Mapping[str, FloatArray]) -> None:
+        """Add the log of a run, whose columns each have shape (n_samples,); runs come in their order."""
+        if run < self._next:
+            raise ValueError(f"run: found {run} after {self._next - 1}; expected rising numbers")
+        begin, self._next = self._size, run + 1
+        self._lengths[run] = n_samples = len(columns["t_s"])
+        self._size += n_samples
+        for name in LOG_COLUMNS:
+            if name in columns and name not in self._columns:
+                self._columns[name] = np.full(begin, np.nan)
+        for name, column in self._columns.items():
+            if len(column) < self._size:
+                # not copied where the system can move pages
+                column.resize(self._size + max(_GROWTH, int(_GROWTH_SHARE * self._size)), refcheck=False)
+            column[begin : self._size] = columns.get(name, np.nan)
+
+    def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
+        """Return the logs of all runs with the overflow of their counters undone; the stack is empty afterwards.
+
+        `encoder`: ``wrap_bits`` where the settings name it; else overflows are looked for; `names`: run id and name of
+        the log, for messages. Of all runs, end to end.
+        """
+        offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
+        columns: dict[str, FloatArray] = {}
+        for name in LOG_COLUMNS:
+            column = self._columns.pop(name, None)
+            if column is None:
+                continue
+            column.resize(self._size, refcheck=False)
+            bits = encoder.wrap_bits or detect_wrap_bits(column, offsets) if name.startswith("counts_") else None
+            if bits is not None and len(column):
+                column, wraps = unwrap(column, offsets, bits)
+                for run in np.flatnonzero(wraps):
+                    run_id, shown = names[int(run)]
+                    how = _STATED if encoder.wrap_bits else _DETECTED
+                    text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
+                    border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
+            columns[name] = column
+        return Logs(offsets=offsets, columns=columns)
