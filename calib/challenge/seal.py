@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -44,7 +45,9 @@ class Sealed:
 def truth_path(folder: Path) -> Path:
     """Return where the truth of a set lies by default: beside its folder, not in it."""
     folder = Path(folder)
-    return folder.with_name(folder.name + ".truth.json")
+    if folder.name in {"", ".."}:
+        folder = Path(os.path.abspath(folder))  # noqa: PTH100  (a link to a set is not followed)
+    return folder.parent / f"{folder.name}.truth.json"
 
 
 def each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli import terminal
+from calib.errors import BadInputError
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
 Cases = Annotated[int | None, typer.Option("--cases", metavar="N", min=1, help="Only so many cases.")]
@@ -90,7 +91,7 @@ def score(
     from calib.reporting.next_step import after_challenge
     from calib.reporting.topics.challenge import score_content
 
-    beside = None if plot is None else plot.with_name(f"{plot.stem}-confusion{plot.suffix}")
+    beside = None if plot is None else plot.parent / f"{plot.stem}-confusion{plot.suffix}"
     terminal.refuse_outputs(plot, beside)
     scored = score_set(folder, truth_file=truth)
     terminal.show(score_content(scored))
@@ -131,6 +132,8 @@ def own(
     from calib.reporting.topics.challenge import own_content
 
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
+    if effects is not None and not names:
+        raise BadInputError(f"--effects: found {effects!r}; expected effects with commas; 'calib effects' lists them")
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
     campaign = read_campaign(folder)
     with terminal.progress("planting") as tick:

@@ -67,6 +67,11 @@ def _single_precision(made: Campaign) -> Campaign:
     return with_numbers(made, ref_x_m=np.asarray(east_m, dtype=np.float32).astype(np.float64))
 
 
+def _two_places(made: Campaign) -> Campaign:
+    """Positions in single precision of which half a metre is the last digit: two values for all runs."""
+    return with_numbers(made, ref_x_m=40.0 + 0.5 * (np.arange(len(made.runs)) % 2))
+
+
 def _wrapped(made: Campaign) -> Campaign:
     return with_numbers(_without_logs(made), counts_left=np.mod(made.runs.number("counts_left"), 2**16))
 
@@ -210,6 +215,15 @@ def _with_sigma(**sigma: float) -> Fault:
     return lambda made: replace(_wandering(made), reference=replace(made.reference, **sigma))
 
 
+def _with_reference_load(load_N: float) -> Fault:
+    return lambda made: replace(made, model=replace(made.model, reference_load_N=load_N))
+
+
+def _exchanged_axes(made: Campaign) -> Campaign:
+    made = _wandering(made)
+    return with_numbers(made, ref_x_m=made.runs.number("ref_y_m"), ref_y_m=made.runs.number("ref_x_m"))
+
+
 def _headings_off(made: Campaign) -> Campaign:
     """By 0.02 rad, in one session."""
     made = _wandering(made)
@@ -306,6 +320,10 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_against_pose", "pose_of_another_run", "suspicious", _poses_of_two_runs, "r004"),
     ("stated_uncertainties", "stated_uncertainties", "suspicious", _with_sigma(sigma_xy_m=0.05), ""),
     ("stated_uncertainties", "stated_uncertainties", "suspicious", _with_sigma(sigma_theta_rad=0.04), ""),
+    ("stated_uncertainties", "stated_uncertainties", "suspicious", _with_sigma(sigma_xy_m=0.0001), ""),
+    ("reference_load", "reference_load", "info", _with_reference_load(380.0), ""),
+    ("bearing_of_ends", "bearing_of_ends", "suspicious", _exchanged_axes, ""),
+    ("pose_resolution", "pose_resolution", "suspicious", _two_places, ""),
     ("turned_frame", "turned_frame", "suspicious", _headings_off, ""),
     ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
     ("turned_frame", "turned_frame", "suspicious", _sensor_said_to_be_turned, ""),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.challenge.seal import truth_path
 from calib.cli.main import run
 
 SEEDS = """
@@ -85,3 +86,22 @@ def test_own_says_what_a_campaign_would_find(project_root: Path, capsys: pytest.
     }
     assert own["false_alarms"]["tried"] == 4
     assert "track_width" in err
+
+
+def test_no_effects_and_a_folder_for_the_plot_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["challenge", "own", ".", "--effects", " ,"]) == 2
+    assert "expected effects with commas" in capsys.readouterr().err
+    Path("seeds.toml").write_text(SEEDS, encoding="utf-8")
+    assert run(["challenge", "make", "--seeds", "seeds.toml", "--into", "blind", "--workers", "1"]) == 0
+    assert run(["challenge", "score", "blind", "--plot", "."]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_truth_of_the_current_folder_lies_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "blind").mkdir()
+    monkeypatch.chdir(tmp_path / "blind")
+    assert truth_path(Path()) == tmp_path / "blind.truth.json"
+    assert truth_path(Path("blind")) == Path("blind.truth.json")

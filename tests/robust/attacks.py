@@ -277,6 +277,9 @@ READ = {"--law", "--model", "--mapping", "--from", "--candidates", "--seeds", "-
 #: what takes long however it ends is given fewer values
 SLOW = {"challenge own", "challenge make", "diagnose", "report", "fleet run", "simulate study", "plan", "geometry"}
 
+#: one figure in place of forty
+DRAWN_ALONE = {"effects": ["track_width"]}
+
 
 def choices() -> Iterator[Attack]:
     """Yield values of every kind for every option of every command."""
@@ -291,7 +294,7 @@ def choices() -> Iterator[Attack]:
             pool = PATHS if is_output or option in READ else VALUES
             step = 5 if command in SLOW else 2
             for at in range((number + turn) % step, len(pool), step):
-                words = worded(command)
+                words = worded(command) + DRAWN_ALONE.get(command, [])
                 if option in words:
                     place = words.index(option)
                     words[place : place + 2] = []
@@ -382,16 +385,20 @@ def _numbers(text: str, value: str) -> str:
 
 
 SIMULATORS = {
-    "none": '["no-such-program"]',
-    "one that fails": '["false"]',
-    "one that writes nothing": '["true"]',
+    "none": '["no-such-program", "{campaign}", "{parameters}", "{out}"]',
+    "one that fails": '["false", "{campaign}", "{parameters}", "{out}"]',
+    "one that writes nothing": '["true", "{campaign}", "{parameters}", "{out}"]',
     "an empty command": "[]",
-    "a folder": '["/"]',
-    "one that writes no table": '["sh", "-c", "head -c 3000 /dev/urandom > {out}"]',
-    "one that never ends": '["sleep", "600"]',
-    "one that floods": '["sh", "-c", "yes | head -c 50000000; exit 3"]',
-    "one with NaN": '["sh", "-c", "printf \'run_id,sim_distance_m\\\\nr000,nan\\\\n\' > {out}"]',
-    "braces": '["sh", "-c", "echo {nothing} {0} {} > {out}"]',
+    "a folder": '["/", "{campaign}", "{parameters}", "{out}"]',
+    "one that writes no table": '["sh", "-c", "head -c 3000 /dev/urandom > $2", "{campaign}", "{parameters}", "{out}"]',
+    "one that never ends": '["sh", "-c", "sleep 600", "{campaign}", "{parameters}", "{out}"]',
+    "one that floods": '["sh", "-c", "yes | head -c 50000000; exit 3", "{campaign}", "{parameters}", "{out}"]',
+    "one with NaN": '["sh", "-c", "printf \'run_id,sim_distance_m\\\\nr000,nan\\\\n\' > $2", '
+    '"{campaign}", "{parameters}", "{out}"]',
+    "one that removes its inputs": '["sh", "-c", "rm -r $0 $1", "{campaign}", "{parameters}", "{out}"]',
+    "one that is no text": '["sh", "-c", "printf \'\\\\377\\\\376\' >&2; exit 1", '
+    '"{campaign}", "{parameters}", "{out}"]',
+    "braces": '["sh", "-c", "echo {nothing} {0} {} > $2", "{campaign}", "{parameters}", "{out}"]',
 }
 
 

@@ -17,6 +17,7 @@ from calib.campaign.checks.design import (
     implausible_column,
     listed,
     meaning,
+    setting_note,
     stated,
 )
 from calib.campaign.model import Campaign, Note
@@ -73,6 +74,24 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
         yield cell_note(campaign, run, _LOADS, text, code)
 
 
+def reference_load(campaign: Campaign) -> Iterator[Note]:
+    """Find a reference load that is neither that of the empty vehicle nor one that was driven, nor their mean."""
+    loads = np.concatenate([campaign.runs.number(f"load_{side}_N") for side in SIDES])
+    loads, found = loads[np.isfinite(loads)], campaign.model.reference_load_N
+    if not stated(campaign, "model.reference_load_N") or not len(loads):
+        return
+    usual = np.array([campaign.vehicle.unladen_load_N, loads.mean(), *np.unique(loads)])
+    if np.abs(usual - found).min() > _SAME_LOAD * found:
+        text = (
+            f"found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven "
+            f"({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from "
+            "those stated at another by the slope times the difference; check the value"
+        )
+        yield setting_note("model.reference_load_N", text, "reference_load", "info")
+
+
+#: a reference load is another one within this share of itself: what scales and rounding leave
+_SAME_LOAD: Final = 0.05
 _SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
 _CONTRADICTED: Final = (
     "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",

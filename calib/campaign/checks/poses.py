@@ -34,6 +34,11 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: scatter and stated uncertainty are the same within this factor
 _OVERSTATED: Final = 4.0
+#: distance and end pose scatter against each other by more than stated: beyond 1.41 times, where start and end are
+#: measured each, and by so many standard deviations of the sum of squares
+_UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
+#: straight runs end ahead of where they began within this angle
+_MOST_BEARING_RAD: Final = 0.3
 #: share by which a track may differ before it is reported
 _TRACK_TOLERANCE: Final = 0.05
 #: a run far from the others, in robust spreads, is left aside: its log may be damaged
@@ -189,12 +194,41 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
             continue
         scatter = robust_spread(values)
         # headings scatter by more than the reference's share, since no floor is even
-        if scatter < sigma / _OVERSTATED or (unit == "m" and scatter > sigma * _OVERSTATED):
+        understated = unit == "m" and _beyond_stated(values, sigma, scatter)
+        if scatter < sigma / _OVERSTATED or understated:
+            most = _UNDERSTATED if understated else _OVERSTATED
             text = (
                 f"found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g} {unit}; "
-                f"expected the same within {_OVERSTATED:g} times; check the unit and the value"
+                f"expected the same within {most:g} times; check the unit and the value"
             )
             yield setting_note(" and ".join(names), text, "stated_uncertainties")
+
+
+def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
+    """Return whether values scatter beyond doubt by more than their standard uncertainty, single ones left aside."""
+    apart = values - np.median(values)
+    squares = (apart[np.abs(apart) <= _OUTLIER_SPREADS * scatter] / sigma) ** 2
+    excess = (squares.mean() - 1.0) / math.sqrt(2.0 / len(squares)) if len(squares) else 0.0
+    return scatter > _UNDERSTATED * sigma and excess > _UNDERSTATED_SIGMAS
+
+
+def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
+    """Find straight runs that end aside of their start heading: a frame turned far, or x and y exchanged."""
+    runs, turned = campaign.runs, turned_rad(campaign)
+    x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
+    away = np.hypot(x, y)
+    straight = ~runs.excluded & (distance > 1.0) & (np.abs(turned) < _MOST_BEARING_RAD)
+    straight &= np.abs(away - distance) < 0.1 * distance
+    if straight.sum() < _LEAST_STRAIGHT_RUNS or campaign.reference.frame == "map":
+        return
+    bearing = float(np.median((np.arctan2(y, x) - 0.5 * turned)[straight]))
+    if abs(bearing) > _MOST_BEARING_RAD:
+        text = (
+            f"{int(straight.sum())} straight runs end {bearing:+.3g} rad off their start heading (median); expected "
+            f"within {_MOST_BEARING_RAD:g} rad, each run in the frame of its own start pose; are x and y exchanged, or "
+            'is the frame turned, or one for all runs (frame = "map")?'
+        )
+        yield column_note("ref_x_m, ref_y_m", text, "bearing_of_ends")
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:

@@ -44,6 +44,8 @@ ODD_RATIO: Final = 1.3
 #: steps of so many times the reference's uncertainty are not its noise; all are multiples of one to `STEP_ERROR`
 COARSE: Final = 3.0
 STEP_ERROR: Final = 0.02
+#: so many values, and this share of all, that come more than once tell rounding by themselves
+REPEATED_VALUES, MOST_REPEATED = 8, 0.8
 #: poses looked at
 MOST_POSES: Final = 10_000
 #: the log begins so many counts late in every run, to the count
@@ -178,9 +180,14 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    """Return the step that all values are multiples of apart, where it is far above a resolution; else None."""
-    steps = np.diff(np.unique(values[np.isfinite(values)][:MOST_POSES]))
-    if len(steps) < LEAST_RUNS or not steps.min() > COARSE * resolution:
+    """Return the step that all values are multiples of apart, where it is far above a resolution; else None.
+
+    A few steps tell where the same values come again and again, which noise of that resolution would not leave.
+    """
+    found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
+    steps = np.diff(found)
+    repeated = len(steps) > 0 and int(times[times > 1].sum()) >= max(REPEATED_VALUES, MOST_REPEATED * times.sum())
+    if not (len(steps) >= LEAST_RUNS or repeated) or not steps.min() > COARSE * resolution:
         return None
     multiples = steps / steps.min()
     return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
