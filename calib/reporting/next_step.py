@@ -72,11 +72,12 @@ def after_report(passed: bool, source: Path) -> str:
 
 
 def after_export(to: str, source: Path, output: Path) -> str:
-    """Return what follows an export in a format."""
-    again = _command("diagnose", source, "--simulator", "SIM.toml")
+    """Return what follows an export in a format; a source that has no runs cannot be diagnosed."""
+    campaign = source if (source / "campaign.toml").is_file() else Path("CAMPAIGN")
+    again = _command("diagnose", campaign, "--simulator", "SIM.toml")
     simulator = f"run your simulator with it, then {again} for what is left."
     steps = {
-        "json": f"{_command('diagnose', source, '--model', output)} for what is left.",
+        "json": f"{_command('diagnose', campaign, '--model', output)} for what is left.",
         "ros2": f"pass it after the controllers' own parameter file (--params-file {shlex.quote(str(output))}).",
         "c": f"cc -fsyntax-only -x c {shlex.quote(str(output))} checks it with your compiler; then include it.",
         "c_effects": f"include it in your simulator's loop, then {again} for what is left.",

@@ -13,6 +13,8 @@ from calib.radius.fit import fit_campaign
 from calib.radius.result import provenance, write_result
 from calib.runtime import Odometer
 
+SAMPLE = Path(__file__).parents[2] / "sample_runs" / "corridor"
+
 
 @pytest.fixture(scope="module")
 def campaign(project_root: Path) -> Path:
@@ -146,3 +148,12 @@ def test_each_format_says_what_to_do_next() -> None:
 
     for name in (*FORMATS, *FROM_CAMPAIGNS):
         assert after_export(name, Path("campaign"), Path("file")).startswith("Next: ")
+
+
+@pytest.mark.parametrize("to", ["json", "mjcf", "urdf", "sdf", "c_effects"])
+def test_a_file_of_coefficients_is_not_said_to_be_diagnosed(to: str) -> None:
+    """A diagnosis takes a campaign: where the source is none, the next step leaves its name open."""
+    from calib.reporting.next_step import after_export
+
+    assert "diagnose CAMPAIGN" in after_export(to, Path("coefficients.json"), Path("file"))
+    assert f"diagnose {SAMPLE}" in after_export(to, SAMPLE, Path("file"))

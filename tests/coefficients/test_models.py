@@ -97,6 +97,27 @@ def test_sdf_whose_links_have_no_pose(coefficients: CoefficientFile) -> None:
     assert not any("as they were" in note or "not moved" in note for note in artifact.notes)
 
 
+def test_wheels_of_a_second_pair_are_named_as_left(coefficients: CoefficientFile, tmp_path: Path) -> None:
+    """Four driven wheels: the joints that were not given are listed, and a second export sets them."""
+    text = (MODELS / "differential.urdf").read_text()
+    wheel = '<link name="{0}"><collision><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>'
+    joint = (
+        '<joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>'
+        '<origin xyz="0.5 {1} 0"/></joint>'
+    )
+    front = "".join(part.format(name, y) for name, y in (("fl", 0.35), ("fr", -0.35)) for part in (wheel, joint))
+    (tmp_path / "four.urdf").write_text(text.replace("</robot>", f"{front}</robot>"))
+    artifact = _export(coefficients, "urdf", tmp_path / "four.urdf", "left_joint", "right_joint")
+    (note,) = (note for note in artifact.notes if note.startswith("not set: "))
+    assert "fl_joint (radius 0.1 m), fr_joint (radius 0.1 m)" in note
+    assert b'<link name="fl"><collision><geometry><cylinder radius="0.1"' in artifact.data
+    (tmp_path / "copy.urdf").write_bytes(artifact.data)
+    again = _export(coefficients, "urdf", tmp_path / "copy.urdf", "fl_joint", "fr_joint")
+    assert again.data.count(b'radius="0.0994"') == 2
+    alone = _export(coefficients, "urdf", MODELS / "differential.urdf", "left_joint", "right_joint")
+    assert not any(note.startswith("not set: ") for note in alone.notes)
+
+
 def test_every_other_byte_is_as_it_was(coefficients: CoefficientFile) -> None:
     """Formatting, quotes, comments and line ends stay; only lines that hold a number of a wheel change."""
     for to, model, left, right in (

@@ -42,7 +42,7 @@ def test_the_page_shows_verdict_map_ranking_aliases_closure_and_next_runs(source
     assert notice.title == "These runs cannot tell the causes apart (ambiguous)"
     tables = {block.columns[0].title: block for block in made.blocks if isinstance(block, Table)}
     sizes = next(block for block in made.blocks if isinstance(block, Table) and block.columns[1].title == "Parameter")
-    assert sizes.rows[0] == ("track_width", "relative", "1", "0.003020", "0.002930", "0.003110")
+    assert sizes.rows[0] == ("track_width", "relative", "", "0.003020", "0.002930", "0.003110")
     assert tables["Run"].rows[0][0] == "1. square ccw"
     assert tables["Run"].rows[0][-1] == "tells the two apart"
     text = str([block.to_dict() for block in made.blocks])

@@ -54,11 +54,11 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
         (node.attributes.get("name", node.tag) for node in body.ancestors() if set(TURNS) & set(node.attributes)), None
     )
     if turned is not None:
-        return Wheel(name, radius, slots, None, why_fixed=f"since the frame of {turned!r} is turned")
+        return Wheel(name, body, radius, slots, None, why_fixed=f"since the frame of {turned!r} is turned")
     place = numbers(body.attributes.get("pos", "0 0 0"), f"{model.path}, pos of {name!r}", 3)
     position = Slot(place, lambda values: model.set_attribute(body, "pos", written(values)))
     off = any(off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
-    return Wheel(name, radius, slots, position, frame=body.parent, beside=off)
+    return Wheel(name, body, radius, slots, position, frame=body.parent, beside=off)
 
 
 def _body(model: ModelFile, name: str, option: str) -> Node:

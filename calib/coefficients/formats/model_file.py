@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, radii_m
-from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
 
 #: bytes; a model that is longer has its meshes inside
 LARGEST: Final = 50_000_000
@@ -189,6 +189,8 @@ class Wheel:
     """A wheel of the model: its radius, everywhere that it stands, and where the wheel sits."""
 
     name: str
+    #: the link or body that rolls
+    node: Node
     radius_m: float
     radii: tuple[Slot, ...]
     #: x, y, z in the frame `frame`; None where it cannot be moved, and why
@@ -197,6 +199,10 @@ class Wheel:
     why_fixed: str = ""
     #: whether its round shape sits off the frame that is moved
     beside: bool = False
+
+
+#: finds a wheel of a model by its name; the third argument is the option that gave the name
+FindWheel = Callable[[ModelFile, str, str], Wheel]
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +295,31 @@ def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str)
     raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")
 
 
+#: a joint turns a wheel like those that are set where its radius is within this share of theirs
+LIKE_RADIUS: Final = 0.1
+#: types of a joint that turns; MuJoCo's where none is stated
+TURNING: Final = frozenset({"continuous", "revolute", "hinge"})
+
+
+def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: FindWheel) -> tuple[str, ...]:
+    """Return a note on the joints of wheels like those that are set, which stay as they are; empty without any."""
+    radius_m = set_ones[0].radius_m
+    seen, others = [known.node for known in set_ones], []
+    for joint in model.root.walk():
+        if joint.tag != "joint" or joint.attributes.get("type", "hinge") not in TURNING or joint.parent is None:
+            continue
+        try:
+            found = wheel(model, joint.attributes.get("name") or joint.parent.attributes.get("name", ""), "")
+        except CalibError:
+            continue
+        if found.node not in seen and abs(found.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
+            seen.append(found.node)
+            others.append(f"{found.name} (radius {found.radius_m:g} m)")
+    if not others:
+        return ()
+    return (f"not set: {', '.join(others)}; for a second pair export again, --into the copy, and name its joints",)
+
+
 #: digits of a checksum that find the file
 CHECKSUM_DIGITS: Final = 23
 #: parameters of drive plugins and of ros2_control, and what they are of radii and track
@@ -308,7 +339,7 @@ def patched(
     file: CoefficientFile,
     options: ExportOptions,
     root_tag: str,
-    wheel: Callable[[ModelFile, str, str], Wheel],
+    wheel: FindWheel,
     plugins: Callable[[ModelFile], Iterator[tuple[str, Node]]] | None = None,
 ) -> tuple[Artifact, ...]:
     """Return the user's model with both wheels and the drive plugins set, and what it cannot express.
@@ -322,7 +353,7 @@ def patched(
     root_tag : str
         Of the model's outermost element.
     wheel : callable
-        Finds a wheel by its name; the third argument is the option that gave the name.
+        See `FindWheel`.
     plugins : callable, optional
         Yields name and element of parameters that may be those of `PLUGIN_KEYS`.
 
@@ -344,7 +375,9 @@ def patched(
     reference = LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
     pair = options.loads[0] if options.loads else reference
     new = NewWheels(*radii_m(file, pair), file.vehicle.track.value)
-    notes = [*set_wheels(wheel(model, options.left, "--left"), wheel(model, options.right, "--right"), new)]
+    left, right = wheel(model, options.left, "--left"), wheel(model, options.right, "--right")
+    further = _further_wheels(model, (left, right), wheel)
+    notes = [*set_wheels(left, right, new), *further]
     for name, node in () if plugins is None else plugins(model):
         _set_parameter(model, name, node, new, notes)
     notes += _beyond(file, pair)

@@ -40,11 +40,11 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
     pose, why = _pose(link)
     if pose is None:
         inside = _inside(model, link, name) if link.child("pose") is None else None
-        return Wheel(name, radius, slots, inside, frame=(link.parent, ""), why_fixed=why)
+        return Wheel(name, link, radius, slots, inside, frame=(link.parent, ""), why_fixed=why)
     placed = text_slot(model, pose, f"pose of {name!r}")
     frame = pose.attributes.get("relative_to", "")
     position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
-    return Wheel(name, radius, slots, position, frame=(link.parent, frame), beside=sits_off(link))
+    return Wheel(name, link, radius, slots, position, frame=(link.parent, frame), beside=sits_off(link))
 
 
 def _child_link(joint: Node) -> Node | None:

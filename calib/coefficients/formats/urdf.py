@@ -88,8 +88,9 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
 
     radius, slots = link_radii(model, link, name, stated)
     tilted = _tilted(model, joints, _link(joint, "parent"))
+    assert link is not None
     if tilted:
-        return Wheel(name, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
+        return Wheel(name, link, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
     origin = joint.child("origin")
     text = "0 0 0" if origin is None else origin.attributes.get("xyz", "0 0 0")
     place = numbers(text, f"{model.path}, origin of {name!r}", 3)
@@ -101,7 +102,7 @@ def _wheel(model: ModelFile, name: str, option: str) -> Wheel:
             model.set_attribute(origin, "xyz", written(values))
 
     frame = _link(joint, "parent")
-    return Wheel(name, radius, slots, Slot(place, write), frame=frame, beside=sits_off(link))
+    return Wheel(name, link, radius, slots, Slot(place, write), frame=frame, beside=sits_off(link))
 
 
 def _link(joint: Node, tag: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -41,6 +42,8 @@ ENOUGH_SD: Final = 2.0 * SEPARATION_SD
 CAP_SD: Final = 4.0 * SEPARATION_SD
 #: a gain below this many standard deviations is not worth naming
 NOTEWORTHY_SD: Final = 0.05
+#: runs of a route that show how much they scatter: the noise level of routes that were not repeated is assumed
+REPEATS: Final = 3
 #: a recorded distance outside this is no corridor
 CORRIDOR_RANGE_M: Final = (2.0, 500.0)
 
@@ -58,7 +61,8 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, each with what it would tell.
 
-    The runs are driven in one session that begins with a repeat of an unladen corridor run. Each greedy step takes the
+    The runs are driven in one session that begins with a repeat of an unladen corridor run, those of a route that was
+    not repeated so far `REPEATS` times. Each greedy step takes the
     run after which the two nearest confounded effects are furthest apart; where none are confounded, the run after
     which most effects of the library are detected and separated.
 
@@ -84,16 +88,19 @@ def next_runs(
     Returns
     -------
     list of PlannedRun
-        With `why` and `distance`; empty where no candidate helps.
+        With `why`, `distance` and `count`; empty where no candidate helps.
     """
     driven = campaign.included()
     if model is not None:
         driven = replace(driven, model=model)
     measured = _measured(driven)
     if candidates is None:
-        candidates = default_candidates(driven, loops=not measured.poses)
+        by_pose = measured.position and measured.heading
+        tape = not (measured.distance or measured.position)
+        candidates = default_candidates(driven, loops=not by_pose, tape=tape)
     if not candidates:
         return []
+    candidates = [replace(run, count=_count(driven, run)) for run in candidates]
     reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
     planned = drive(driven, [reference, *candidates], measured, _corridor_m(driven))
     observations = observations_of(joined(driven, planned))
@@ -104,13 +111,17 @@ def next_runs(
     # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
     names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
     base = signatures.gram(~np.char.startswith(run_id, "next")) + signatures.gram(run_id == names[0])
-    grams = {number: signatures.gram(run_id == name) for number, name in enumerate(names[1:]) if (run_id == name).any()}
+    grams = {
+        number: run.count * signatures.gram(run_id == name)
+        for number, (run, name) in enumerate(zip(candidates, names[1:], strict=True))
+        if (run_id == name).any()
+    }
     task = _Task(signatures, ties)
     chosen: list[PlannedRun] = []
     while len(chosen) < most and grams and not task.done(before := task.distances(base)):
         after = {number: task.distances(base + gram) for number, gram in grams.items()}
         best = max(after, key=lambda number: (task.score(after[number]), -number))
-        if not task.score(after[best]) > task.score(before):
+        if not (task.score(after[best]) > task.score(before) and task.gains(before, after[best])):
             break
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
@@ -124,7 +135,7 @@ class _Task:
     def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
         self.signatures = signatures
         number = {name: index for index, name in enumerate(signatures.names)}
-        pairs = [(group[0], other) for group in ties for other in group[1:]]
+        pairs = [pair for group in ties for pair in combinations(group, 2)]
         self.pairs = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
@@ -146,15 +157,23 @@ class _Task:
         separated = float(np.minimum(distances / SEPARATION_SD, 1.0).sum())
         return round(float(capped.min()), 6) if self.pairs else separated, float(capped.sum())
 
+    def gains(self, before: FloatArray, after: FloatArray) -> list[int]:
+        """Return the distances that a run raises by something worth naming, the largest gain first."""
+        order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
+        return [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
+
     def why(self, before: FloatArray, after: FloatArray) -> str:
         """Return in words what a run separates, the largest gain first."""
-        names = self.signatures.names
-        order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
-        gains = [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
+        names, gains = self.signatures.names, self.gains(before, after)
         if self.pairs:
-            verbs = {k: "tells" if after[k] >= SEPARATION_SD else "begins to tell" for k in gains}
-            parts = [f"{verbs[k]} {names[self.pairs[k][0]]} from {names[self.pairs[k][1]]}" for k in gains]
-            return ", ".join(parts) or "repeats the least certain run"
+            parts = []
+            for k in gains:
+                told = f"{names[self.pairs[k][0]]} from {names[self.pairs[k][1]]}"
+                if after[k] < SEPARATION_SD:
+                    parts.append(f"begins to tell {told} ({after[k]:.1f} of {SEPARATION_SD:g} standard deviations)")
+                else:
+                    parts.append(f"tells {told}{' more surely' if before[k] >= SEPARATION_SD else ''}")
+            return ", ".join(parts)
         clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
         return f"shows {', '.join(clear or [names[self.truths[k]] for k in gains])}" + ("" if clear else " better")
 
@@ -183,15 +202,29 @@ def _sizes(
 def _measured(campaign: Campaign) -> Measured:
     runs, logs = campaign.runs, campaign.logs
     front = logs.columns.get("counts_front")
-    closed = runs.label("loop") == CLOSED
+    # what a closed loop measures, a mark on the floor does
+    open_path = runs.label("loop") != CLOSED
+    position, heading = (
+        bool((np.isfinite(runs.number(name)) & open_path).any() or name in logs.columns)
+        for name in ("ref_x_m", "ref_theta_rad")
+    )
     return Measured(
         distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
-        # what a closed loop measures, a mark on the floor does
-        poses=bool((np.isfinite(runs.number("ref_theta_rad")) & ~closed).any() or "ref_theta_rad" in logs.columns),
+        position=position,
+        heading=heading,
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
         gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
     )
+
+
+def _count(campaign: Campaign, run: PlannedRun) -> int:
+    """Return how often to drive a run: `REPEATS` times where so many of its route do not show their scatter yet."""
+    runs = campaign.runs
+    alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
+    if run.tape:
+        alike &= np.isfinite(runs.number("distance_m"))
+    return 1 if np.count_nonzero(alike) >= REPEATS else REPEATS
 
 
 def _corridor_m(campaign: Campaign) -> float:

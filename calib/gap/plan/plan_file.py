@@ -40,6 +40,8 @@ class _MeasuredSection(_Strict):
 
     distance: bool = True
     poses: bool = True
+    position: bool = False
+    heading: bool = False
     front: bool = False
     log: bool = True
     gyro: bool = False
@@ -57,6 +59,7 @@ class _RunEntry(_Strict):
     direction: Literal["", "out", "back"] = ""
     session: str = ""
     loop: Literal["", "closed"] = ""
+    tape: bool = False
     payload_kg: _NotNegative = 0.0
     payload_x_m: _Size = 0.0
     payload_y_m: _Size = 0.0
@@ -79,8 +82,9 @@ def read_plan(path: Path) -> Campaign:
     ----------
     path : Path
         The plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
-        ``poses``, ``front``, ``log`` (true or false) and ``corridor_m``, and ``[[runs]]``, each with ``kind``, where
-        wanted ``count`` and the columns of the run table, ``stops``, ``read_rolling``.
+        ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``,
+        and ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
+        ``read_rolling``, ``tape``.
 
     Raises
     ------
@@ -91,14 +95,16 @@ def read_plan(path: Path) -> Campaign:
     runs = _runs(document.pop("runs", None), path)
     section = document.pop("measured", {})
     measured = _validated(_MeasuredSection, section, path, "measured")
-    if not (measured.distance or measured.poses):
-        raise _wrong(path, "measured", section, "distance or poses to be true, else nothing is measured")
+    position, heading = measured.poses or measured.position, measured.poses or measured.heading
+    closed_or_taped = any(run.loop or run.tape for run in runs)
+    if not (measured.distance or position or heading or measured.gyro or closed_or_taped):
+        raise _wrong(path, "measured", section, "distance, poses or gyro to be true, else nothing is measured")
     settings = parse_settings(document, str(path), path.stem)
     if settings.odometry.source in _IN_LOG_ONLY and not measured.log:
         only = _IN_LOG_ONLY[settings.odometry.source]
         raise _wrong(path, "measured.log", False, f"true: without a log there is no record of {only}")
-    campaign = replace(settings, simulated=True)
-    return drive(campaign, runs, Measured(**measured.model_dump(exclude={"corridor_m"})), measured.corridor_m)
+    by = Measured(measured.distance, position, heading, measured.front, measured.log, measured.gyro)
+    return drive(replace(settings, simulated=True), runs, by, measured.corridor_m)
 
 
 def read_candidates(path: Path) -> list[PlannedRun]:

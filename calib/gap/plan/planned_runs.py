@@ -54,7 +54,8 @@ class Measured:
     """What is measured on a run."""
 
     distance: bool = True  #: laser distance on corridor runs
-    poses: bool = True  #: reference pose at the end
+    position: bool = True  #: reference position at the end
+    heading: bool = True  #: reference heading at the end
     front: bool = False  #: counts and steering angle of the front wheel, in the log
     log: bool = True  #: a log at all
     gyro: bool = False  #: turn of the run by a gyro
@@ -76,6 +77,8 @@ class PlannedRun:
     read_rolling: bool = False  #: the end is measured while the vehicle still rolls
     stops: int = 0  #: stops between start and end
     loop: str = ""  #: ``closed``: it ends on the mark where it began
+    tape: bool = False  #: a corridor whose length a tape measure gives
+    count: int = 1  #: how often to drive it
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
     why: str = ""  #: what the run would tell, where it is recommended
     #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
@@ -85,6 +88,8 @@ class PlannedRun:
         """Return the fields that are set as plain JSON values."""
         document = plain_fields(self)
         columns: dict[str, Any] = document.pop("columns")
+        if self.count == 1:
+            del document["count"]
         kept = {key: value for key, value in document.items() if value or (value is not None and key in SHOWN_AT_ZERO)}
         return kept | columns
 
@@ -125,12 +130,12 @@ def usual_temperature_C(campaign: Campaign) -> float:
     return float(np.nanmedian(temperature)) if np.isfinite(temperature).any() else float("nan")
 
 
-def default_candidates(campaign: Campaign, *, loops: bool = False) -> list[PlannedRun]:
+def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = False) -> list[PlannedRun]:
     """Return candidate runs over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    `loops`: routes that end where they begin are closed loops, as a lab without a reference of poses measures them with
-    a mark on the floor. The largest payload is the campaign's own (twice the vehicle's mass where it carried none);
-    temperatures vary by 10 K where the campaign records them.
+    For a lab without motion capture: with `loops`, routes that end where they begin close on a mark on the floor; with
+    `tape`, corridors are measured by a tape. The largest payload is the campaign's own (twice the vehicle's mass where
+    it carried none); temperatures vary by 10 K where the campaign records them.
     """
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
@@ -152,10 +157,11 @@ def default_candidates(campaign: Campaign, *, loops: bool = False) -> list[Plann
             payload_y_m=y,
             minutes_under_load=10.0 if payload else 0.0,
             loop="closed" if loops and kind in CLOSED_ROUTES else "",
+            tape=tape and kind == "corridor",
         )
         for (kind, direction), (payload, x, y), speed in product(routes, payloads, (0.3, 0.7))
     ]
-    out = PlannedRun("corridor", "out", temperature_C=usual_C)
+    out = PlannedRun("corridor", "out", temperature_C=usual_C, tape=tape)
     loaded = replace(out, payload_kg=most_kg, payload_x_m=ahead)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
     candidates += [replace(out, stops=4), replace(out, speed_mps=0.7, read_rolling=True)]
@@ -182,12 +188,14 @@ def drive(
     for name in ("payload_x_m", "payload_y_m"):
         numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
-    if measured.distance:
-        numbers["distance_m"] = np.where(corridor, ends[:, 0], np.nan)
+    by_length = corridor & np.array([run.tape or measured.distance for run in runs])
+    if by_length.any():
+        numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
     closed = np.array([run.loop == CLOSED for run in runs])
-    if measured.poses or closed.any():
-        for number, name in enumerate(("ref_x_m", "ref_y_m", "ref_theta_rad")):
-            numbers[name] = np.where(closed | measured.poses, ends[:, number], np.nan)
+    by_reference = {"ref_x_m": measured.position, "ref_y_m": measured.position, "ref_theta_rad": measured.heading}
+    for number, (name, known) in enumerate(by_reference.items()):
+        if known or closed.any():
+            numbers[name] = np.where(closed | known, ends[:, number], np.nan)
     if measured.gyro:
         sigma = campaign.runs.number(GYRO_SIGMA)
         usual = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else campaign.reference.sigma_theta_rad

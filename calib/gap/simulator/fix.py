@@ -181,7 +181,7 @@ def _moved(cause: Cause, named: Mapping[str, Declared], values: Mapping[str, flo
 def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> str:
     parts = []
     for each in named.values():
-        value, unit = values[each.name], "" if each.unit == "1" else f" {each.unit}"
+        value, unit = values[each.name], "" if each.unit in ("", "1") else f" {each.unit}"
         off = each.nominal - value
         way = "large" if off > 0.0 else "small"
         size = f"{100 * abs(off / each.nominal):.2g} %" if each.nominal else f"{abs(off):.3g}{unit}"

@@ -127,8 +127,11 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
 def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     extra = [f"{run['stops']} stops"] if run.get("stops") else []
     extra += ["closed loop"] if run.get("loop") else []
+    extra += ["by tape"] if run.get("tape") else []
+    extra += [f"{run['count']} times"] if run.get("count") else []
     extra += ["read while rolling"] if run.get("read_rolling") else []
-    what = " ".join([str(run["kind"]).replace("_", " "), str(run.get("direction", "")), *extra]).strip()
+    route = f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip()
+    what = ", ".join([route, *extra])
 
     def shown(key: str) -> str:
         return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING

@@ -200,7 +200,7 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
         ],
     )
     rows = [
-        (cause.effect, effect_name(name), quantity.unit, *_interval(quantity))
+        (cause.effect, effect_name(name), quantity.unit if quantity.unit != "1" else "", *_interval(quantity))
         for cause in named
         for name, quantity in cause.parameters.items()
     ]
