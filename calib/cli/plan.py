@@ -37,7 +37,7 @@ def run(
     """List the runs to drive next, best first, with what each tells apart.
 
     With --from, say which effects a plan could see at which size, and which it could never tell apart. A plan has
-    format = "calib-plan/1", the sections of campaign.toml, [measured] with distance, poses, front, log (true or
+    format = "calib-plan/1", the sections of campaign.toml, [measured] with distance, poses, front, log, gyro (true or
     false) and corridor_m, and [[runs]], each with kind, count, direction, session, payload_kg, payload_x_m,
     payload_y_m, speed_mps, temperature_C, minutes_under_load, stops, read_rolling, or a further numeric column.
 
