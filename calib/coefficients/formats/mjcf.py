@@ -13,10 +13,10 @@ from calib.coefficients.formats.model_file import (
     Wheel,
     named,
     numbers,
-    off_zero,
     patched,
     written,
 )
+from calib.coefficients.formats.urdf import off_zero
 from calib.errors import RefusedError
 
 #: see `calib.coefficients.formats`

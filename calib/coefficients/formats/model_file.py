@@ -219,17 +219,11 @@ def numbers(text: str, where: str, count: int | None = None) -> tuple[float, ...
 
     Raises BadInputError where it has others than finite numbers, as a macro that was not expanded, or not `count`.
     """
-    parts = text.split()
     try:
-        values = tuple(float(part) for part in parts)
+        values = tuple(float(part) for part in text.split())
     except ValueError:
         values = ()
-    if (
-        not parts
-        or len(values) != len(parts)
-        or not all(map(math.isfinite, values))
-        or count not in (None, len(values))
-    ):
+    if not values or not all(map(math.isfinite, values)) or count not in (None, len(values)):
         expected = "numbers" if count is None else f"{count} numbers"
         hint = "; expand the macros first (xacro MODEL > FILE)" if "${" in text else "; correct it"
         raise BadInputError(f"{where}: found {text[:60]!r}; expected {expected}{hint}")
@@ -276,11 +270,6 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     )
 
 
-def off_zero(place: str) -> bool:
-    """Return whether a place, three numbers first, is another than zero."""
-    return any(part.strip("-+0.") for part in place.split()[:3])
-
-
 def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str) -> Node:
     """Return the element of a name.
 
@@ -315,9 +304,8 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
         if found.node not in seen and abs(found.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
             seen.append(found.node)
             others.append(f"{found.name} (radius {found.radius_m:g} m)")
-    if not others:
-        return ()
-    return (f"not set: {', '.join(others)}; for a second pair export again, --into the copy, and name its joints",)
+    note = f"not set: {', '.join(others)}; for a second pair export again, --into the copy, and name its joints"
+    return (note,) if others else ()
 
 
 #: digits of a checksum that find the file
@@ -379,7 +367,9 @@ def patched(
     further = _further_wheels(model, (left, right), wheel)
     notes = [*set_wheels(left, right, new), *further]
     for name, node in () if plugins is None else plugins(model):
-        _set_parameter(model, name, node, new, notes)
+        if name in PLUGIN_KEYS:
+            text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))
+            notes += _lost_ratio(name, new)
     notes += _beyond(file, pair)
     comment = (
         f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right; coefficient file "
@@ -390,15 +380,10 @@ def patched(
     return (Artifact(options.model.name, model.render(comment), tuple(dict.fromkeys(notes))),)
 
 
-def _set_parameter(model: ModelFile, name: str, node: Node, new: NewWheels, notes: list[str]) -> None:
-    """Set a parameter of a plugin where it is one of radius or track."""
-    if name not in PLUGIN_KEYS:
-        return
-    text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))
-    if new.left_m != new.right_m and "left" not in name and "right" not in name and "eparation" not in name:
-        notes.append(
-            f"{name} of a plugin: one radius for both wheels, their ratio {new.right_m / new.left_m:.6f} is lost"
-        )
+def _lost_ratio(name: str, new: NewWheels) -> Iterator[str]:
+    """Yield a note where a parameter of a plugin has one radius for both wheels."""
+    if new.left_m != new.right_m and not any(word in name for word in ("left", "right", "eparation")):
+        yield f"{name} of a plugin: one radius for both wheels, their ratio {new.right_m / new.left_m:.6f} is lost"
 
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:

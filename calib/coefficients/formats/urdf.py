@@ -15,7 +15,6 @@ from calib.coefficients.formats.model_file import (
     attribute_slot,
     named,
     numbers,
-    off_zero,
     patched,
     written,
 )
@@ -63,6 +62,11 @@ def link_radii(
         )
     largest = max(slot.values[0] for slot in contact)
     return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
+
+
+def off_zero(place: str) -> bool:
+    """Return whether a place, three numbers first, is another than zero."""
+    return any(part.strip("-+0.") for part in place.split()[:3])
 
 
 def sits_off(link: Node | None) -> bool:
