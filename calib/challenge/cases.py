@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -68,16 +68,9 @@ class Truth:
     #: the same for this effect as it acts here; None where a recalibration absorbs it
     own_ceiling: tuple[float, float] | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values; an infinite tail as None."""
-        document = asdict(self)
-        document["noise"]["tail"] = None if np.isinf(self.noise.tail) else self.noise.tail
-        document["recipe"]["targets"] = [None if np.isnan(target) else target for target in self.recipe.targets]
-        return document
-
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Truth:
-        """Return what `to_dict` said."""
+        """Return what `calib.result.plain` made of it; there an infinite tail and a target that is NaN are null."""
         from pydantic import TypeAdapter
 
         recipe, noise = dict(data["recipe"]), dict(data["noise"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -126,10 +126,6 @@ class Judged:
     ceiling: tuple[float, float] | None = None
     own_ceiling: tuple[float, float] | None = None  #: the same for the true effect as it acts there
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        return asdict(self)
-
 
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     """Hold a verdict in the shape of ``calib diagnose --json`` (None where there is none) against the truth.
@@ -217,7 +213,7 @@ def _to_be_named(truth: Truth) -> tuple[str, ...]:
     return tuple(effect for effect in effects if not effect.startswith("outside:"))
 
 
-def _groups_of(given: Mapping[str, Any], causes: list[dict[str, Any]]) -> list[set[str]]:
+def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
     """Return what cannot be told apart: the groups, and the forms that each cause's own family leaves open."""
     open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
     groups = [

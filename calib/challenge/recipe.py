@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -129,54 +130,51 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     return [whole[number % len(whole)] for number in range(count)]
 
 
-def _of_group(group: str, count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Return what is special to each of `count` cases of a group."""
+def _of_group(group: Group, count: int, rng: np.random.Generator) -> list[Recipe]:
+    """Return `count` cases of a group, their names and numbers still to be given."""
+    case = partial(Recipe, "", 0, group)
     if group == "single":
-        return [{"effects": (name,), "targets": (signal,)} for name, signal in _singles(count, rng)]
+        return [case((name,), (signal,)) for name, signal in _singles(count, rng)]
     names = [*_library(), *CALIBRATION] if group == "deleted" else _library()
     if group == "natural" or (group == "deleted" and count < len(names)):
         names = list(map(str, rng.permutation(names)))
 
-    def case(n: int) -> dict[str, Any]:
-        if group == "empty":
-            return {"design": "good" if n % 5 < 3 else _EMPTY_POOR[(n // 5 * 2 + n % 5 - 3) % 4]}
-        if group == "calibration":
-            return {"effects": (CALIBRATION[n % 3],), "targets": ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],)}
-        if group == "natural":
-            return {"effects": (names[n % len(names)],), "targets": (float("nan"),)}
-        if group == "pair":
-            pair = rng.choice(_PAIRED, 2, replace=False)
-            return {"effects": tuple(map(str, pair)), "targets": ((15.0, 15.0), (25.0, 12.0))[n % 2]}
-        if group == "outside":
-            return {"effects": (_OUTSIDE[n % len(_OUTSIDE)],), "targets": ((25.0, 10.0)[n // len(_OUTSIDE) % 2],)}
-        if group == "alias":
-            name, design, others = _ALIASES[n % len(_ALIASES)]
-            target = (25.0, 12.0)[n // len(_ALIASES) % 2]
-            return {"effects": (name,), "targets": (target,), "design": design, "aliases": others}
-        if group == "crowded":
-            return _crowd(n, rng)
+    def made(n: int) -> Recipe:
         name = names[n % len(names)]
-        return {"effects": (name,), "targets": (25.0,), "deleted": name}
+        if group == "empty":
+            return case(design="good" if n % 5 < 3 else _EMPTY_POOR[(n // 5 * 2 + n % 5 - 3) % 4])
+        if group == "calibration":
+            return case((CALIBRATION[n % 3],), ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],))
+        if group == "natural":
+            return case((name,), (float("nan"),))
+        if group == "pair":
+            pair = tuple(map(str, rng.choice(_PAIRED, 2, replace=False)))
+            return case(pair, ((15.0, 15.0), (25.0, 12.0))[n % 2])
+        if group == "outside":
+            return case((_OUTSIDE[n % len(_OUTSIDE)],), ((25.0, 10.0)[n // len(_OUTSIDE) % 2],))
+        if group == "alias":
+            effect, design, others = _ALIASES[n % len(_ALIASES)]
+            return case((effect,), ((25.0, 12.0)[n // len(_ALIASES) % 2],), design, others)
+        if group == "crowded":
+            return case(*_crowd(n, rng))
+        return case((name,), (25.0,), deleted=name)
 
-    return [case(n) for n in range(count)]
+    return [made(n) for n in range(count)]
 
 
-def _crowd(number: int, rng: np.random.Generator) -> dict[str, Any]:
+def _crowd(number: int, rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Return three to six effects of the library at signals of 5 to 100, and an outside one at 5 to 15."""
     drawn = rng.choice([*_PAIRED, "unequal_radii", "track_width"], 3 + number % 4, replace=False)
     signals = np.exp(rng.uniform(np.log(5.0), np.log(100.0), len(drawn)))
-    return {
-        "effects": (*map(str, drawn), _OUTSIDE[number % len(_OUTSIDE)]),
-        "targets": (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0]))),
-    }
+    targets = (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0])))
+    return (*map(str, drawn), _OUTSIDE[number % len(_OUTSIDE)]), targets
 
 
 def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
     """Return the (first `limit`) cases of a seeds file, in a shuffled order so that a case's name says nothing."""
-    listed: list[dict[str, Any]] = []
-    for group in GROUPS:
-        cases = _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, GROUPS.index(group)]))
-        listed.extend({"group": group, **case} for case in cases)
+    listed: list[Recipe] = []
+    for number, group in enumerate(GROUPS):
+        listed += _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, number]))
     order = np.random.default_rng([seeds.seed, 999]).permutation(len(listed))
     kept = order if limit is None else order[:limit]
-    return [Recipe(case=f"c{place + 1:04d}", number=int(n), **listed[int(n)]) for place, n in enumerate(kept)]
+    return [replace(listed[int(n)], case=f"c{place + 1:04d}", number=int(n)) for place, n in enumerate(kept)]

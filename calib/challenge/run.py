@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,11 @@ if TYPE_CHECKING:
     from calib.gap.observations.arrays import Observations
 
 
-def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> dict[str, Any] | None:
+#: what a fix achieves on a fresh campaign, by the keys of `achieved`
+Achieved = dict[str, float | None]
+
+
+def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fitted fix.
 
     Nothing is refitted. ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance);
@@ -90,7 +94,7 @@ def _rms(there: Observations, values: FloatArray) -> float | None:
 
 #: campaign, seed, effects to leave out, the fresh campaign of the same truth -> verdict and, where it can be had, what
 #: the verdict's fix achieves on the fresh campaign
-Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[dict[str, Any], dict[str, Any] | None]]
+Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +109,11 @@ class Ran:
 
 def diagnose_and_try(
     campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
-) -> tuple[dict[str, Any], dict[str, Any] | None]:
+) -> tuple[Mapping[str, Any], Achieved | None]:
     """Diagnose with the library's own diagnosis, and try its fix on the fresh campaign."""
-    from calib.challenge.run import achieved
-    from calib.gap.diagnose import diagnose_in_full as whole
+    from calib.gap.diagnose import diagnose_in_full
 
-    diagnosis = whole(campaign, seed=seed, exclude=exclude)
+    diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
     return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
 
 
@@ -141,22 +144,14 @@ def run_case(
     try:
         campaign = read_campaign(place)
         fresh = read_campaign(again) if again.is_dir() else None
-        verdict, achieved = diagnoser(campaign, seed, exclude, fresh)
-        document = {
-            **verdict,
-            "challenge": {"seconds": round(time.perf_counter() - started, 3), "achieved": achieved},
-        }
-        fine = True
+        verdict, gained = diagnoser(campaign, seed, exclude, fresh)
+        extra = {"seconds": round(time.perf_counter() - started, 3), "achieved": gained}
     except Exception as error:
         what = "refused" if isinstance(error, CalibError) else type(error).__name__
-        document = {
-            "verdict": "error",
-            "error": f"{what}: {error}",
-            "challenge": {"seconds": None, "achieved": None},
-        }
-        fine = False
-    write_json(folder / "verdicts" / f"{case}.json", document, force=True)
-    return fine
+        verdict = {"verdict": "error", "error": f"{what}: {error}"}
+        extra = {"seconds": None, "achieved": None}
+    write_json(folder / "verdicts" / f"{case}.json", {**verdict, "challenge": extra}, force=True)
+    return extra["seconds"] is not None
 
 
 def run(

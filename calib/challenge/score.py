@@ -15,6 +15,7 @@ from calib.challenge.judge import Judged, judge
 from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
 from calib.errors import BadFileError
 from calib.io import sha256_file
+from calib.result import plain_fields
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
@@ -50,13 +51,8 @@ class Share:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {
-            "hits": self.hits,
-            "total": self.total,
-            "rate": self.rate,
-            "wilson95": list(wilson(self.hits, self.total)),
-            "clopper_pearson95": list(clopper_pearson(self.hits, self.total)),
-        }
+        exact = clopper_pearson(self.hits, self.total)
+        return plain_fields(self, rate=self.rate, wilson95=wilson(self.hits, self.total), clopper_pearson95=exact)
 
 
 def share(values: list[bool]) -> Share:
@@ -65,6 +61,18 @@ def share(values: list[bool]) -> Share:
 
 
 _BINS: Final = 10
+_EDGES: Final = [number / _BINS for number in range(_BINS + 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """Statements of a probability within a tenth: their mean, and the share of them that is true."""
+
+    low: float
+    high: float
+    stated: float
+    true: Share
+
 
 #: line of the board -> (what it must reach, whether at least or at most)
 TARGETS: Final[dict[str, tuple[float, str]]] = {
@@ -89,15 +97,15 @@ class Score:
 
     purpose: str  #: of the seeds: ``development``, ``scoring``, ``ci``
     truth_sha256: str  #: hash of the truth, checked
-    cases: tuple[Judged, ...]  #: every case
     board: Mapping[str, Share]  #: the lines that have a target, and others
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
     #: target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
     #: ``hits_over_gated``, and the same with ``own`` for the true effect; None where the ceiling was not taken
     ceilings: Mapping[str, Mapping[str, float | None]]
-    reliability: tuple[Mapping[str, Any], ...]  #: stated probability against how often it was true, a bin each
+    reliability: tuple[Bin, ...]  #: stated probability against how often it was true
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases
     summary: Mapping[str, Any]  #: sizes of the 95 % sets, interval coverage, closure, seconds
+    cases: tuple[Judged, ...]  #: every case
 
     @property
     def misses(self) -> tuple[Judged, ...]:
@@ -114,26 +122,12 @@ class Score:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        return {
-            "format": "calib-challenge-score/1",
-            "purpose": self.purpose,
-            "truth_sha256": self.truth_sha256,
-            "board": {
-                name: {
-                    **line.to_dict(),
-                    "target": None if name not in TARGETS else {"value": TARGETS[name][0], "sense": TARGETS[name][1]},
-                    "met": self.meets(name),
-                }
-                for name, line in self.board.items()
-            },
-            "by_signal": {s: {n: line.to_dict() for n, line in row.items()} for s, row in self.by_signal.items()},
-            "ceilings": {signal: dict(row) for signal, row in self.ceilings.items()},
-            "reliability": [dict(line) for line in self.reliability],
-            "confusion": {truth: dict(row) for truth, row in self.confusion.items()},
-            "summary": dict(self.summary),
-            "misses": [case.to_dict() for case in self.misses],
-            "cases": [case.to_dict() for case in self.cases],
+        targets = {name: {"value": value, "sense": sense} for name, (value, sense) in TARGETS.items()}
+        board = {
+            name: {**line.to_dict(), "target": targets.get(name), "met": self.meets(name)}
+            for name, line in self.board.items()
         }
+        return {"format": "calib-challenge-score/1"} | plain_fields(self, board=board, misses=self.misses)
 
 
 def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
@@ -273,25 +267,15 @@ def _of(cases: list[Judged], group: str) -> list[Judged]:
     return [case for case in cases if case.group == group]
 
 
-def _reliability(statements: list[tuple[float, bool]]) -> tuple[Mapping[str, Any], ...]:
-    bins = []
-    for number in range(_BINS):
-        low, high = number / _BINS, (number + 1) / _BINS
-        inside = [
-            statement
-            for statement in statements
-            if low <= statement[0] < high or (number == _BINS - 1 and statement[0] == 1.0)
-        ]
-        if inside:
-            bins.append(
-                {
-                    "low": low,
-                    "high": high,
-                    "stated": float(np.mean([p for p, _ in inside])),
-                    "true": share([hit for _, hit in inside]).to_dict(),
-                }
-            )
-    return tuple(bins)
+def _reliability(statements: list[tuple[float, bool]]) -> tuple[Bin, ...]:
+    bins: dict[int, list[tuple[float, bool]]] = {}
+    numbers = np.minimum(np.searchsorted(_EDGES, [p for p, _ in statements], side="right") - 1, _BINS - 1)
+    for number, statement in zip(numbers.tolist(), statements, strict=True):
+        bins.setdefault(number, []).append(statement)
+    return tuple(
+        Bin(_EDGES[k], _EDGES[k + 1], float(np.mean([p for p, _ in inside])), share([hit for _, hit in inside]))
+        for k, inside in sorted(bins.items())
+    )
 
 
 def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from calib.errors import BadFileError, RefusedError
 from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
 from calib.limits import refuse_workers
+from calib.result import plain
 
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"
@@ -70,12 +71,11 @@ def _died(item: tuple[int, T], why: str) -> tuple[int, R]:
     raise RefusedError(f"item {item[0] + 1}: {why}")
 
 
-def _draw_one(job: tuple[Recipe, int, int]) -> dict[str, Any]:
-    return truth_of(*job).to_dict()
+def _draw_one(job: tuple[Recipe, int, int]) -> Truth:
+    return truth_of(*job)
 
 
-def _write_one(folder: Path, data: dict[str, Any]) -> None:
-    truth = Truth.from_dict(data)
+def _write_one(folder: Path, truth: Truth) -> None:
     digits = {"t_s": 3, "steer_rad": 4, "ref_x_m": 5, "ref_y_m": 5, "ref_theta_rad": 5}
     for kind, campaign in zip(("cases", "fresh"), campaigns_of(truth), strict=True):
         write_campaign(campaign, folder / kind / truth.recipe.case, force=True, log_decimals=digits)
@@ -126,11 +126,8 @@ def make(
     report: Tick = tick or (lambda _stage, _done, _total: None)
     drawn = [(item, seeds.seed, seeds.max_runs) for item in wanted]
     truths = each(_draw_one, drawn, workers, lambda done: report("truths", done, len(wanted)))
-    content = {
-        "format": TRUTH_FORMAT,
-        "purpose": seeds.purpose,
-        "cases": {item["recipe"]["case"]: item for item in truths},
-    }
+    sealed_cases = {truth.recipe.case: plain(truth) for truth in truths}
+    content = {"format": TRUTH_FORMAT, "purpose": seeds.purpose, "cases": sealed_cases}
     write_text(truth_file, to_json(content), force=force)
     digest = sha256_file(truth_file)
     write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
@@ -143,11 +140,11 @@ def make(
     return Sealed(folder, truth_file, digest, len(truths))
 
 
-def read_public(folder: Path) -> dict[str, Any]:
+def read_public(folder: Path) -> Mapping[str, Any]:
     """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each."""
     path = Path(folder) / PUBLIC
     try:
-        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadFileError(
             path, found=str(error), expected="a set made by 'calib challenge make'", remedy="make one first"

@@ -153,7 +153,7 @@ def _without_law(
     from calib.gap.diagnose import diagnose_in_full
     from calib.kinematics.estimate import estimate_geometry
     from calib.kinematics.traces import traces_of
-    from calib.reporting.without_law import report_without_law
+    from calib.reporting.content import report_without_law
 
     read = read_campaign(path, progress=tick)
     diagnosis = None if seed is None else diagnose_in_full(read, seed=seed, progress=tick)

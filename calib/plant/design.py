@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -200,8 +200,8 @@ class Design:
         """Return the runs that `keep` (mask or indices, repeats allowed) picks."""
         index = np.asarray(keep)
         of_runs = [field.name for field in fields(self) if isinstance(getattr(self, field.name), np.ndarray)]
-        changed: dict[str, Any] = {name: getattr(self, name)[index] for name in of_runs}
-        return replace(self, **changed, columns={name: column[index] for name, column in self.columns.items()})
+        columns = {name: column[index] for name, column in self.columns.items()}
+        return replace(self, columns=columns, **{name: getattr(self, name)[index] for name in of_runs})
 
 
 def conditions(design: Design) -> IntArray:

@@ -60,7 +60,7 @@ class NoiseDraw:
         """Return the same draw for `times` copies of the runs, end to end."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "pose"}
         tiled: dict[str, Any] = {name: np.tile(x, times) for name, x in values.items() if isinstance(x, np.ndarray)}
-        return replace(self, **tiled, pose=np.tile(self.pose, (times, 1)), copies=times * self.copies)
+        return replace(self, pose=np.tile(self.pose, (times, 1)), copies=times * self.copies, **tiled)
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> FloatArray:
@@ -106,7 +106,7 @@ def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
     def within(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
-    drawn: dict[str, Any] = {
+    drawn = {
         "texture_m": within(7e-5, 3e-4),
         "common": within(1e-5, 8e-5),
         "differential": within(4e-6, 3e-5),

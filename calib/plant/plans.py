@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,21 +19,27 @@ DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_re
 _TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_right", "slalom")
 
 
-#: what a run is where nothing else is said; the values' types are those of the columns
-_PLAIN_RUN: Final = {
-    "kind": "corridor", "direction": "", "session": "s1",
-    "payload_kg": 0.0, "payload_x_m": 0.4, "payload_y_m": 0.0,
-    "speed_mps": 0.5, "temperature_C": 20.0, "minutes_under_load": 0.0, "flying": False, "stops": 0,
-}  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One run of a design; the columns are those of `Design`."""
+
+    kind: str = "corridor"
+    direction: str = ""
+    session: str = "s1"
+    payload_kg: float = 0.0
+    payload_x_m: float = 0.4
+    payload_y_m: float = 0.0
+    speed_mps: float = 0.5
+    temperature_C: float = 20.0
+    minutes_under_load: float = 0.0
+    flying: bool = False
+    stops: int = 0
 
 
-def _design(rows: list[dict[str, Any]], **settings: Any) -> Design:
-    """Return the design of a row of columns for each run."""
-    columns: dict[str, Any] = {
-        name: np.array([row.get(name, plain) for row in rows]).astype(np.array(plain).dtype.type)
-        for name, plain in _PLAIN_RUN.items()
-    }
-    return Design(**columns, **settings)
+def _design(runs: Sequence[_Run], **settings: Any) -> Design:
+    """Return the design of runs."""
+    columns = {field.name: np.array([getattr(run, field.name) for run in runs]) for field in fields(_Run)}
+    return Design(**(settings | columns))
 
 
 def _vehicle(rng: np.random.Generator) -> Vehicle:
@@ -57,7 +64,7 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
     return _design(rows, **{**_surroundings(rng, need, n_runs), **settings})
 
 
-def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[dict[str, Any]]:
+def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[_Run]:
     """Return conditions in which routes, loads, sides and speeds vary apart."""
     payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
     sides = [-0.15, 0.0, 0.15]
@@ -84,31 +91,26 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     speed = deal(list(map(float, speeds)))
     stops = deal([0, 0, 1, 3] if "stops" in need else [0, 0, 0, 1])
     flying = deal([True, False] if "flying" in need else [False])
-    conditions: list[dict[str, Any]] = []
-    for number in range(n_conditions):
-        corridor = route[number].startswith("corridor")
-        loaded = payload[number] > 0
-        conditions.append(
-            {
-                "kind": route[number],
-                "direction": ways[(number // 2) % 2] if corridor else "",
-                "payload_kg": payload[number],
-                "payload_x_m": ahead[number] if loaded else 0.0,
-                "payload_y_m": side[number] if loaded else 0.0,
-                # tight routes are not driven fast
-                "speed_mps": speed[number]
-                if corridor or route[number].startswith("route")
-                else min(speed[number], 0.65),
-                "stops": stops[number],
-                "flying": flying[number],
-            }
+    conditions = []
+    for number, kind in enumerate(route):
+        corridor, loaded = kind.startswith("corridor"), payload[number] > 0
+        # tight routes are not driven fast
+        fast = corridor or kind.startswith("route")
+        condition = _Run(
+            kind=kind,
+            direction=ways[(number // 2) % 2] if corridor else "",
+            payload_kg=payload[number],
+            payload_x_m=ahead[number] if loaded else 0.0,
+            payload_y_m=side[number] if loaded else 0.0,
+            speed_mps=speed[number] if fast else min(speed[number], 0.65),
+            stops=stops[number],
+            flying=flying[number],
         )
+        conditions.append(condition)
     return conditions
 
 
-def _scheduled(
-    rng: np.random.Generator, conditions: list[dict[str, Any]], n_runs: int, n_sessions: int
-) -> list[dict[str, Any]]:
+def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int, n_sessions: int) -> list[_Run]:
     """Return the runs in the order driven: sessions, dwell and temperatures vary apart from the conditions."""
     # each session has a cold and a warm half; dwell varies from run to run; no condition correlates with a session
     levels = []
@@ -117,27 +119,23 @@ def _scheduled(
         halves = [cold, cold + float(rng.uniform(6, 12))]
         levels.append(halves if rng.random() < 0.5 else halves[::-1])
     order = np.resize(np.arange(len(conditions)), n_runs)
-    rows = []
-    for number in range(n_runs):
-        row = dict(conditions[order[number]])
-        row["session"] = f"s{number * n_sessions // n_runs + 1}"
-        row["minutes_under_load"] = float(rng.choice([2.0, 10.0, 30.0, 60.0])) if row["payload_kg"] > 0 else 0.0
-        rows.append(row)
+    driven = [conditions[number] for number in order.tolist()]
+    minutes = [float(rng.choice([2.0, 10.0, 30.0, 60.0])) if run.payload_kg > 0 else 0.0 for run in driven]
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
     # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
-    labels = [row["session"] for row in rows]
-    shuffled = [rows[number] for number in rng.permutation(shuffle)]
-    for number, (row, label) in enumerate(zip(shuffled, labels, strict=True)):
-        row["session"] = label
+    runs = []
+    for number, at in enumerate(rng.permutation(shuffle)):
         place = number * n_sessions / n_runs
         level = levels[int(place)][int(2 * (place % 1))]
-        row["temperature_C"] = round(level + float(rng.uniform(-0.3, 0.3)), 1)
-    return shuffled
+        temperature_C = round(level + float(rng.uniform(-0.3, 0.3)), 1)
+        session = f"s{number * n_sessions // n_runs + 1}"
+        runs.append(replace(driven[at], session=session, minutes_under_load=minutes[at], temperature_C=temperature_C))
+    return runs
 
 
-def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict[str, Any]:
+def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict[str, object]:
     """Return what is the same in all runs: vehicle, lengths, what is logged; and further columns."""
-    drawn: dict[str, Any] = {
+    drawn: dict[str, object] = {
         "length_m": round(float(rng.uniform(15.0, 25.0)), 1),
         "side_m": round(float(rng.uniform(2.0, 3.5)), 1),
         "radius_m": round(float(rng.uniform(0.9, 1.4)), 2),
@@ -145,19 +143,14 @@ def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict
         "counts_per_rev": float(rng.choice([2048, 4096, 8192])),
         "slope_per_N": float(rng.uniform(0.8e-5, 1.4e-5)) if "slope" in need else 0.0,
         "log_period_s": 0.0 if "no_logs" in need else float(rng.choice([0.1, 0.1, 0.12])),
-        "front": "front" in need,
-        "trace": "trace" in need,
-        "outside": "outside" in need,
+        **{name: name in need for name in ("front", "trace", "outside")},
     }
     if "no_logs" in need:
         drawn["poses"] = "none"
     column_names = [want.partition(":")[2] for want in need if want.startswith("column:")]
-    if column_names:
-        drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1) for name in column_names}
-    elif rng.random() < 0.3:
-        name = str(rng.choice(COLUMNS))
-        drawn["columns"] = {name: np.round(rng.uniform(0, 100, n_runs), 1)}
-    return drawn
+    if not column_names and rng.random() < 0.3:
+        column_names = [str(rng.choice(COLUMNS))]
+    return drawn | {"columns": {name: np.round(rng.uniform(0, 100, n_runs), 1) for name in column_names}}
 
 
 def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
@@ -168,7 +161,7 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     """
     if name not in DESIGNS:
         raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")
-    drawn: dict[str, Any] = {
+    drawn: dict[str, object] = {
         "length_m": round(float(rng.uniform(15.0, 30.0)), 1),
         "vehicle": _vehicle(rng),
         "log_period_s": float(rng.choice([0.1, 0.12])),
@@ -183,45 +176,39 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     return _design(rows, **{**drawn, **settings})
 
 
-def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
+def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> _Run:
     loads = [0.0, 50.0, 100.0, 150.0, 200.0]
     session = number * len(loads) // n_runs
-    return {
-        "direction": "out" if number % 2 == 0 else "back",
-        "session": f"s{session + 1}",
-        "payload_kg": loads[session],
-        "payload_x_m": 0.3 if loads[session] else 0.0,
-        "temperature_C": round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
-        "minutes_under_load": 10.0 if loads[session] else 0.0,
-    }
+    return _Run(
+        direction="out" if number % 2 == 0 else "back",
+        session=f"s{session + 1}",
+        payload_kg=loads[session],
+        payload_x_m=0.3 if loads[session] else 0.0,
+        temperature_C=round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
+        minutes_under_load=10.0 if loads[session] else 0.0,
+    )
 
 
-def _corridor_only(rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
+def _corridor_only(rng: np.random.Generator, number: int, n_runs: int) -> _Run:
     payload = float(rng.choice([0.0, 100.0, 200.0]))
-    return {
-        "direction": "out" if number % 2 == 0 else "back",
-        "session": f"s{number * 3 // n_runs + 1}",
-        "payload_kg": payload,
-        "payload_x_m": 0.4 if payload else 0.0,
-        "payload_y_m": float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
-        "speed_mps": float(rng.choice([0.3, 0.6])),
-        "temperature_C": round(float(rng.uniform(12, 28)), 1),
-        "minutes_under_load": 10.0 if payload else 0.0,
-    }
+    return _Run(
+        direction="out" if number % 2 == 0 else "back",
+        session=f"s{number * 3 // n_runs + 1}",
+        payload_kg=payload,
+        payload_x_m=0.4 if payload else 0.0,
+        payload_y_m=float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
+        speed_mps=float(rng.choice([0.3, 0.6])),
+        temperature_C=round(float(rng.uniform(12, 28)), 1),
+        minutes_under_load=10.0 if payload else 0.0,
+    )
 
 
-def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) -> dict[str, Any]:
-    return {
-        "kind": ("square_cw", "square_ccw")[number % 2],
-        "session": f"s{number * 2 // n_runs + 1}",
-        "payload_kg": 100.0,
-        "temperature_C": 20.0,
-        "minutes_under_load": 10.0,
-        "speed_mps": 0.4,
-    }
+def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) -> _Run:
+    kind, session = ("square_cw", "square_ccw")[number % 2], f"s{number * 2 // n_runs + 1}"
+    return _Run(kind, session=session, payload_kg=100.0, minutes_under_load=10.0, speed_mps=0.4)
 
 
-def _few_repeats(rng: np.random.Generator, n_runs: int, settings: dict[str, Any]) -> Design:
+def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, Any]) -> Design:
     whole = good_design(rng, n_runs=3 * n_runs, **settings)
     first = np.unique(
         np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True

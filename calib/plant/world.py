@@ -173,4 +173,4 @@ def build_world(design: Design, model: OdometryModel) -> World:
     arrays |= {"load_left_N": left_N, "load_right_N": right_N}
     arrays["believed_left_m"] = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
     arrays["believed_right_m"] = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
-    return World(design=design, model=model, **arrays)
+    return World(design, model, **arrays)

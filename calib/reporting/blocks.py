@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
@@ -13,6 +13,10 @@ from calib.result import plain_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+#: kind of figure -> the function that draws it
+Drawings = Mapping[str, "Callable[[], Figure]"]
 
 
 class Block:

@@ -9,15 +9,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
+from calib.campaign.checks.design import assumed_settings
+from calib.documents import to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing
-from calib.reporting.blocks import Picture, Section
-from calib.reporting.source import Source
+from calib.radius.result import ingest_notes
+from calib.reporting.blocks import Items, Notice, Picture, Section
+from calib.reporting.formatting import capital, prose
+from calib.reporting.source import Source, logo_of, number_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
+from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
 from calib.result import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from calib.campaign.model import Campaign
+    from calib.gap.decision.diagnosis import Diagnosis
+    from calib.kinematics.result import Geometry
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
@@ -130,6 +139,92 @@ def compose(source: Source) -> Report:
         stated=source.stated,
         logo=source.logo,
     )
+
+
+def report_without_law(
+    campaign: Campaign,
+    *,
+    issued: str,
+    why: str,
+    geometry: Geometry | None = None,
+    coefficients: bytes | None = None,
+    diagnosis: Diagnosis | None = None,
+) -> Report:
+    """Return the report on runs that give no radius law: their geometry, the diagnosis of their gap, or both.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    why : str
+        Why the runs give no radius law, a sentence without its full stop.
+    geometry : Geometry, optional
+        Its estimate, with the traces of the runs in ``paths``; None where the runs allow none.
+    coefficients : bytes, optional
+        Coefficient file, attached; None where the geometry is not passed on.
+    diagnosis : Diagnosis, optional
+        Has a section of its own and is attached.
+    """
+    from calib.reporting.topics.diagnosis import gap_section, page_one_notice
+    from calib.reporting.topics.geometry import geometry_sections
+
+    kind, title = "CR", "Gap between measured and simulated motion"
+    content: dict[str, object] = {"inputs": dict(campaign.hashes), "campaign": campaign.name, "version": __version__}
+    files = {"coefficients.json": (coefficients, "Radii, lengths and their covariance, as the vehicle loads it")}
+    if geometry is not None:
+        kind, title = "GR", "Geometry of a vehicle: radii, track and sensor"
+        content["geometry"] = geometry.to_dict()
+        estimates = to_json(content["geometry"]).encode()
+        files = {"geometry.json": (estimates, "Estimates, covariance and verdict"), **files}
+    content["gap"] = None if diagnosis is None else verdict_document(diagnosis)
+    if diagnosis is not None:
+        verdict = to_json(content["gap"]).encode()
+        files["diagnosis.json"] = (verdict, "Verdict of the diagnosis with everything that it rests on")
+    stated = stated_of(campaign)
+    reason = Notice("note", "These runs give no radius law", capital(prose(why.rstrip("."))) + ".")
+    found = [] if diagnosis is None else [page_one_notice(diagnosis)]
+    law = [] if diagnosis is not None and geometry is None else [Section("Radius law", (reason,))]
+    result = geometry_sections(geometry, found) if geometry is not None else []
+    sections = (
+        # a diagnosis alone begins with its verdict
+        *(result if law else [Section("Result", (*found, reason))]),
+        *([] if diagnosis is None else [gap_section(diagnosis)]),
+        *law,
+        preparation_of(ingest_notes(campaign)),
+        _limits(campaign, geometry, coefficients),
+        missing_of(stated),
+    )
+    return Report(
+        report_id=number_of(kind, content),
+        title=title,
+        name=campaign.name,
+        issued=issued,
+        simulated=campaign.simulated,
+        passed=geometry is None or geometry.passed,
+        sections=tuple(section for section in sections if section is not None),
+        attachments=tuple(Attachment(name, data, what) for name, (data, what) in files.items() if data is not None),
+        stated=stated,
+        logo=logo_of(campaign),
+    )
+
+
+def _limits(campaign: Campaign, geometry: Geometry | None, coefficients: bytes | None) -> Section:
+    """Return what the report does not cover."""
+    sentences = [
+        "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
+        "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
+    ]
+    if geometry is not None:
+        sentences = [
+            "No law of the load is stated: the radii hold for the loads of these runs.",
+            "The estimates hold for the vehicle, floor, speeds and reference of these runs.",
+        ]
+        if coefficients is None:
+            sentences.append("No coefficient file is attached, since the geometry is not passed on.")
+    blocks = (Items(tuple(sentences)), assumed_text(assumed_settings(campaign)))
+    return Section("What this report does not cover", blocks)
 
 
 DEFAULT_FOLDER: Final = Path("reports")

@@ -79,6 +79,11 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun if count == 1 else noun + 's'}"
 
 
+def capital(sentence: str) -> str:
+    """Return a sentence with its first letter in upper case."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def prose(text: str) -> str:
     """Return a sentence with typographic signs for units and minus."""
     for pattern, sign in _PROSE:

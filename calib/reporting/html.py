@@ -52,10 +52,7 @@ def _in_panels(block: Block) -> bool:
 
 
 def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    """Return a diagnosis as a self-contained HTML page.
-
-    Raises MissingExtraError where Bokeh is not installed.
-    """
+    """Return a diagnosis as a self-contained HTML page; raises MissingExtraError where Bokeh is not installed."""
     from calib.reporting.interactive import interactive_panels
     from calib.reporting.topics.diagnosis import diagnosis_content, page_one_notice
 

@@ -1,4 +1,7 @@
-"""Linked panels of a diagnosis: selecting a run or a session highlights it in every panel."""
+"""Linked panels of a diagnosis: selecting a run or a session highlights it in every panel.
+
+Needs Bokeh: importing this module raises MissingExtraError where it is not installed.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import base64
 import gzip
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,9 +34,28 @@ from calib.reporting.panel_data import (
 )
 from calib.types import FloatArray
 
-if TYPE_CHECKING:
-    from bokeh.models import ColumnDataSource, Model
+try:
+    from bokeh.embed import components
+    from bokeh.layouts import column, row
+    from bokeh.models import (
+        BoxAnnotation,
+        ColumnDataSource,
+        CustomJS,
+        Div,
+        HoverTool,
+        InlineStyleSheet,
+        Label,
+        Model,
+        MultiChoice,
+        Select,
+        Slider,
+        Slope,
+        Whisker,
+    )
     from bokeh.plotting import figure
+    from bokeh.resources import Resources
+except ImportError as error:
+    raise MissingExtraError("an interactive page", "bokeh", "html") from error
 
 #: Okabe and Ito's colours, told apart by colour-blind readers
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
@@ -58,15 +80,8 @@ LEGEND_NAMES: Final = 24
 def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
     """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened.
 
-    Scripts are packed, so that a page can be sent by mail; the browser unpacks them. Raises MissingExtraError where
-    Bokeh is not installed.
+    Scripts are packed, so that a page can be sent by mail; the browser unpacks them.
     """
-    try:
-        from bokeh.embed import components
-        from bokeh.models import ColumnDataSource
-        from bokeh.resources import Resources
-    except ImportError as error:
-        raise MissingExtraError("an interactive page", "bokeh", "html") from error
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
     gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
     columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
@@ -87,8 +102,6 @@ def _packed(script: str) -> str:
 
 
 def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, verdict: Diagnosis) -> Model:
-    from bokeh.layouts import column
-
     after, band = _before_after_panel(gap, source)
     by_covariate, tools = _covariate_panel(gap, source, after, band)
     legend = _legend(gap)
@@ -113,25 +126,19 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
 
 def _changed(control: Any, script: str, **arguments: Any) -> Any:
     """Return a control that runs a script of the page when its value changes."""
-    from bokeh.models import CustomJS
-
     control.js_on_change("value", CustomJS(args=arguments, code=_script(script)))
     return control
 
 
 def _wrapped(children: list[Any]) -> Model:
     """Return models side by side, in as many rows as the page's width asks for."""
-    from bokeh.layouts import row
-    from bokeh.models import InlineStyleSheet
-
     sheet = InlineStyleSheet(css=":host { flex-wrap: wrap; gap: 0.6rem; }")
     return row(*children, sizing_mode="stretch_width", stylesheets=[sheet])
 
 
 def _figure(title: str, x: str, y: str, **further: Any) -> figure:
-    from bokeh.plotting import figure as bokeh_figure
 
-    plot = bokeh_figure(
+    plot = figure(
         title=title,
         x_axis_label=x,
         y_axis_label=y,
@@ -149,7 +156,6 @@ def _figure(title: str, x: str, y: str, **further: Any) -> figure:
 
 
 def _hover(plot: figure, renderer: Model) -> None:
-    from bokeh.models import HoverTool
 
     plot.add_tools(HoverTool(renderers=[renderer], tooltips=[(name, f"@{name}") for name in LABELS]))
 
@@ -165,8 +171,6 @@ def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
 
 def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
-    from bokeh.models import Slider
-
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
     for which in PATHS:
@@ -198,8 +202,6 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
 
 def _moment_slider(source: ColumnDataSource) -> Model:
     """Return the slider that moves the marks along the paths to a time since the start of the run."""
-    from bokeh.models import Slider
-
     longest = max(float(path[-1]) for path in source.data["before_t"])
     slider = Slider(
         name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start (s)",
@@ -212,8 +214,6 @@ def _covariate_panel(
     gap: GapArrays, source: ColumnDataSource, after: figure, band: Model
 ) -> tuple[figure, list[Model]]:
     """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
-    from bokeh.models import Select
-
     first, units = first_channel(gap), channel_units(gap)
     plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
     _points(plot, "x", "y", source)
@@ -228,8 +228,6 @@ def _covariate_panel(
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
     """Draw the gap after the correction against that before; the noise level as a band, the diagonal as a line."""
-    from bokeh.models import BoxAnnotation, Label, Slope
-
     first = first_channel(gap)
     unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
     plot = _figure(
@@ -254,8 +252,6 @@ def _along_panel(source: ColumnDataSource, name: str) -> figure:
 
 def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
     """Return the choice of what the gap along the run is drawn against."""
-    from bokeh.models import Select
-
     axes = list(RUN_AXES)
     choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
     return _changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in plots])
@@ -263,8 +259,6 @@ def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
 
 def _cause_panel(verdict: Diagnosis) -> figure:
     """Draw each named cause's share of the gap with its 95 % interval, and its probability."""
-    from bokeh.models import ColumnDataSource, Whisker
-
     causes = verdict.causes[::-1]
     # in words, so that a small share can be read too
     labels = [
@@ -291,8 +285,6 @@ def _with_aliases(effect: str, verdict: Diagnosis) -> str:
 
 def _legend(gap: GapArrays) -> Model:
     """Return the colours of the kinds in words; another choice of colours rewrites it."""
-    from bokeh.models import Div
-
     names = labels_of(gap)["kind"]
     marks = [
         f'<span style="white-space:nowrap"><span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> '
@@ -305,8 +297,6 @@ def _legend(gap: GapArrays) -> Model:
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:
     """Return the choice of the column that colours all panels: a label, or a number on a scale."""
-    from bokeh.models import Select
-
     titles = covariate_titles(gap)
     columns = {name: name for name in LABELS} | {f"by {name}": title for name, title in titles.items()}
     choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
@@ -316,8 +306,6 @@ def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> M
 
 def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
     """Return a list of sessions, kinds and runs whose choice highlights their runs in every panel."""
-    from bokeh.models import MultiChoice
-
     named = labels_of(gap)
     options = [f"{label} {name}" for label in ("session", "kind", "run") for name in named[label]]
     choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)

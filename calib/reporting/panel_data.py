@@ -107,10 +107,8 @@ def panel_columns(
 ) -> dict[str, Any]:
     """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
     names = natural(gap.labels["kind"])
-    columns: dict[str, Any] = {
-        "run": gap.labels["run_id"],
-        "session": gap.labels["session"],
-        "kind": gap.labels["kind"],
+    columns: dict[str, Any] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
+    columns |= {
         "colour": [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]],
         "by order driven": np.arange(1.0, len(gap.before) + 1),
     }
@@ -147,17 +145,14 @@ def first_channel(gap: GapArrays) -> str:
 
 def channel_units(gap: GapArrays) -> dict[str, str]:
     """Return the unit that each measured channel is drawn in, by its name."""
-    return {
-        name: "mrad" if unit == "rad" else "mm"
-        for (name, unit), values in zip(gap.channels, gap.before.T, strict=True)
-        if np.isfinite(values).any()
-    }
+    measured = np.asarray(np.isfinite(gap.before).any(axis=0))
+    return {name: f"m{unit}" for (name, unit), on in zip(gap.channels, measured, strict=True) if on}
 
 
 def noise_limits(gap: GapArrays) -> dict[str, float]:
     """Return two standard deviations of the noise of each measured channel, in mm or mrad, by its name."""
     limits = {name: 2e3 * rms(column) for (name, _), column in zip(gap.channels, gap.noise_level.T, strict=True)}
-    return {name: limits[name] if np.isfinite(limits[name]) else 0.0 for name in channel_units(gap)}
+    return {name: float(np.nan_to_num(limits[name])) for name in channel_units(gap)}
 
 
 def covariate_titles(gap: GapArrays) -> dict[str, str]:

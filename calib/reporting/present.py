@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from calib.errors import BadInputError
-from calib.reporting.blocks import drawn
+from calib.reporting.blocks import Drawings, drawn
 from calib.reporting.text import to_text
 from calib.result import Result
 
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
     from calib.reporting.blocks import Block, Section
-
-Blocks = Sequence["Block | Section"]
-#: kind of figure -> its drawing function, the default first
-Figures = Mapping[str, Callable[[], "Figure"]]
 
 #: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the
 #: interpreter and a notebook show
@@ -66,13 +62,13 @@ def figure(result: Result, kind: str | None) -> Figure:
     return figures[kind]()
 
 
-def _content(result: Result, *, brief: bool) -> Blocks:
+def _content(result: Result, *, brief: bool) -> Sequence[Block | Section]:
     module, _, function = CONTENT[type(result).__name__][brief].partition(".")
-    blocks: Blocks = getattr(import_module(f"calib.reporting.topics.{module}"), function)(result)
+    blocks: Sequence[Block | Section] = getattr(import_module(f"calib.reporting.topics.{module}"), function)(result)
     return blocks
 
 
-def _fit(fit: Fit) -> Figures:
+def _fit(fit: Fit) -> Drawings:
     session = fit.radii.session
     return {
         "regressions": partial(drawn, "radius.regressions", fit.left, fit.right, session),
@@ -82,25 +78,26 @@ def _fit(fit: Fit) -> Figures:
     }
 
 
-def _geometry(geometry: Geometry) -> Figures:
+def _geometry(geometry: Geometry) -> Drawings:
     return {"paths": partial(drawn, "geometry.draw_paths", geometry.paths, simulated=geometry.simulated)}
 
 
-def _diagnosis(diagnosis: Diagnosis) -> Figures:
+def _diagnosis(diagnosis: Diagnosis) -> Drawings:
     from calib.reporting.figures.gap import gap_figures
 
     figures = gap_figures(diagnosis)
-    names = sorted(figures, key=lambda name: name != "before-after")
-    return {name: partial(figures.__getitem__, name) for name in names}
+    return {
+        name: partial(figures.__getitem__, name) for name in sorted(figures, key=lambda name: name != "before-after")
+    }
 
 
-def _plan(plan: Plan) -> Figures:
+def _plan(plan: Plan) -> Drawings:
     from calib.gap.plan.identifiability import outlook_of
 
     return {"matrix": lambda: drawn("effects.plan_matrix", outlook_of(plan.campaign))}
 
 
-def _simulation(simulation: Simulation) -> Figures:
+def _simulation(simulation: Simulation) -> Drawings:
     from calib.odometry.simulation import SHOWN
 
     return {
@@ -109,11 +106,12 @@ def _simulation(simulation: Simulation) -> Figures:
     }
 
 
-def _replay(replay: Replay) -> Figures:
+def _replay(replay: Replay) -> Drawings:
     return {"end_errors": partial(drawn, "motion.replay_figure", replay)}
 
 
-_FIGURES: Final[Mapping[str, Callable[[Any], Figures]]] = {
+#: kind of figure -> its drawing function, the default first
+_FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
     "Fit": _fit,
     "Geometry": _geometry,
     "Diagnosis": _diagnosis,

@@ -43,7 +43,7 @@ class Source:
     stated: Mapping[str, str] = field(default_factory=dict)
     #: verdict of the diagnosis, where one was asked for
     verdict: Diagnosis | None = None
-    #: arrays of its figures
+    #: arrays of its figures, where they are not its own
     gap: GapArrays | None = None
     logo: tuple[str, bytes] | None = None
     #: verdict and sentence of a diagnosis.json that lies beside the fit
@@ -74,9 +74,7 @@ class Source:
 
     def with_diagnosis(self, diagnosis: Diagnosis) -> Source:
         """Return the same with a diagnosis for its page."""
-        from calib.reporting.figures.gap import GapArrays
-
-        return replace(self, verdict=diagnosis, gap=GapArrays.of(diagnosis))
+        return replace(self, verdict=diagnosis)
 
     def facts(self, **titles: str) -> list[tuple[str, str]]:
         """Return what the campaign states under keys of `STATED`, each with its title; nothing of the others."""

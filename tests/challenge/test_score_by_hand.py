@@ -14,6 +14,7 @@ from calib.challenge.recipe import Recipe
 from calib.challenge.score import clopper_pearson, score_of, wilson
 from calib.plant.effects.form import Cause
 from calib.plant.noise import Noise
+from calib.result import plain
 
 MODEL = OdometryModel(0.1, 0.1, 0.7, 300.0)
 
@@ -152,7 +153,7 @@ def test_the_board_counts_by_hand() -> None:
     assert len(found.misses) == 3
     assert found.confusion["track_width"] == {"track_width": 2, "curve_scrub": 1}
     assert found.confusion["nothing"] == {"no_gap": 1, "wear": 1}
-    by_bin = {round(one["low"], 1): one for one in found.reliability}
+    by_bin = {round(one.low, 1): one for one in found.reliability}
     # 0.9 (true), 0.95 (false), 1.0 (true): two of three in the last bin
     assert (by_bin[0.9]["true"]["hits"], by_bin[0.9]["true"]["total"]) == (2, 3)
     assert (by_bin[0.6]["true"]["hits"], by_bin[0.6]["true"]["total"]) == (0, 1)
@@ -169,9 +170,9 @@ def test_intervals_of_shares_are_those_of_the_textbooks() -> None:
 
 def test_the_truth_survives_its_file() -> None:
     made = truth("single", "track_width")
-    assert Truth.from_dict(made.to_dict()) == made
+    assert Truth.from_dict(plain(made)) == made
     heavy = replace(made, noise=Noise(tail=float("inf")))
-    assert Truth.from_dict(heavy.to_dict()).noise.tail == float("inf")
+    assert Truth.from_dict(plain(heavy)).noise.tail == float("inf")
 
 
 def test_the_ceiling_stands_beside_the_hits_of_the_same_cases() -> None:

@@ -21,6 +21,7 @@ from calib.challenge.seal import HASH, PUBLIC, make, truth_path
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects.registry import effects
 from calib.reporting.figures.challenge import board_figure, confusion_figure, save
+from calib.result import plain
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """
@@ -134,7 +135,7 @@ def test_the_same_seeds_seal_the_same_truth(sealed: Path, tmp_path: Path) -> Non
     made = make(seeds, tmp_path / "again", workers=1, limit=1)
     first = json.loads(made.truth.read_text(encoding="utf-8"))["cases"]["c0001"]
     assert first == json.loads(truth_path(sealed).read_text(encoding="utf-8"))["cases"]["c0001"]
-    assert json.loads(json.dumps(Truth.from_dict(first).to_dict())) == first
+    assert json.loads(json.dumps(plain(Truth.from_dict(first)))) == first
 
 
 def test_a_set_is_not_overwritten_without_force(sealed: Path) -> None:

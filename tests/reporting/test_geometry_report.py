@@ -16,8 +16,7 @@ from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry, RunTrace
 from calib.kinematics.traces import traces_of
 from calib.reporting.blocks import Facts, Notice, Picture
-from calib.reporting.content import Report
-from calib.reporting.without_law import report_without_law
+from calib.reporting.content import Report, report_without_law
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 
 #: noise of the reference

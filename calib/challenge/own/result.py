@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from calib.challenge.own.plants import Plant
 from calib.challenge.score import clopper_pearson
+from calib.result import plain
 
 #: verdicts that name no cause
 SILENT: Final = ("no_gap", "undecided", "unknown")
@@ -74,7 +75,7 @@ class Found:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values; no effect of the library can be first, or in a group, of an outside cause."""
         plant = self.plant
-        document: dict[str, Any] = {
+        document = {
             "size": plant.size,
             "unit": plant.unit,
             "signal": round(plant.signal, 2),
@@ -133,18 +134,17 @@ class Own:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        tables: dict[str, dict[str, list[dict[str, Any]]]] = {"effects": {}, "outsiders": {}}
+        tables: dict[str, dict[str, list[Found]]] = {"effects": {}, "outsiders": {}}
         for found in self.found:
-            tables["outsiders" if found.plant.outside else "effects"].setdefault(found.plant.effect, []).append(
-                found.to_dict()
-            )
+            table = tables["outsiders" if found.plant.outside else "effects"]
+            table.setdefault(found.plant.effect, []).append(found)
         low, high = clopper_pearson(self.raised, len(self.empty))
         return {
             "format": FORMAT,
             "campaign": self.campaign,
             "simulated": self.simulated,
             "own_verdict": self.own_verdict,
-            **tables,
+            **plain(tables),
             "false_alarms": {"tried": len(self.empty), "raised": self.raised, "ci95": [low, high]},
             "wrong": {"planted": self.planted, "wrong": self.wrong},
             "trusted": self.trusted,

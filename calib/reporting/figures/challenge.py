@@ -107,8 +107,7 @@ def _reliability(axes: Axes, score: Score) -> None:
     axes.plot([0, 1], [0, 1], color=GREY, lw=1)
     axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color=GREY, alpha=0.15, lw=0)
     if score.reliability:
-        stated = np.array([line["stated"] for line in score.reliability])
-        shares = [Share(line["true"]["hits"], line["true"]["total"]) for line in score.reliability]
+        stated, shares = np.array([one.stated for one in score.reliability]), [one.true for one in score.reliability]
         _with_bars(axes, stated, shares, color=BLUE, marker="o", label="")
         for x, line in zip(stated, shares, strict=True):
             axes.annotate(str(line.total), (x, 0.02), ha="center", color=GREY)

@@ -69,13 +69,8 @@ def _parts(score: Score) -> list[Table]:
         for signal, row in score.by_signal.items()
     )
     reliability = tuple(
-        (
-            f"{row['low']:.1f}..{row['high']:.1f}",
-            f"{row['stated']:.3f}",
-            f"{row['true']['rate']:.3f}",
-            f"{row['true']['total']}",
-        )
-        for row in score.reliability
+        (f"{one.low:.1f}..{one.high:.1f}", f"{one.stated:.3f}", f"{one.true.rate:.3f}", f"{one.true.total}")
+        for one in score.reliability
     )
     return [
         table("Single effects by signal.", titles, by_signal),

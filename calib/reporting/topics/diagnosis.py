@@ -40,7 +40,14 @@ TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = TITLES[verdict.kind]
-    return Notice(level, f"{title} ({verdict.kind.value})", prose(verdict.sentence))
+    return Notice(level, with_kind(title, verdict.kind), prose(verdict.sentence))
+
+
+def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
+    """Return a title with the verdict's word, where the title does not hold it, and further remarks in brackets."""
+    words = kind.value.replace("_", " ")
+    remarks = [*([] if words in title.lower() or kind is VerdictKind.PARTLY_EXPLAINED else [words]), *more]
+    return f"{title} ({', '.join(remarks)})" if remarks else title
 
 
 def page_one_notice(verdict: Diagnosis) -> Notice:
@@ -80,8 +87,10 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
 
 
 def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
-    """Return the section of a report on a diagnosis."""
-    return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
+    """Return the section of a report on a diagnosis; `gap`: the arrays of its figures, by default its own."""
+    from calib.reporting.figures.gap import GapArrays
+
+    return Section("Diagnosis of the gap", diagnosis_content(verdict, gap or GapArrays.of(verdict)))
 
 
 def map_picture(gap: GapArrays | None) -> list[Picture]:

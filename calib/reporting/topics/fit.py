@@ -1,29 +1,43 @@
-"""Result of a fit, at a glance and in full, and its comparison with a model."""
+"""Result of a fit, at a glance and in full, its checks and their decision rule, and its comparison with a model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
+from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Heading, Notice, Picture, Section, Text, items, simulated_notice, table
-from calib.reporting.formatting import fixed, places, plural, prose
-from calib.reporting.topics.budget import budget_picture, radius_budget
-from calib.reporting.topics.checks import checks_table, residuals_picture, usable_notice
+from calib.reporting.blocks import (
+    Block,
+    Heading,
+    Items,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    items,
+    picture,
+    simulated_notice,
+    table,
+)
+from calib.reporting.formatting import fixed, places, plural, probability, prose
 from calib.reporting.topics.conditions import assumed_notice
-from calib.reporting.topics.deviation import deviation_picture
 from calib.reporting.topics.law import (
+    budget_picture,
     law_table,
     naive_text,
     quality_text,
+    radius_budget,
     regressions_picture,
     single_run_text,
     static_table,
 )
-from calib.reporting.topics.runs import left_out_table, runs_picture, runs_table
+from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
 
 if TYPE_CHECKING:
     from calib.radius.fit import Difference, ModelComparison
+    from calib.radius.regression import Check
     from calib.reporting.source import Source
 
 #: names of the pictures of a fit, in the order of the report's pages
@@ -97,14 +111,14 @@ def _gap(source: Source) -> tuple[Notice, ...]:
     """Return what a diagnosis found, where one was made with this report or lies beside the fit."""
     if source.verdict is None and source.known_verdict is None:
         return ()
-    from calib.reporting.topics.diagnosis import TITLES, page_one_notice
+    from calib.reporting.topics.diagnosis import TITLES, page_one_notice, with_kind
 
     if source.verdict is not None:
         return (page_one_notice(source.verdict),)
     assert source.known_verdict is not None
     kind, sentence = source.known_verdict
     level, title = TITLES[kind]
-    return (Notice(level, f"{title} ({kind.value}, from diagnosis.json)", prose(sentence)),)
+    return (Notice(level, with_kind(title, kind, "from diagnosis.json"), prose(sentence)),)
 
 
 def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
@@ -116,3 +130,102 @@ def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
 def fit_brief(fit: Fit) -> tuple[Block, ...]:
     """Return what the interpreter shows of a fit: both laws, and whether they can be used."""
     return (law_table(fit), usable_notice(fit))
+
+
+_LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
+#: remarks beside the result, a sentence each
+MAX_REMARKS: Final = 3
+
+
+def checks_table(fit: Fit) -> Table:
+    """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
+    by_name: dict[str, dict[tuple[str, str], dict[str, Check]]] = {}
+    for wheel, fitted in fit.wheels.items():
+        for check in fitted.checks:
+            by_name.setdefault(check.name, {}).setdefault((check.level, check.sentence), {})[wheel] = check
+    rows = [
+        (
+            name.replace("_", " "),
+            "both" if len(same) == 2 else next(iter(same)),
+            _LEVELS.get(level, level),
+            _statistics(list(same.values())),
+            " / ".join(dict.fromkeys(probability(check.p_value) for check in same.values())),
+            prose(sentence),
+        )
+        for name, results in by_name.items()
+        for (level, sentence), same in results.items()
+    ]
+    return table(
+        "Checks of the fit; p is the probability of a statistic at least as extreme where all assumptions hold.",
+        ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning"),
+        rows,
+        dense=True,
+    )
+
+
+def _statistics(checks: list[Check]) -> str:
+    """Return the statistics of a check on one wheel or both, by one name."""
+    values: dict[str, list[str]] = {}
+    for check in checks:
+        if check.statistic is not None and check.statistic_name:
+            values.setdefault(check.statistic_name, []).append(f"{check.statistic:.3g}".replace("-", "−"))
+    return prose("; ".join(f"{name} = {' / '.join(dict.fromkeys(each))}" for name, each in values.items()))
+
+
+def usable_notice(fit: Fit) -> Notice:
+    """Return whether the law can be used, and what its user has to know."""
+    checks = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks]
+    failed = [f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in checks if not check.passed]
+    if fit.implausible and fit.accepted:
+        findings = f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(map(prose, fit.implausible))}"
+        return Notice("bad", "Implausible, and accepted by the user", findings)
+    if failed:
+        title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
+        return Notice("bad", title, f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.")
+    remarks = list(dict.fromkeys(prose(check.sentence) for _, check in checks if check.level == "note"))
+    if remarks:
+        return Notice("note", "The law can be used; its user has to know this", " ".join(remarks[:MAX_REMARKS]))
+    return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
+
+
+def residuals_section(source: Source) -> Section:
+    """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
+    fit = source.fit
+    return Section("Residual checks", (residuals_picture(fit), checks_table(fit)))
+
+
+def decision_section(source: Source) -> Section:
+    """Return by which rule the checks were judged, and what was not judged."""
+    tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
+    false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
+    rules = (
+        f"A check with a probability p below {NOTE_BELOW:g} is given as a remark: the result stands, but its user has "
+        "to know.",
+        f"A check on which the validity of the law rests has failed where p is below {FAIL_BELOW:g}; the law should "
+        "then not be used as it is. One failed check on one wheel is enough.",
+        f"With the {tests} tests made here, all assumptions being true, the probability of any remark is about "
+        f"{false_alarm:.0f} %, and that of any failure at most {100 * tests * FAIL_BELOW:.2g} %.",
+        "Intervals are two-sided with a coverage of 95 %; uncertainties are rounded to two significant digits, values "
+        "to the same place.",
+    )
+    conformity = (
+        "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is made. Where "
+        "one is made from these results, the expanded uncertainty has to be taken into account."
+    )
+    return Section("Decision rule", (Items(rules), Text(conformity)))
+
+
+def residuals_picture(fit: Fit) -> Picture:
+    """Return the residuals of both wheels."""
+    return picture(
+        "residuals",
+        "Residuals of both wheels against load, in the order driven, and against a normal distribution; colours are "
+        "sessions as above.",
+        "Residuals of both wheels: "
+        + "; ".join(
+            f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
+            for name, wheel in fit.wheels.items()
+        ),
+        "radius.residuals",
+        *(fit.left, fit.right, fit.radii.session),
+    )

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from calib.kinematics.result import Estimate, RouteResidual
-from calib.reporting.blocks import Block, Table, Text, items, table
-from calib.reporting.formatting import plural
+import numpy as np
 
-if TYPE_CHECKING:
-    from calib.kinematics.result import Geometry
+from calib.kinematics.adequacy import GeometryVerdict
+from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
+from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.formatting import capital, plural, prose
 
 _ROUTE: Final = (
     "<route",
@@ -74,7 +75,7 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
         if sizes[0]:
             before, after, held_out, noise = (f"{_milli(size)} m{unit}" for size in sizes)
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
-    return [f"{verdict}: {'. '.join(parts)}.", *(f"{text[0].upper()}{text[1:]}." for text in geometry.why)]
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in geometry.why)]
 
 
 def _milli(value: float) -> str:
@@ -140,3 +141,95 @@ def _route_cells(route: RouteResidual) -> tuple[str, ...]:
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
     """Return what the interpreter shows of a geometry: runs and parameters."""
     return geometry_content(geometry)[:3]
+
+
+#: verdict -> level of its notice
+LEVELS: Final = {GeometryVerdict.CALIBRATED: "good", GeometryVerdict.DOUBTFUL: "note", GeometryVerdict.WRONG: "bad"}
+
+
+def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Section]:
+    """Return the result, its residuals, and how the parameters correlate; `found`: notices of a diagnosis."""
+    verdict = geometry.verdict
+    first, *further = verdict_sentences(geometry)
+    result = (
+        Notice(LEVELS[verdict], f"Geometry {verdict.value}", prose(capital(first.partition(": ")[2]))),
+        *items(map(prose, further)),
+        *found,
+        Facts(_estimated_from(geometry)),
+        parameter_table(geometry),
+        *items(map(prose, geometry_remarks(geometry))),
+    )
+    left = (
+        Text("Residuals are measured less predicted: along and across the path, and in heading.", small=True),
+        *_path_pictures(geometry.paths),
+        *_residual_pictures(geometry.paths),
+        *route_tables(geometry),
+    )
+    sections = [Section("Result", result), Section("Residuals", left)]
+    if len(geometry.estimates) > 1:
+        sections.append(Section("Correlation of the parameters", _correlation(geometry)))
+    return sections
+
+
+def _estimated_from(geometry: Geometry) -> tuple[tuple[str, str], ...]:
+    """Return what the estimate was made from."""
+    of, n = geometry.clusters
+    stretches = "end poses of whole runs" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
+    open_parameters = ", ".join(geometry.undetermined) or "none"
+    return (
+        ("Drive", geometry.drive),
+        ("Runs", f"{geometry.n_runs}, by {stretches}"),
+        ("Intervals", f"95 %, from {n} {of}s"),
+        ("Not determined", open_parameters),
+        ("Outliers", ", ".join(geometry.outliers) or "none"),
+    )
+
+
+def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
+    measured = [trace for trace in traces if np.isfinite(trace.reference_m).any()]
+    if not measured:
+        return []
+    largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
+    return [
+        picture(
+            "geometry-paths",
+            "Paths of the reference's sensor: by the calibrated odometry, coloured by its distance from the reference; "
+            "by the nominal odometry in grey; by the reference, dotted.",
+            f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference",
+            "geometry.draw_paths",
+            measured,
+        )
+    ]
+
+
+def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
+    along = [trace for trace in traces if len(trace.seen) > 1]
+    ends = [trace for trace in traces if len(trace.seen) < 2]
+    in_time = picture(
+        "geometry-residuals-in-time",
+        "Residuals along the path of the first runs; in grey by the nominal odometry.",
+        f"Residuals along, lateral and in heading against time, of {len(along)} runs",
+        "geometry.residuals_in_time",
+        along,
+    )
+    by_run = picture(
+        "geometry-residuals-by-run",
+        "Residuals at the end of each run, in the order driven.",
+        f"Residuals of {len(traces)} end poses before and after",
+        "geometry.residuals_by_run",
+        ends,
+    )
+    return [*([in_time] if along else []), *([by_run] if ends else [])]
+
+
+def _correlation(geometry: Geometry) -> tuple[Block, ...]:
+    names = [estimate.name for estimate in geometry.estimates]
+    remark = "Parameters that correlate beyond 0.9, in bold, are known better together than each by itself."
+    shown = picture(
+        "geometry-correlation",
+        "Correlation of the parameters.",
+        f"Correlation of {', '.join(names)}",
+        "geometry.correlations",
+        *(names, geometry.covariance),
+    )
+    return (Text(remark, small=True), shown)

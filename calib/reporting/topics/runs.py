@@ -1,4 +1,4 @@
-"""Runs of a fit: figure by session, table of runs or of sessions, runs not used."""
+"""Runs of a fit: figure by session, table of runs or of sessions, runs not used, and how far their paths deviate."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.campaign.checks.design import listed
+from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
-from calib.reporting.blocks import Picture, Section, Table, Text, picture, table
+from calib.reporting.blocks import Block, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import fixed, plural
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
@@ -128,4 +129,85 @@ def runs_picture(fit: Fit) -> Picture:
         f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
         "radius.runs_by_series",
         fit.radii,
+    )
+
+
+#: relative error of a radius that the runs are compared with
+TOLERANCE: Final = 5e-4
+_SOURCES: Final = {
+    "log": "weave in the log",
+    "log+heading": "weave in the log and measured heading at the end",
+    "columns": "measured amplitude and wavelength",
+    "columns+heading": "measured amplitude and wavelength, and heading at the end",
+    "none+heading": "measured heading at the end",
+    "none": "not corrected",
+}
+
+
+def deviation_section(source: Source) -> Section:
+    """Return how much longer than the measured distance the wheels' paths were, and what was corrected."""
+    radii = source.fit.radii
+    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
+    paths = np.array((radii.path_left, radii.path_right))
+    worst = 1e6 * float(np.abs(paths).max())
+    blocks: list[Block] = [
+        Text(
+            "The rangefinder sees the straight distance, the wheels roll along the path. A weave of amplitude A and "
+            "wavelength λ makes the path longer by about (πA/λ)², a turn makes one wheel's path longer and the other's "
+            f"shorter. The radii of this report are corrected for it; the largest correction of a run is {worst:.0f} "
+            "ppm."
+        ),
+        deviation_picture(source.fit),
+    ]
+    rows = []
+    for name in dict.fromkeys(radii.path_source.tolist()):
+        on = radii.path_source == name
+        corrections = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
+        rows.append(
+            (
+                _SOURCES.get(name, name),
+                str(int(on.sum())),
+                fixed(1e3 * _median(radii.amplitude_m[on & known]), 1),
+                fixed(_median(radii.wavelength_m[on & known]), 1),
+                *(fixed(float(value), 0) for value in corrections),
+            )
+        )
+    blocks.append(
+        table(
+            "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections.",
+            ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)"),
+            rows,
+        )
+    )
+    if known.any():
+        off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
+        wavelength = _median(radii.wavelength_m[known])
+        allowed = 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength))
+        blocks.append(
+            Text(
+                f"Without the correction, {plural(off, 'run') if off else 'no run'} would show a radius more than "
+                f"{1e6 * TOLERANCE:.0f} ppm off. A weave of the median wavelength of {wavelength:.1f} m stays within "
+                f"that up to an amplitude of {allowed:.0f} mm."
+            )
+        )
+    return Section("Path deviation", tuple(blocks))
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def deviation_picture(fit: Fit) -> Picture:
+    """Return what weaving and turning added to the paths."""
+    radii = fit.radii
+    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
+    worst = 1e6 * float(np.abs((radii.path_left, radii.path_right)).max())
+    return picture(
+        "path-deviation",
+        "Left: excess of a weaving path over the straight distance, by amplitude and wavelength over whole periods, "
+        "and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
+        f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all runs "
+        f"up to {worst:.0f} ppm",
+        "radius.path_deviation",
+        radii,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 from calib.gap.decision.sentences import SMALLER
 from calib.odometry.law_journey import LoadSweep
@@ -109,10 +109,7 @@ def _journeys(part: LawPart) -> Table:
 
 
 def _path(path: LawPath, route: str) -> list[Block]:
-    ends: dict[str, dict[str, Any]] = {
-        "of the reference load": path.without.end(),
-        "that follow the load": path.corrected.end(),
-    }
+    ends = {"of the reference load": path.without.end(), "that follow the load": path.corrected.end()}
     rows: list[tuple[str, ...]] = []
     for title, end in ends.items():
         errors = (_signed(factor * end[f"error_{key}"], 4) for key, factor in _FACTORS.items())
