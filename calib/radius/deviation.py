@@ -6,6 +6,7 @@ computed as S_O / (2 pi n) too small: its relative error is 1 / (1 + e) - 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,12 +20,8 @@ from calib.vehicle import Vehicle
 
 #: below this u = (2 pi A / lambda)^2 subtractions lose digits that a series has: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6
-#: the same for the derivative of the excess
-DERIVATIVE_SERIES_BELOW: Final = 1e-4
-#: Newton's steps to the allowed amplitude; ten reach rounding
-NEWTON_STEPS: Final = 20
-#: halvings of the bracket, to a relative 1e-14
-BISECTIONS: Final = 50
+#: halvings of the bracket of an amplitude, to rounding
+BISECTIONS: Final = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +35,12 @@ class PathExcess:
     #: heading at the end minus heading at the start
     yaw_rad: FloatArray
 
+    @staticmethod
+    def of(centre: FloatArray, yaw_rad: FloatArray, distance_m: FloatArray, track_m: float) -> PathExcess:
+        """Return the excess of paths by that of their middle; the wheels keep half a track from it."""
+        half = 0.5 * track_m * yaw_rad / distance_m
+        return PathExcess(centre, centre - half, centre + half, np.asarray(yaw_rad))
+
 
 def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
     """Return the relative excess of ``y = A sin(2 pi x / lambda)`` over whole periods, equal for centre and wheels.
@@ -45,7 +48,7 @@ def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike)
     ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
     kind and ``m = u / (1 + u)`` (Fig. 9).
 
-    `amplitude_m`, `wavelength_m`: A and lambda. Of the broadcast shape.
+    `amplitude_m`, `wavelength_m`: A and lambda, of shapes that broadcast.
     """
     from scipy.special import ellipe
 
@@ -96,24 +99,19 @@ def weave_excess(
     end = k * distance + phase
     # the integral of sqrt(1 + u cos^2) in terms of Legendre's incomplete integral of the second kind
     length = np.sqrt(1 + u) * (ellipeinc(end, u / (1 + u)) - ellipeinc(phase, u / (1 + u))) / k
-    centre = length / distance - 1
     yaw = np.arctan(slope * np.cos(end)) - np.arctan(slope * np.cos(phase))
-    half = 0.5 * track_m * yaw / distance
-    return PathExcess(centre=centre, left=centre - half, right=centre + half, yaw_rad=yaw)
+    return PathExcess.of(length / distance - 1, yaw, distance, track_m)
 
 
 def arc_excess(yaw_rad: npt.ArrayLike, distance_m: npt.ArrayLike, track_m: float) -> PathExcess:
     """Return the relative excess of a steady arc over its chord (Fig. 8a).
 
     `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
-    wheels' contact points. Of the broadcast shape.
+    wheels' contact points. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(np.asarray(yaw_rad, dtype=np.float64), np.asarray(distance_m, dtype=np.float64))
-    half_turn = 0.5 * yaw
     # np.sinc is sin(pi x) / (pi x) and is defined at 0
-    centre = 1.0 / np.sinc(half_turn / np.pi) - 1.0
-    half = 0.5 * track_m * yaw / distance
-    return PathExcess(centre=centre, left=centre - half, right=centre + half, yaw_rad=np.asarray(yaw))
+    return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
 def arc_of_radii_rad(
@@ -150,8 +148,7 @@ def allowed_amplitude_on_run_m(
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
-    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods. The worse wheel's
-    error grows with the amplitude: bisection.
+    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods.
 
     Parameters
     ----------
@@ -167,47 +164,35 @@ def allowed_amplitude_on_run_m(
     array of float
         In m, of the broadcast shape.
     """
-    high = np.broadcast_arrays(
-        allowed_amplitude_m(tolerance, wavelength_m), np.asarray(distance_m, dtype=np.float64), np.asarray(phase_rad)
-    )[0].copy()
+
+    def worse(amplitude_m: FloatArray) -> FloatArray:
+        excess = weave_excess(amplitude_m, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
+        return np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
+
+    over_periods, *_ = np.broadcast_arrays(allowed_amplitude_m(tolerance, wavelength_m), distance_m, phase_rad)
     # a part of a period may be flatter than the whole: a wide bracket
-    high, low = 8 * high, np.zeros_like(high)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        excess = weave_excess(middle, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
-        worse = np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
-        fits = worse <= np.asarray(tolerance, dtype=np.float64)
-        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
-    return np.asarray(low)
+    return _largest(worse, tolerance, 8 * over_periods)
 
 
 def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
-    """Return the largest amplitude whose weave keeps a radius within a tolerance.
+    """Return the largest amplitude whose weave over whole periods keeps a radius within a tolerance, in m.
 
-    Over whole periods, by the exact form; Newton's method on ``u = (2 pi A / lambda)^2``, whose excess is concave and
-    increasing, so that starting from the small-amplitude value it converges from one side.
-
-    `tolerance`: largest relative error of the radius, between 0 and 1; `wavelength_m`: wavelength of the weave. In m,
-    of the broadcast shape.
+    `tolerance`: largest relative error of the radius, between 0 and 1; `wavelength_m`: wavelength of the weave.
     """
-    from scipy.special import ellipe, ellipk
+    wavelength, target = np.broadcast_arrays(wavelength_m, excess_of_radius_error(tolerance))
+    # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
+    bracket = wavelength / (2 * np.pi) * (4 * np.sqrt(target) + np.pi * target)
+    return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
-    wavelength = np.asarray(wavelength_m, dtype=np.float64)
-    target = excess_of_radius_error(tolerance)
-    u = 4 * target
-    for _ in range(NEWTON_STEPS):
-        m = u / (1 + u)
-        value = 2 / np.pi * np.sqrt(1 + u) * ellipe(m) - 1
-        # d/du of (2/pi) int sqrt(1 + u cos^2) = (1/pi) int cos^2 / sqrt(1 + u cos^2), in complete integrals
-        with np.errstate(invalid="ignore", divide="ignore"):
-            derivative = np.where(
-                u > DERIVATIVE_SERIES_BELOW,
-                (np.sqrt(1 + u) * ellipe(m) - ellipk(m) / np.sqrt(1 + u)) / (np.pi * u),
-                0.25 - 3 * u / 32,
-            )
-        value = np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, value)
-        u = np.maximum(u - (value - target) / derivative, 0.0)
-    return np.asarray(wavelength * np.sqrt(u) / (2 * np.pi))
+
+def _largest(error: Callable[[FloatArray], FloatArray], most: npt.ArrayLike, bracket: FloatArray) -> FloatArray:
+    """Return the largest amplitude between 0 and `bracket` whose error, which grows with it, is no more than `most`."""
+    low, high = np.zeros_like(bracket), bracket
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        fits = error(middle) <= np.asarray(most)
+        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+    return np.asarray(low)
 
 
 def deviation_rows(
@@ -272,7 +257,7 @@ def table_setting(
     """Return distance and track of the table: as given, else the campaign's, else the paper's.
 
     `campaign`: its median distance and its track are taken where nothing is given; `default_distance_m`: distance where
-    there is no campaign. `distance_m`, `track_m`.
+    there is no campaign.
     """
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")

@@ -94,9 +94,9 @@ class EffectiveRadii:
 def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign, tuple[UnusedRun, ...], list[str]]:
     """Return the runs whose radii can be computed.
 
-    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Returns `campaign`: of
-    the runs that can be used; `left_out`: the others; `notes`: what was assumed. Raises RefusedError where no run can
-    be used.
+    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Returned are the
+    campaign of the runs that can be used, the others, and what was assumed. Raises RefusedError where no run can be
+    used.
     """
     _refuse_without_rear_wheels(campaign)
     runs, notes = campaign.runs, []
@@ -181,7 +181,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     and unequal radii leave the same difference between them, and correcting for it would make the radii equal.
 
     `campaign`: excluded rows, runs that are no straight run, and runs that lack distance, counts or load are omitted
-    and named. Radii with their standard uncertainties. Raises RefusedError where no run can be used.
+    and named. Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m

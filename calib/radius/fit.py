@@ -44,7 +44,8 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     """Fit both wheels' laws to effective radii.
 
     `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
-    carried over from the campaign. With the checks of both wheels. Raises RefusedError with fewer than three runs.
+    carried over from the campaign. The fit has the checks of both wheels. Raises RefusedError with fewer than three
+    runs.
     """
     wheels = {}
     for wheel, load, radius in (
@@ -64,7 +65,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
 
     `campaign`: static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where
     there are; `reference_load_N`: load on which the coefficients are centred; without it the one of the campaign's
-    model. With its setup. Raises RefusedError where fewer than three runs can be used; ImplausibleError where that is
+    model. Raises RefusedError where fewer than three runs can be used; ImplausibleError where that is
     so because of units or settings that cannot be.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
@@ -179,66 +180,54 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, *, radius_named: bo
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One coefficient, fitted minus that of a model."""
+    """A coefficient of one wheel, fitted minus that of a model."""
 
+    wheel: str
+    #: ``radius_ref`` in m, or ``slope`` in m/N
+    quantity: str
     fitted: float
     model: float
-    difference: float
-    #: 95 % interval of the difference; the model counts as known
-    ci95: tuple[float, float]
+    #: 95 % interval of the fitted coefficient
+    fitted_ci95: tuple[float, float]
 
-    @staticmethod
-    def of(fitted: float, model: float, ci95: tuple[float, float]) -> Difference:
-        """Return the difference from a model of a coefficient with its 95 % interval."""
-        return Difference(fitted, model, fitted - model, (ci95[0] - model, ci95[1] - model))
+    @property
+    def difference(self) -> float:
+        """Fitted minus model."""
+        return self.fitted - self.model
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % interval of the difference; the model counts as known."""
+        return self.fitted_ci95[0] - self.model, self.fitted_ci95[1] - self.model
 
     @property
     def inside(self) -> bool:
         """Whether the model lies within the fit's 95 % interval."""
         return self.ci95[0] <= 0.0 <= self.ci95[1]
 
-    def to_dict(self, unit: str) -> dict[str, Any]:
-        """Return it as plain values, keys ending in the unit suffix."""
-        names = ("fitted", "model", "difference", "difference_ci95")
-        values = (self.fitted, self.model, self.difference, list(self.ci95))
-        return {f"{name}_{unit}": value for name, value in zip(names, values, strict=True)} | {
-            "model_inside": self.inside
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class WheelComparison:
-    """One wheel's radius at the reference load and its slope; the slope is None where the fit has none."""
-
-    radius_ref: Difference
-    slope: Difference | None
-
-    @property
-    def inside(self) -> bool:
-        """Whether the model lies within both intervals."""
-        return self.radius_ref.inside and (self.slope is None or self.slope.inside)
-
 
 @dataclass(frozen=True, slots=True)
 class ModelComparison:
-    """Both wheels' fitted laws against a model's, in m and m/N."""
+    """Both wheels' fitted laws against a model's; a wheel without a slope has its radius alone."""
 
     #: load at which the radii are compared
     reference_load_N: float
-    left: WheelComparison
-    right: WheelComparison
+    differences: tuple[Difference, ...]
 
     @property
     def inside(self) -> bool:
         """Whether the model lies within every interval."""
-        return self.left.inside and self.right.inside
+        return all(one.inside for one in self.differences)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values: the key ``model_comparison`` of ``calib fit --model --json``."""
-        wheels = {
-            side: {"radius_ref": wheel.radius_ref.to_dict("m"), "slope": wheel.slope and wheel.slope.to_dict("m_per_N")}
-            for side, wheel in (("left", self.left), ("right", self.right))
-        }
+        wheels: dict[str, dict[str, object]] = {side: {"radius_ref": None, "slope": None} for side in ("left", "right")}
+        for one in self.differences:
+            unit = "m" if one.quantity == "radius_ref" else "m_per_N"
+            values = {name: getattr(one, name) for name in ("fitted", "model", "difference")}
+            values |= {"difference_ci95": list(one.ci95)}
+            document = {f"{name}_{unit}": value for name, value in values.items()}
+            wheels[one.wheel][one.quantity] = document | {"model_inside": one.inside}
         return {"reference_load_N": self.reference_load_N, "model_inside": self.inside, "wheels": wheels}
 
 
@@ -247,10 +236,10 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
 
     The intervals are the fit's own: a model of the same runs shares their errors, so it counts as known.
     """
-    wheels = []
+    differences = []
     for wheel, law in ((left, model.left), (right, model.right)):
-        model_m, interval = float(law.radius_m(wheel.reference_load_N)), wheel.slope_ci95_m_per_N
-        slope = interval and Difference.of(wheel.law.slope_m_per_N, law.slope_m_per_N, interval)
-        radius = Difference.of(wheel.law.radius_ref_m, model_m, wheel.radius_ref_ci95_m)
-        wheels.append(WheelComparison(radius, slope))
-    return ModelComparison(left.reference_load_N, *wheels)
+        at_load, own = float(law.radius_m(wheel.reference_load_N)), wheel.law
+        differences.append(Difference(wheel.wheel, "radius_ref", own.radius_ref_m, at_load, wheel.radius_ref_ci95_m))
+        if interval := wheel.slope_ci95_m_per_N:
+            differences.append(Difference(wheel.wheel, "slope", own.slope_m_per_N, law.slope_m_per_N, interval))
+    return ModelComparison(left.reference_load_N, tuple(differences))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -66,10 +66,7 @@ class RunPaths:
 
 
 def correct_paths(campaign: Campaign) -> RunPaths:
-    """Return each run's path from its log, else from its measured weave, and from its measured final heading.
-
-    Arrays over all runs of `campaign`.
-    """
+    """Return the path of each run: by its log, else its measured weave, and by its measured final heading."""
     runs, track = campaign.runs, campaign.vehicle.track_m
     n = len(runs)
     distance = np.abs(runs.number("distance_m"))
@@ -158,8 +155,7 @@ def _notes(logged: BoolArray, listed: BoolArray, used: BoolArray) -> tuple[str, 
     return tuple(notes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Weaves:
+class Weaves(NamedTuple):
     """Weave and path of each run; arrays of shape (n_runs,), NaN where the log does not carry it."""
 
     #: of ``y = A sin(2 pi x / lambda + phase)``
@@ -187,7 +183,7 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
 
     `logs`: of ``n_runs`` runs; uses ``counts_left`` and ``counts_right``; `metres_per_count`: left and right, by the
     assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's error is taken out with the trend;
-    `track_m`: distance between the wheels' contact points. Arrays over all runs.
+    `track_m`: distance between the wheels' contact points.
     """
     n_runs = len(logs.lengths)
     out = np.full((7, n_runs), np.nan)
@@ -238,7 +234,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     Gauss-Newton over all runs at once, x being the progress along the axis under the present weave.
 
     `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): heading from the counts at m equal
-    steps from 0 to `rolled_m`. Shape (7, n).
+    steps from 0 to `rolled_m`. Returns the fields of `Weaves`, shape (7, n).
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))

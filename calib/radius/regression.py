@@ -178,10 +178,7 @@ class WheelFit:
         return self.estimate.slope_ci95_m_per_N if self.model == "line" else None
 
     def mean_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the 95 % band of the regression mean (Fig. 11).
-
-        `load_N`: wheel loads. Returns `low`, `high`: in m.
-        """
+        """Return the lower and upper end of the 95 % band of the regression mean at wheel loads, in m (Fig. 11)."""
         return self._band(load_N, 0.0, 0.0)
 
     def prediction_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -75,9 +75,7 @@ class RunDeviations:
         beyond, unknown = int((self.verdict == BEYOND).sum()), int((self.verdict == UNKNOWN).sum())
         text = f"{n - beyond - unknown} of {n} runs keep both radii within {share} of what a straight path would give"
         if beyond:
-            text += (
-                f"; {beyond} do not: 'calib fit' corrects them as far as logs tell, but repeat them nearer to the line"
-            )
+            text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
         if unknown:
             text += f"; of {unknown} the path is not known: add logs, or amplitude_m and wavelength_m"
         curved = float(np.max(np.abs(self.arc_turn_rad)))
@@ -97,7 +95,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance.
 
     `campaign`: runs with logs, or with measured amplitude and wavelength; others are ``unknown``; `tolerance`: largest
-    relative error of a radius, between 0 and 1. In the order driven. Raises RefusedError where there is no straight
+    relative error of a radius, between 0 and 1. Raises RefusedError where there is no straight
     run; BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
@@ -108,17 +106,15 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     path = correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
     known = path.source != "none"
-    error = {"left": radius_error(path.left), "right": radius_error(path.right)}
-    worse = np.maximum(np.abs(error["left"]), np.abs(error["right"]))
+    left, right = radius_error(path.left), radius_error(path.right)
+    worse = np.maximum(np.abs(left), np.abs(right))
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
     phased = weaving & np.isfinite(path.phase_rad)
     allowed = np.full(len(runs), np.nan)
     allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
     if phased.any():
-        length, phase = path.wavelength_m[phased], path.phase_rad[phased]
-        allowed[phased] = allowed_amplitude_on_run_m(
-            tolerance, length, distance[phased], vehicle.track_m, phase_rad=phase
-        )
+        length, phase, far = (part[phased] for part in (path.wavelength_m, path.phase_rad, distance))
+        allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
     # r_R / r_L as each run shows it; the distance cancels
@@ -140,10 +136,10 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         excess_left=path.left + unknown_nan,
         excess_right=path.right + unknown_nan,
         small_amplitude=small,
-        error_left=error["left"] + unknown_nan,
-        error_right=error["right"] + unknown_nan,
-        error_left_m=error["left"] * vehicle.wheel_radius_m + unknown_nan,
-        error_right_m=error["right"] * vehicle.wheel_radius_m + unknown_nan,
+        error_left=left + unknown_nan,
+        error_right=right + unknown_nan,
+        error_left_m=left * vehicle.wheel_radius_m + unknown_nan,
+        error_right_m=right * vehicle.wheel_radius_m + unknown_nan,
         allowed_amplitude_m=allowed,
         arc_turn_rad=turn,
         arc_excess=arc_excess(turn, distance, vehicle.track_m).centre,

@@ -19,8 +19,8 @@ from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text
 from calib.reporting.content import Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, from_campaign, issue_date, source_of
 from calib.reporting.topics import PAGES
-from calib.reporting.topics.checks import usable_notice
 from calib.reporting.topics.conditions import MOST_NOTES
+from calib.reporting.topics.fit import usable_notice
 from calib.vehicle import Drive
 
 

@@ -66,22 +66,20 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
 
 def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple[Block, ...]:
     """Return a fitted law held against a model's."""
-    rows = []
-    for side, wheel in (("left", compared.left), ("right", compared.right)):
-        rows.append(_row(f"{side}: radius at {compared.reference_load_N:.0f} N", wheel.radius_ref, 1e3, "mm"))
-        if wheel.slope is not None:
-            rows.append(_row(f"{side}: slope", wheel.slope, 1e6, "µm/N"))
+    kinds = {"radius_ref": (f"radius at {compared.reference_load_N:.0f} N", 1e3, "mm"), "slope": ("slope", 1e6, "µm/N")}
+    rows = [_row(one, *kinds[one.quantity]) for one in compared.differences]
     interval = ("95 % interval | from", "95 % interval | to")
     heads = ("<Quantity", "<Unit", "Fitted", "Model", "Difference", *interval, "<Model lies")
     caption = "Fitted law against the model's; the interval is that of the difference."
     return (table(caption, heads, rows), *items(map(prose, notes)))
 
 
-def _row(name: str, difference: Difference, factor: float, unit: str) -> tuple[str, ...]:
+def _row(difference: Difference, name: str, factor: float, unit: str) -> tuple[str, ...]:
     low, high = (factor * end for end in difference.ci95)
     decimals = places(0.5 * (high - low))
     values = (factor * difference.fitted, factor * difference.model, factor * difference.difference, low, high)
-    return (name, unit, *(fixed(value, decimals) for value in values), "inside" if difference.inside else "OUTSIDE")
+    numbers = (fixed(value, decimals) for value in values)
+    return (f"{difference.wheel}: {name}", unit, *numbers, "inside" if difference.inside else "OUTSIDE")
 
 
 def result_section(source: Source) -> Section:
