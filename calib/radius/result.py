@@ -133,11 +133,16 @@ class Fit(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
-        document: dict[str, Any] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels, "runs": _rows(self)}
+        document: dict[str, object] = {
+            "format": FORMAT,
+            "campaign": self.name,
+            "wheels": self.wheels,
+            "runs": _rows(self),
+        }
         document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
         document |= {name: getattr(self, name) for name in _WRITTEN}
-        document = plain(document)
-        return document | {CHECKSUM_KEY: checksum(document)}
+        written = plain(document)
+        return {**written, CHECKSUM_KEY: checksum(written)}
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> Fit:
@@ -180,7 +185,7 @@ class Fit(Result):
             ) from error
 
 
-def _rows(fit: Fit) -> list[dict[str, Any]]:
+def _rows(fit: Fit) -> list[dict[str, str | float | None]]:
     """Return the runs used, one mapping each: every array of the radii, and the residual of each wheel."""
     columns = {name: getattr(fit.radii, name) for name in _RUN_COLUMNS}
     columns |= {f"residual_{name}_m": wheel.residual_m for name, wheel in fit.wheels.items()}
@@ -195,7 +200,7 @@ def _columns(rows: Any) -> dict[str, Any]:
     }
 
 
-def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
     """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and what the campaign states.
 
     `campaign`: its ``hashes`` are taken; where it has none, those of ``campaign.toml`` and ``runs.csv`` are computed;
@@ -206,7 +211,11 @@ def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, Any]
         for name in ("campaign.toml", "runs.csv"):
             if (campaign.root / name).is_file():
                 hashes[name] = sha256_file(campaign.root / name)
-    record: dict[str, Any] = {"version": version, "arguments": dict(arguments), "inputs": dict(sorted(hashes.items()))}
+    record: dict[str, object] = {
+        "version": version,
+        "arguments": dict(arguments),
+        "inputs": dict(sorted(hashes.items())),
+    }
     for section in STATED_SECTIONS:
         if section in campaign.extra:
             # dates of TOML become texts
@@ -243,7 +252,7 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     return folder / FIT_FILE
 
 
-def _check_seal(file: Path, value: dict[str, Any]) -> None:
+def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
     """Refuse a fit that was changed: report and export would pass the changed numbers on."""
     stated = value.get(CHECKSUM_KEY)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -104,10 +104,10 @@ def gap_along_runs(observations: Observations, campaign: Campaign) -> list[Float
 
 def panel_columns(
     gap: GapArrays, along: list[FloatArray], paths: Mapping[str, list[FloatArray]], palette: tuple[str, ...]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
     names = natural(gap.labels["kind"])
-    columns: dict[str, Any] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
+    columns: dict[str, object] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
     columns |= {
         "colour": [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]],
         "by order driven": np.arange(1.0, len(gap.before) + 1),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
@@ -48,7 +49,7 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     known = np.concatenate([np.zeros(0), *(_error_mm(trace) for trace in traces)])
     known = known[np.isfinite(known)]
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
-    handles: dict[str, Any] = {}
+    handles: dict[str, Artist] = {}
     colours = None
     # beyond that many pieces as pixels inside a vector figure
     pixels = sum(len(trace.seen) for trace in traces) > MANY

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,7 +24,19 @@ if TYPE_CHECKING:
     from calib.odometry.law_journey import TableRow
     from calib.odometry.replay import Replay
 
-DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
+
+Dash = Literal["-", "--", ":"]
+
+
+class LineStyle(TypedDict):
+    """How matplotlib draws a line."""
+
+    color: str
+    linestyle: Dash
+    linewidth: float
+
+
+DASHES: Final[dict[str, Dash]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
 
 _SWEEP_LABELS: Final = {
     "payload_kg": "payload (kg)",
@@ -52,7 +64,7 @@ def load_figure(sweep: LoadSweep) -> Figure:
     return figure
 
 
-def sweep_styles(sweep: Sweep) -> list[dict[str, Any]]:
+def sweep_styles(sweep: Sweep) -> list[LineStyle]:
     """Return how each vehicle of a sweep is drawn: colour by ratio, dashes by the wheel that is off."""
     shades = _shades(sweep)
     return [{"color": shades[c.ratio], "linestyle": DASHES[c.which], "linewidth": 1.3} for c in sweep.cases]
@@ -157,8 +169,8 @@ _AXES: Final = {
 }
 
 #: how the paths of a journey under a law are drawn
-_WITHOUT: Final[dict[str, Any]] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
-_WITH: Final[dict[str, Any]] = {"color": BLUE, "linewidth": 1.3}
+_WITHOUT: Final[LineStyle] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
+_WITH: Final[LineStyle] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
 
 
 @styled
@@ -219,7 +231,7 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
         place = (route.x_m[k], route.y_m[k])
         plan.add_patch(Ellipse(place, *size, angle=angle, facecolor=SKY, edgecolor=BLUE, alpha=0.6))
     plan.plot(path.without.poses.x_m, path.without.poses.y_m, label="radii of the reference load, kept", **_WITHOUT)
-    plan.plot(route.x_m, route.y_m, label="radii that follow the load", **(_WITH | {"linewidth": 2.6}))
+    plan.plot(route.x_m, route.y_m, label="radii that follow the load", color=BLUE, linewidth=2.6)
     plan.plot(path.reference.x_m, path.reference.y_m, color=INK, linewidth=0.8, label="route")
     stops = np.searchsorted(path.distance_m, path.loading.from_m[1:] - 1e-9)
     if len(stops):

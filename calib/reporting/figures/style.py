@@ -39,7 +39,7 @@ LEGEND_GAP: Final = 6
 #: characters of a group's name in a legend
 LABEL_LIMIT: Final = 18
 
-_STYLE: Final[dict[str, Any]] = {
+_STYLE: Final = {
     "font.family": ["DejaVu Sans"],
     "font.size": 7.0,
     "axes.titlesize": 7.5,
@@ -211,11 +211,8 @@ def render(figure: Figure, form: str) -> bytes:
     `figure`: as the figure functions make it; `form`: ``svg``, ``png`` or ``pdf``. The same for the same figure: no
     date, fixed ids.
     """
-    metadata: dict[str, Any] = {
-        "svg": {"Date": None, "Creator": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        "png": {"Software": None},
-    }[form]
+    named = {"svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer"), "png": ("Software",)}
+    metadata: Any = dict.fromkeys(named[form])
     out = io.BytesIO()
     with mpl.rc_context(_rc()):
         figure.savefig(out, format=form, metadata=metadata)

@@ -45,8 +45,7 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
 
 def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
     """Return a title with the verdict's word, where the title does not hold it, and further remarks in brackets."""
-    words = kind.value.replace("_", " ")
-    remarks = [*([] if words in title.lower() or kind is VerdictKind.PARTLY_EXPLAINED else [words]), *more]
+    remarks = [*([] if kind.value in title else [kind.value]), *more]
     return f"{title} ({', '.join(remarks)})" if remarks else title
 
 
@@ -90,7 +89,9 @@ def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
     """Return the section of a report on a diagnosis; `gap`: the arrays of its figures, by default its own."""
     from calib.reporting.figures.gap import GapArrays
 
-    return Section("Diagnosis of the gap", diagnosis_content(verdict, gap or GapArrays.of(verdict)))
+    if gap is None and verdict.evidence is not None:
+        gap = GapArrays.of(verdict)
+    return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
 
 
 def map_picture(gap: GapArrays | None) -> list[Picture]:
