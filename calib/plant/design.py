@@ -109,9 +109,8 @@ def tabulate(
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[tuple[FloatArray, ...]] = []
     filled = 0
-    for key in zip(kinds, weaves, strict=True):
-        if key in start:
-            continue
+    keys = list(zip(kinds, weaves, strict=True))
+    for key in dict.fromkeys(keys):
         kind, weave = key
         segments = segments_of(kind, length_m=length_m, side_m=side_m, radius_m=radius_m)
         kappa, end_m = _grid(segments, weave)
@@ -123,19 +122,8 @@ def tabulate(
         parts.append((x, y, np.cos(theta), np.sin(theta), theta, kappa))
         start[key] = (filled, filled + len(kappa) - 1, end_m)
         filled += len(kappa)
-    starts = [start[key] for key in zip(kinds, weaves, strict=True)]
-    x, y, cos, sin, theta, kappa = (np.concatenate([part[j] for part in parts]) for j in range(6))
-    return RouteTables(
-        first=np.array([item[0] for item in starts]),
-        last=np.array([item[1] for item in starts]),
-        end_m=np.array([item[2] for item in starts]),
-        x_m=x,
-        y_m=y,
-        cos=cos,
-        sin=sin,
-        theta_rad=theta,
-        curvature_per_m=kappa,
-    )
+    first, last, ends_m = (np.array(column) for column in zip(*(start[key] for key in keys), strict=True))
+    return RouteTables(first, last, ends_m, *map(np.concatenate, zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,6 +172,12 @@ class Design:
         """Whether a run goes along the corridor, shape (n_runs,)."""
         straight: BoolArray = np.char.startswith(self.kind, "corridor")
         return straight
+
+    @property
+    def posed(self) -> BoolArray:
+        """Whether a run has a reference end pose, shape (n_runs,)."""
+        everywhere = np.ones(len(self), dtype=bool)
+        return {"all": everywhere, "turning": ~self.corridor}.get(self.poses, ~everywhere)
 
     @property
     def heading_sign(self) -> FloatArray:

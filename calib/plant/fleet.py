@@ -98,8 +98,33 @@ class PlannedFleet:
 
     def months(self, rng: np.random.Generator, row: int) -> list[Table]:
         """Drive the journeys of vehicle number `row`: a run table a month; vehicles are driven in their order."""
-        n_runs, n_months = self.size.n_runs, self.size.n_months
-        return _months(rng, self.radius_m[row], self.slope_m_per_N[row], self.rate_m_per_day[row], n_runs, n_months)
+        tables: list[Table] = []
+        for month, share in enumerate(np.array_split(np.arange(self.size.n_runs), self.size.n_months)):
+            n = len(share)
+            day = 30.0 * month + np.sort(rng.integers(0, 28, 2))[np.arange(n) * 2 // max(n, 1)]
+            session = [f"m{month}-{int(value)}" for value in day]
+            load = rng.choice(LOADS_N, (n, 2))
+            shift = {label: rng.normal(0.0, 4e-6, 2) for label in sorted(set(session))}
+            true = (
+                self.radius_m[row] + self.slope_m_per_N[row] * (load - 300.0) + np.outer(day, self.rate_m_per_day[row])
+            )
+            true = true + np.array([shift[label] for label in session]) + rng.normal(0.0, 1.5e-5, (n, 2))
+            way = rng.uniform(37.0, 42.0, n)
+            counts = np.round(way[:, None] / (2 * np.pi * true) * COUNTS_PER_REV).astype(np.int64)
+            tables.append(
+                {
+                    "run_id": [f"r{int(k):03d}" for k in share],
+                    "session": session,
+                    "kind": ["corridor"] * n,
+                    "load_left_N": load[:, 0],
+                    "load_right_N": load[:, 1],
+                    "distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5),
+                    "counts_left": counts[:, 0],
+                    "counts_right": counts[:, 1],
+                    "day": day.astype(np.float64),
+                }
+            )
+        return tables
 
 
 def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
@@ -155,37 +180,6 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(asdict(fleet.truth), indent=2) + "\n", encoding="utf-8")
     return fleet.truth
-
-
-def _months(
-    rng: np.random.Generator, radius: FloatArray, slope: FloatArray, rate: FloatArray, n_runs: int, n_months: int
-) -> list[Table]:
-    """Return the run table of each month of a vehicle; `radius`, `slope`, `rate` are those of the left, right wheel."""
-    tables: list[Table] = []
-    for month, share in enumerate(np.array_split(np.arange(n_runs), n_months)):
-        n = len(share)
-        day = 30.0 * month + np.sort(rng.integers(0, 28, 2))[np.arange(n) * 2 // max(n, 1)]
-        session = [f"m{month}-{int(value)}" for value in day]
-        load = rng.choice(LOADS_N, (n, 2))
-        shift = {label: rng.normal(0.0, 4e-6, 2) for label in sorted(set(session))}
-        true = radius + slope * (load - 300.0) + np.outer(day, rate) + np.array([shift[label] for label in session])
-        true = true + rng.normal(0.0, 1.5e-5, (n, 2))
-        way = rng.uniform(37.0, 42.0, n)
-        counts = np.round(way[:, None] / (2 * np.pi * true) * COUNTS_PER_REV).astype(np.int64)
-        tables.append(
-            {
-                "run_id": [f"r{int(k):03d}" for k in share],
-                "session": session,
-                "kind": ["corridor"] * n,
-                "load_left_N": load[:, 0],
-                "load_right_N": load[:, 1],
-                "distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5),
-                "counts_left": counts[:, 0],
-                "counts_right": counts[:, 1],
-                "day": day.astype(np.float64),
-            }
-        )
-    return tables
 
 
 #: what each metre of the zone takes from the way of one wheel and adds to the other's

@@ -98,19 +98,10 @@ def _columns(
     """Return the columns of the run table: what was set, counted, weighed and measured."""
     design = world.design
     laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
-    posed = {"all": np.ones(len(design), dtype=bool), "turning": ~design.corridor}.get(
-        design.poses, np.zeros(len(design), dtype=bool)
-    )
-    numbers: dict[str, FloatArray] = {
-        "payload_kg": design.payload_kg,
-        "payload_x_m": design.payload_x_m,
-        "payload_y_m": design.payload_y_m,
-        "speed_mps": design.speed_mps,
-        "temperature_C": design.temperature_C,
-        "minutes_under_load": design.minutes_under_load,
-        "counts_left": end_counts[0],
-        "counts_right": end_counts[1],
-    }
+    posed = design.posed
+    stated = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
+    numbers: dict[str, FloatArray] = {name: getattr(design, name) for name in stated}
+    numbers |= {"counts_left": end_counts[0], "counts_right": end_counts[1]}
     reported = wheel_loads(design.vehicle, design.payload_kg, design.payload_x_m, design.payload_y_m)
     weighed = (world.load_left_N, world.load_right_N) if design.weighed else reported
     numbers["load_left_N"], numbers["load_right_N"] = (np.round(load, 2) for load in weighed)
@@ -162,12 +153,7 @@ def campaign_of(
     width = max(3, len(str(n_runs)))
     logged = design.log_period_s > 0
     run_id = np.array([f"r{number:0{width}d}" for number in range(n_runs)])
-    labels = {
-        "run_id": run_id,
-        "session": design.session[chosen],
-        "kind": design.kind[chosen],
-        "direction": design.direction[chosen],
-    }
+    labels = {"run_id": run_id} | {name: getattr(design, name)[chosen] for name in ("session", "kind", "direction")}
     if logged:
         labels["log"] = np.array([f"logs/{run}.csv" for run in run_id])
     table = RunTable(
@@ -176,7 +162,8 @@ def campaign_of(
         excluded=np.zeros(n_runs, dtype=bool),
         line=np.arange(2, n_runs + 2, dtype=np.int64),
     )
-    stated = noise.stated_ratio
+    sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
+    laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
     return Campaign(
         root=None,
         name=name,
@@ -184,11 +171,8 @@ def campaign_of(
         vehicle=design.vehicle,
         encoder=Encoder(design.counts_per_rev, design.counts_per_rev),
         model=world.model,
-        rangefinder=Rangefinder(sigma_m=float(f"{noise.laser_m * stated:.2g}")),
-        reference=Reference(
-            sigma_xy_m=float(f"{noise.ref_xy_m * stated:.2g}"),
-            sigma_theta_rad=float(f"{noise.ref_theta_rad * stated:.2g}"),
-        ),
+        rangefinder=Rangefinder(sigma_m=laser_m),
+        reference=Reference(sigma_xy_m=xy_m, sigma_theta_rad=theta_rad),
         runs=table,
         logs=_logs(world, noise, draw, record, counts, poses, chosen) if logged else Logs.empty(n_runs),
     )

@@ -51,7 +51,7 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
     if design.laser:
         believed = own[0] if design.log_period_s > 0 else own[3]
         out[corridor, 0] = (laser - believed)[corridor]
-    posed = _posed(design)
+    posed = design.posed
     out[posed, 1:4] = (poses - own[:3]).T[posed]
     if design.front and design.log_period_s > 0:
         steer = steering_readings(world, draw, record, quantise=quantise)
@@ -60,11 +60,6 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
         out[:, 4] = np.sum(rolled * np.cos(angle), axis=0) - own[3]
         out[:, 5] = np.sum(rolled * np.sin(angle), axis=0) / design.vehicle.wheelbase_m - own[2]
     return out
-
-
-def _posed(design: Design) -> np.ndarray:
-    everywhere = np.ones(len(design), dtype=bool)
-    return {"all": everywhere, "turning": ~design.corridor}.get(design.poses, ~everywhere)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -148,6 +148,12 @@ class World:
         self.right = self.right * right_after / right_before
 
 
+def standardised(values: FloatArray) -> FloatArray:
+    """Return values less their mean, in standard deviations."""
+    spread: FloatArray = (values - values.mean()) / max(float(values.std()), 1e-12)
+    return spread
+
+
 def wheel_loads(
     vehicle: Vehicle, payload_kg: FloatArray, payload_x_m: FloatArray, payload_y_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

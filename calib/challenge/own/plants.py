@@ -18,7 +18,7 @@ from calib.plant.effects.form import Form
 from calib.plant.effects.registry import effects as plant_effects
 from calib.plant.effects.registry import forms_of
 from calib.plant.signal import CALIBRATION, strength
-from calib.plant.world import Moment, World
+from calib.plant.world import Moment, World, standardised
 from calib.types import FloatArray, IntArray
 
 #: changes a world by a size
@@ -61,9 +61,7 @@ def _on_both_radii(share: FloatArray) -> SizedAct:
 
 
 def _standard(values: FloatArray) -> FloatArray:
-    known = np.where(np.isfinite(values), values, np.nanmean(values))
-    spread: FloatArray = (known - known.mean()) / max(float(known.std()), 1e-12)
-    return spread
+    return standardised(np.where(np.isfinite(values), values, np.nanmean(values)))
 
 
 def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:

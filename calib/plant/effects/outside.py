@@ -7,18 +7,13 @@ import numpy as np
 from calib.plant.design import Design, conditions
 from calib.plant.effects.floor import map_x_m, map_y_m
 from calib.plant.effects.form import Form, Knobs, while_driving
-from calib.plant.world import Moment, World
+from calib.plant.world import Moment, World, standardised
 from calib.types import FloatArray
-
-
-def _standard(values: FloatArray) -> FloatArray:
-    spread: FloatArray = (values - values.mean()) / max(float(values.std()), 1e-12)
-    return spread
 
 
 def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Warm *and* loaded wheels shrink, cold and loaded ones grow; neither alone does anything."""
-    crossed = _standard(world.mean_load_N) * _standard(world.design.temperature_C)
+    crossed = standardised(world.mean_load_N) * standardised(world.design.temperature_C)
     world.enlarge(size * crossed)
 
 
@@ -68,15 +63,10 @@ def _pull_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:
     }
 
 
+_LOADS_AND_TEMPERATURES = frozenset({"loads", "temperatures"})
+
 FORMS = (
-    Form(
-        "outside:load_by_temperature",
-        "plain",
-        8e-4,
-        "1",
-        _load_by_temperature,
-        frozenset({"loads", "temperatures"}),
-    ),
+    Form("outside:load_by_temperature", "plain", 8e-4, "1", _load_by_temperature, _LOADS_AND_TEMPERATURES),
     Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, frozenset({"three_speeds"}), _middle_speed),
     Form("outside:left_only", "plain", 1e-2, "1", _left_only, frozenset({"turns", "bends", "poses"})),
     Form("outside:hidden", "plain", 6e-4, "1", _hidden, frozenset({"poses"}), _seeded),

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.plant.design import Design
 from calib.plant.effects.form import Draw, Form, Knobs, drawn, scaled, while_driving
-from calib.plant.world import REFERENCE_LOAD_N, Moment, World
+from calib.plant.world import REFERENCE_LOAD_N, Moment, World, standardised
 from calib.types import FloatArray
 
 
@@ -18,10 +18,8 @@ def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
-    world.enlarge(
-        size * (world.load_left_N - REFERENCE_LOAD_N),
-        size * knobs["right_ratio"] * (world.load_right_N - REFERENCE_LOAD_N),
-    )
+    left_N, right_N = world.load_left_N - REFERENCE_LOAD_N, world.load_right_N - REFERENCE_LOAD_N
+    world.enlarge(size * left_N, size * knobs["right_ratio"] * right_N)
 
 
 def _power(load_N: FloatArray, exponent: float) -> FloatArray:
@@ -32,10 +30,8 @@ def _power(load_N: FloatArray, exponent: float) -> FloatArray:
 
 
 def _load_power(world: World, size: FloatArray, knobs: Knobs) -> None:
-    world.enlarge(
-        size * _power(world.load_left_N, knobs["exponent"]),
-        size * knobs["right_ratio"] * _power(world.load_right_N, knobs["exponent"]),
-    )
+    left, right = (_power(load, knobs["exponent"]) for load in (world.load_left_N, world.load_right_N))
+    world.enlarge(size * left, size * knobs["right_ratio"] * right)
 
 
 def _power_of(exponent: float) -> Draw:
@@ -76,10 +72,8 @@ def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
     left, right = _payload_share(world)
 
     def grown(t_min: FloatArray) -> FloatArray:
-        total: FloatArray = 0.55 * (1 - np.exp(-t_min / (0.5 * knobs["tau_min"]))) + 0.45 * (
-            1 - np.exp(-t_min / (3 * knobs["tau_min"]))
-        )
-        return total
+        fast, slow = 1 - np.exp(-t_min / (0.5 * knobs["tau_min"])), 1 - np.exp(-t_min / (3 * knobs["tau_min"]))
+        return np.asarray(0.55 * fast + 0.45 * slow)
 
     start = grown(minutes)
     world.enlarge(-size * left * start, -size * right * start)
@@ -111,10 +105,8 @@ def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
     # a warm band is softer: exponential in temperature, and a little more under load
     warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
     mean = float(np.mean(world.mean_load_N))
-    world.enlarge(
-        size * warm * (1 + 0.15 * (world.load_left_N / mean - 1)),
-        size * warm * (1 + 0.15 * (world.load_right_N / mean - 1)),
-    )
+    more = (1 + 0.15 * (load / mean - 1) for load in (world.load_left_N, world.load_right_N))
+    world.enlarge(*(size * warm * part for part in more))
 
 
 def _session_index(design: Design) -> tuple[FloatArray, int]:
@@ -158,9 +150,7 @@ def _session(world: World, size: FloatArray, knobs: Knobs) -> None:
 def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
     """Any further column: `size` a standard deviation of it, on both radii."""
     name = next(key for key in knobs if key.startswith("column:")).removeprefix("column:")
-    values = world.design.columns[name]
-    spread = (values - values.mean()) / max(float(values.std()), 1e-12)
-    world.enlarge(size * spread)
+    world.enlarge(size * standardised(world.design.columns[name]))
 
 
 def _named(name: str) -> Draw:
@@ -181,24 +171,9 @@ FORMS = (
     Form("load_radius", "plain", 8e-6, "1/N", _load_linear, frozenset({"loads"}), _WHEEL_SLOPES),
     Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _MILD_POWER),
     Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _WHEEL_SLOPES),
-    Form(
-        "load_radius_nonlinear",
-        "hertz",
-        8e-6,
-        "1/N",
-        _load_power,
-        frozenset({"loads", "offsets"}),
-        _power_of(2 / 3),
-    ),
-    Form("load_radius_nonlinear", "root", 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _power_of(0.5)),
-    Form(
-        "load_radius_nonlinear",
-        "quadratic",
-        8e-6,
-        "1/N",
-        _load_power,
-        frozenset({"loads", "offsets"}),
-        _power_of(2.0),
+    *(
+        Form("load_radius_nonlinear", form, 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _power_of(power))
+        for form, power in (("hertz", 2 / 3), ("root", 0.5), ("quadratic", 2.0))
     ),
     Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _CREEP_TIME),
     Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _CREEP_TIME),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -71,20 +72,19 @@ def _board(axes: Axes, score: Score) -> None:
 
 
 def _signals(axes: Axes, score: Score) -> None:
-    styles = {"detected": (GREY, "s"), "first": (BLUE, "o"), "in_group": (GREEN, "^"), "covered": (ORANGE, "v")}
-    words = {
-        "detected": "a gap seen",
-        "first": "named first",
-        "in_group": "named, or in its group",
-        "covered": "in the 95 % set",
+    styles = {
+        "detected": (GREY, "s", "a gap seen"),
+        "first": (BLUE, "o", "named first"),
+        "in_group": (GREEN, "^", "named, or in its group"),
+        "covered": (ORANGE, "v", "in the 95 % set"),
     }
     ticks = [float(signal) for signal in score.by_signal]
-    for number, (key, (color, marker)) in enumerate(styles.items()):
+    for number, (key, (color, marker, words)) in enumerate(styles.items()):
         points = [(float(signal), row[key]) for signal, row in score.by_signal.items() if row[key].total]
         if not points:
             continue
         x = np.array([signal for signal, _ in points]) * (1 + 0.03 * (number - 1.5))
-        _with_bars(axes, x, [share for _, share in points], color=color, marker=marker, label=words[key])
+        _with_bars(axes, x, [share for _, share in points], color=color, marker=marker, label=words)
     axes.set_xscale("log")
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
@@ -205,21 +205,21 @@ def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scal
 def fleet_drift(fleet: Fleet) -> Figure | None:
     """Draw each wheel's drift with its 95 % interval, in order of size; None where no vehicle's journeys have days."""
     fitted = [record for record in fleet.records if record.status == "fitted"]
-    lines = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
-    lines = [line for line in lines if line[2] is not None]
-    return _drift(lines, {(one.vehicle, one.wheel) for one in fleet.view.drifting}) if lines else None
+    wheels = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
+    named = {(one.vehicle, one.wheel) for one in fleet.view.drifting}
+    drifts = [(drift, (vehicle, side) in named) for vehicle, side, drift in wheels if drift is not None]
+    return _drift(*zip(*drifts, strict=True)) if drifts else None
 
 
 @styled
-def _drift(lines: list[tuple[str, str, Drift]], named: set[tuple[str, str]]) -> Figure:
+def _drift(drifts: Sequence[Drift], marked: Sequence[bool]) -> Figure:
     from scipy.special import stdtrit
 
-    rate = np.array([1e9 * drift.per_day_m for _, _, drift in lines])
-    half = np.array([1e9 * drift.std_m * float(stdtrit(drift.dof, 0.975)) for _, _, drift in lines])
-    marked = np.array([(vehicle, side) in named for vehicle, side, _ in lines])
+    rate = np.array([1e9 * drift.per_day_m for drift in drifts])
+    half = np.array([1e9 * drift.std_m * float(stdtrit(drift.dof, 0.975)) for drift in drifts])
     figure = canvas(6.0)
     axes = figure.add_subplot()
-    draw_ordered(axes, rate, np.column_stack((rate - half, rate + half)), marked)
+    draw_ordered(axes, rate, np.column_stack((rate - half, rate + half)), np.array(marked))
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set(ylabel="drift of the radius, nm a day", xlabel="wheels in order of drift (orange: drifts)")
     return figure
