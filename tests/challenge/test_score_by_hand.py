@@ -155,8 +155,8 @@ def test_the_board_counts_by_hand() -> None:
     assert found.confusion["nothing"] == {"no_gap": 1, "wear": 1}
     by_bin = {round(one.low, 1): one for one in found.reliability}
     # 0.9 (true), 0.95 (false), 1.0 (true): two of three in the last bin
-    assert (by_bin[0.9]["true"]["hits"], by_bin[0.9]["true"]["total"]) == (2, 3)
-    assert (by_bin[0.6]["true"]["hits"], by_bin[0.6]["true"]["total"]) == (0, 1)
+    assert (by_bin[0.9].true.hits, by_bin[0.9].true.total) == (2, 3)
+    assert (by_bin[0.6].true.hits, by_bin[0.6].true.total) == (0, 1)
 
 
 def test_intervals_of_shares_are_those_of_the_textbooks() -> None:
