@@ -1,4 +1,4 @@
-"""Gauss-Newton fit of a recalibration and effects on the re-simulated path, and a start for fits from far away."""
+"""Gauss-Newton fit of a recalibration and effects on the re-simulated path."""
 
 from __future__ import annotations
 
@@ -21,23 +21,12 @@ SIZE_SD = 30.0
 #: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative); the front
 #: radius is held, because a front wheel that disagrees with the rear ones is a gap to be named
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
-#: the residual on average, in noise levels, beyond which the search is not begun there: of the scales of lack of fit,
-#: the largest but one, which leaves a margin for the error of the linear model
-_FAR_RMS: Final = 30.0
 #: a step that raises the misfit is halved so often before it is given up: to a thousandth
 _MAX_HALVINGS: Final = 10
 #: squares that differ by less than this share are equal in double precision
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: Gauss-Newton steps of each trial; an effect that explains the gap is near its size by then
-_TRIAL_STEPS: Final = 4
-#: of these, those after which trials are dropped that leave so many times the squares of the best one: a step from far
-#: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
-_FIRST_STEPS: Final = 2
-_HOPELESS: Final = 100.0
-#: an effect that leaves more than this share of the squares is not what makes them so many
-_MAX_RESIDUAL_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,55 +282,6 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
                     some = push if form.by_parts else push.part(units, path.s)
                     column[units, :, number] = signature(part, some) * typical
     return columns
-
-
-def is_far(fitted: Fitted) -> bool:
-    """Return whether too much is left for the linear model about this path."""
-    n_rows = int(fitted.path.s.usable.sum())
-    return fitted.chi_square > n_rows * _FAR_RMS**2
-
-
-def continuation_start(nominal: Path, noise: Noise, base: Fitted, forms: Sequence[Form], most_effects: int) -> Fitted:
-    """Return a hypothesis near which the gap is linear: from the calibration, effects added one by one as they fit.
-
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    base : Fitted
-        The recalibration alone.
-    forms : sequence of Form
-        On offer.
-    most_effects : int
-        Effects added, at most.
-
-    Returns
-    -------
-    Fitted
-        Where it is not far off already, or no effect takes half of it away, what was given.
-    """
-    fitted = base
-    while is_far(fitted) and len(fitted.forms) < most_effects:
-        held = {form.effect for form in fitted.forms}
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            begun = [
-                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_FIRST_STEPS)
-                for form in forms
-                if form.effect not in held
-            ]
-            least = min((trial.chi_square for trial in begun), default=0.0)
-            trials = [
-                fit(nominal, noise, trial.forms, start=trial, steps=_TRIAL_STEPS - _FIRST_STEPS)
-                for trial in begun
-                if trial.chi_square <= _HOPELESS * least
-            ]
-        trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
-        if not trials:
-            break
-        fitted = min(trials, key=lambda trial: trial.chi_square)
-    return fitted
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:

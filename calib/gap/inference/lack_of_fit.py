@@ -172,7 +172,7 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
                 for rows_b in blocks.slices()
             )
             kinds.append(LackOfFit(f"{name} by {grouping}", by_block=parts))
-    for number, trend in enumerate((ambient_trends(path), *ambient_interactions(path))):
+    for number, trend in enumerate((ambient_trends(path).columns(), *ambient_interactions(path))):
         if trend.shape[2]:
             white = whitened_rows(path, noise, trend)[blocks.order]
             scaled = white / np.maximum(np.sqrt((white**2).mean(axis=0)), 1e-12)

@@ -20,8 +20,8 @@ FLOOR_DOF: Final = 20.0
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
-#: numbers of all their scalar products at a time: 32 MB
-_BATCH_ENTRIES: Final = 4_000_000
+#: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
+_BATCH_ENTRIES: Final = 2**19
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80, 160, 320)
 
@@ -195,12 +195,15 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
     group = np.searchsorted(_WIDTH_CLASSES, widths)
     for number in np.unique(group):
         places = np.flatnonzero(group == number)
-        # an effect of every session has hundreds of columns: fewer such models at a time keep the memory bounded
-        entries = len(sums.square) * max(int(widths[places].max()), 1) ** 2
-        size = int(np.clip(_BATCH_ENTRIES // entries, 1, _BATCH_SIZE))
+        # an effect of every session has hundreds of columns: one such model at a few scales is a batch
+        entries = max(int(widths[places].max()), 1) ** 2
+        size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
+        n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
         for first in range(0, len(places), size):
             some = places[first : first + size]
-            value[:, some] = _batch(sums, columns, [models[k] for k in some])
+            for low in range(0, len(value), n_scales):
+                scales = slice(low, low + n_scales)
+                value[scales, some] = _batch(sums.pick(scales), columns, [models[k] for k in some])
     return value
 
 

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.inference.fit import Fitted, continuation_start
+from calib.gap.inference.fit import Fitted, fit
+from calib.gap.inference.least_squares import prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
 from calib.gap.inference.noise import Noise
@@ -33,6 +34,19 @@ REPORTED_GAP_PROBABILITY: Final = 0.4
 _MAX_SET_CHANGES: Final = 5
 #: beside a larger lack of fit, the search begins again from elsewhere
 _SMALL_LACK_OF_FIT: Final = 1.0
+#: the residual on average, in noise levels, beyond which the search is not begun there: of the scales of lack of fit,
+#: the largest but one, which leaves a margin for the error of the linear model
+_FAR_RMS: Final = 30.0
+#: Gauss-Newton steps of each trial from far away; an effect that explains the gap is near its size by then
+_TRIAL_STEPS: Final = 4
+#: of these, those after which trials are dropped that leave so many times the squares of the best one: a step from far
+#: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
+_FIRST_STEPS: Final = 2
+_HOPELESS: Final = 100.0
+#: an effect that leaves more than this share of the squares is not what makes them so many
+_MAX_RESIDUAL_SHARE: Final = 0.5
+#: an effect is not tried where its linear fit leaves more than this share: four steps that take a tenth each leave 0.66
+_MAX_LINEAR_SHARE: Final = 0.9
 
 
 def search(
@@ -69,7 +83,7 @@ def search(
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
     initial = LocalSearch(alone, settings)
-    start_fit = _begin_at(start, nominal, noise, initial)
+    start_fit = _begin_at(start, initial)
     first = (
         copy(initial)
         if start_fit is base
@@ -120,12 +134,77 @@ def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[
     return {name: offered for name, offered in forms.items() if offered}
 
 
-def _begin_at(start: SearchResult | None, nominal: Path, noise: Noise, initial: LocalSearch) -> Fitted:
+def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
     """Return the hypothesis about whose path the search begins."""
     if start is not None:
         return start.fitted
-    on_offer = initial.forms_of(tuple(initial.offered))
-    return continuation_start(nominal, noise, initial.system.fitted, on_offer, initial.settings.most_effects)
+    return continuation_start(initial.system, initial.settings.most_effects)
+
+
+def is_far(fitted: Fitted) -> bool:
+    """Return whether too much is left for the linear model about this path."""
+    n_rows = int(fitted.path.s.usable.sum())
+    return fitted.chi_square > n_rows * _FAR_RMS**2
+
+
+def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
+    """Return a hypothesis near which the gap is linear: from that of the system, effects added one by one as they fit.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        About the path of the recalibration alone, with the forms on offer.
+    most_effects : int
+        Effects added, at most.
+
+    Returns
+    -------
+    Fitted
+        Where it is not far off already, or no effect takes half of it away, what was given.
+    """
+    fitted, nominal, noise = system.fitted, system.nominal, system.noise
+    while is_far(fitted) and len(fitted.forms) < most_effects:
+        if system.fitted is not fitted:
+            system = LinearSystem(fitted, nominal, noise, system.forms)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            begun = [
+                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_FIRST_STEPS)
+                for form in _worth_trying(system)
+            ]
+            least = min((trial.chi_square for trial in begun), default=0.0)
+            trials = [
+                fit(nominal, noise, trial.forms, start=trial, steps=_TRIAL_STEPS - _FIRST_STEPS)
+                for trial in begun
+                if trial.chi_square <= _HOPELESS * least
+            ]
+        trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
+        if not trials:
+            break
+        fitted = min(trials, key=lambda trial: trial.chi_square)
+    return fitted
+
+
+def _worth_trying(system: LinearSystem) -> list[Form]:
+    """Return the forms of further effects that take a share of the squares away in the linear fit.
+
+    Each trial re-simulates all runs several times; the linear fit of a form costs a few products of its columns.
+    """
+    fitted = system.fitted
+    held = [k for k, form in enumerate(system.forms) if any(form is own for own in fitted.forms)]
+    effects = {form.effect for form in fitted.forms}
+    beside = np.concatenate([system.calibration, *(system.of(k) for k in held)], axis=1)
+    tried = []
+    for number, form in enumerate(system.forms):
+        if form.effect in effects:
+            continue
+        columns = np.concatenate([beside, system.of(number)], axis=1)
+        normal, right = columns.T @ columns + np.diag(prior_precision(columns.shape[1])), columns.T @ system.gap
+        root = np.sqrt(np.diag(normal))
+        # columns exactly alike stay solvable
+        solved = np.linalg.solve(normal / np.outer(root, root) + 1e-11 * np.eye(len(root)), right / root)
+        if system.gap @ system.gap - solved @ (right / root) <= _MAX_LINEAR_SHARE * fitted.chi_square:
+            tried.append(form)
+    return tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)

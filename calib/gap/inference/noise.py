@@ -7,29 +7,48 @@ and a calibration of each replicate group are removed. The noise of windows is c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents
+from calib.gap.inference.noise_components import (
+    COMPONENTS,
+    PRIOR_MEDIANS,
+    NoiseComponents,
+    Trends,
+    ambient_interactions,
+    ambient_trends,
+    load_speed_trends,
+    session_steps,
+)
 from calib.gap.inference.repeatability import (
-    MAX_NOISE_EXCESS,
-    MIN_DOF,
-    Basis,
-    NoiseSupport,
     Replicates,
     ScaleLikelihood,
     most_likely_scales,
-    noise_supports,
+    neighbours,
     thinned_replicates,
 )
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
+#: repeats with fewer degrees of freedom for each channel are joined with coarser ones
+ENOUGH_DOF_PER_CHANNEL: Final = 15.0
+#: and in all
+ENOUGH_DOF: Final = 30.0
+#: with fewer than this nothing was learnt
+MIN_DOF: Final = 8.0
+#: units of a neighbourhood, driven one after the other
+NEIGHBOURS_TOGETHER: Final = 3
+#: windows of a neighbourhood: enough to be compared where each has a shape of its own
+WINDOWS_TOGETHER: Final = 5
+#: a noise level that no repeats give is believed up to so many times the stated one
+MAX_NOISE_EXCESS: Final = 5.0
 #: fewest units for which stated sigmas alone are a noise level
 MIN_RUNS: Final = 4
 #: a noise level so many times the stated one is said first
@@ -44,6 +63,73 @@ JOINED_WINDOWS: Final = (1, 2, 4, 8)
 MIN_WINDOWS: Final = 4
 #: channels of a pose
 POSE_CHANNELS: Final = slice(1, 4)
+
+
+class Basis(StrEnum):
+    """What a noise level rests on."""
+
+    REPEATS = "repeats"
+    ROUTE = "runs of one route, with loads and speeds taken out as trends"
+    NEIGHBOURS = "differences of neighbouring runs"
+    WINDOWS = "windows of recordings, each against its neighbours"
+    STATED = "the stated sigmas alone, for nothing was driven twice"
+    NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseSupport:
+    """One way to find a noise level.
+
+    Parameters
+    ----------
+    basis : Basis
+        What it rests on.
+    labels : array of int, shape (n_units,)
+        Units that are compared with each other share a number.
+    trends : Trends, optional
+        What may differ between them and is no noise.
+    dof : float
+        Degrees of freedom from which on it is taken.
+    """
+
+    basis: Basis
+    labels: IntArray
+    trends: Trends | None
+    dof: float
+
+
+def noise_supports(path: Path) -> Iterator[NoiseSupport]:
+    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that make it good enough.
+
+    Pooling all units is none of them: it would turn motion that no wheel sees into noise.
+
+    Parameters
+    ----------
+    path : Path
+        Where the gap is taken.
+    """
+    observations = path.s
+    enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
+    alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
+    ambient = ambient_trends(path)
+    trends = replace(ambient, after=np.concatenate([ambient.after, *ambient_interactions(path)], axis=2))
+    yield NoiseSupport(alike, observations.cell, None, enough)
+    yield NoiseSupport(alike, observations.condition, trends, enough)
+    near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
+    beside = neighbours(observations.condition, NEIGHBOURS_TOGETHER)
+    # neighbours are alike in all but this: a session may end between them
+    yield NoiseSupport(near, beside, session_steps(path), enough)
+    yield NoiseSupport(near, beside, None, enough)
+    yield NoiseSupport(alike, observations.condition, trends, MIN_DOF)
+    yield NoiseSupport(alike, observations.cell, None, MIN_DOF)
+    yield NoiseSupport(near, beside, None, MIN_DOF)
+    if observations.windowed:
+        yield NoiseSupport(near, neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
+    else:
+        loads = load_speed_trends(path)
+        with_loads = replace(trends, before=np.concatenate([loads, trends.before], axis=2))
+        yield NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
+        yield NoiseSupport(Basis.ROUTE, observations.kind, Trends.of_all(loads), MIN_DOF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +219,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         grouped = Replicates.by(support.labels)
         if len(grouped.units) == 0:
             continue
-        whole = ScaleLikelihood(path, gap, shapes, grouped, support.trend)
+        whole = ScaleLikelihood(path, gap, shapes, grouped, support.trends)
         if whole.dof < support.dof:
             continue
         log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
@@ -169,7 +255,7 @@ def _scales(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the logarithms of the most likely scales and the weights (n_units,), less far from their repeats."""
     some = thinned_replicates(grouped)
-    part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trend)
+    part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trends)
     if part.dof < MIN_DOF:
         part = whole
     best = most_likely_scales(part, begin)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -30,6 +30,8 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
 #: prior medians, shape (n_components,)
 PRIOR_MEDIANS: Final = np.array([median for _, median, _ in COMPONENTS])
 _N_CHANNELS: Final = 6
+#: what a standardised trend changes a radius by, relative, at unit prior variance
+_STEP: Final = 1e-2
 Column = tuple[FloatArray, tuple[int, ...]]
 
 
@@ -179,8 +181,127 @@ class NoiseComponents:
         return NoiseComponents(self.kernels[:, units], self.fixed[units], self.usable[units], self.active)
 
 
-def ambient_trends(path: Path) -> FloatArray:
-    """Return what both radii may do with the surroundings, shape (n_units, 6, k)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Trends:
+    """What may differ between replicates and is no noise; each coefficient has unit prior variance.
+
+    Parameters
+    ----------
+    before, after : array of float, shape (n_units, 6, k)
+        Trends that all units take part in; in the matrix of all they stand before and after the steps.
+    of_step : array of float, shape (n_units, 6, 2)
+        What a step of the left and of the right radius does, relative; none of them where there are no steps.
+    session : array of int, shape (n_units,)
+        Number of each unit's session, among those from one to the next of which the radii may step.
+    """
+
+    before: FloatArray
+    of_step: FloatArray
+    session: IntArray
+    after: FloatArray
+
+    @staticmethod
+    def of_all(shared: FloatArray) -> Trends:
+        """Return trends that all units take part in, (n_units, 6, k), without a step."""
+        return Trends(shared, shared[:, :, :0], np.zeros(len(shared), dtype=np.int64), shared[:, :, :0])
+
+    @property
+    def shared(self) -> FloatArray:
+        """Trends that all units take part in, shape (n_units, 6, k)."""
+        return np.concatenate([self.before, self.after], axis=2)
+
+    @property
+    def n_trends(self) -> int:
+        """Their number, the steps included."""
+        steps = self.of_step.shape[2] * int(self.session.max())
+        return int(self.before.shape[2] + self.after.shape[2] + steps)
+
+    def steps(self) -> FloatArray:
+        """Return the step of each session but the first for a unit of each session, (n_sessions, n_sessions - 1).
+
+        Standardised over the units.
+        """
+        n_sessions = int(self.session.max()) + 1
+        steps = np.zeros((n_sessions, n_sessions - 1))
+        some = np.unique(self.session, return_index=True)[1]
+        for later in range(1, n_sessions):
+            steps[:, later - 1] = _standardised((self.session == later).astype(np.float64))[0][some]
+        return steps
+
+    def columns(self) -> FloatArray:
+        """Return all columns, shape (n_units, 6, k)."""
+        of_unit = self.steps()[self.session]
+        steps = self.of_step[:, :, None, :] * of_unit[:, None, :, None] * _STEP
+        return np.concatenate([self.before, steps.reshape(*self.before.shape[:2], -1), self.after], axis=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupTrends:
+    """Trends as each group of replicates takes part in them: a group knows the steps of its own sessions only.
+
+    Parameters
+    ----------
+    columns : array of float, shape (n, 6, q)
+        Of units, group by group.
+    index : array of int, shape (n_groups, q)
+        Which of the basis each column is for each group; the last, which is nothing, where it has fewer.
+    mix : array of float, shape (n_basis, k)
+        The trends over the basis.
+    """
+
+    columns: FloatArray
+    index: IntArray
+    mix: FloatArray
+
+    @staticmethod
+    def of(trends: Trends, units: IntArray, group: IntArray) -> GroupTrends | None:
+        """Return the trends of units (n,) in groups (n,); None where groups know about as many steps as there are."""
+        n_shared, width = trends.shared.shape[2], trends.of_step.shape[2]
+        steps = trends.steps()
+        sessions = len(steps)
+        known, place = np.unique(group * sessions + trends.session[units], return_inverse=True)
+        of_group, session = np.divmod(known, sessions)
+        slot = np.arange(len(known)) - np.searchsorted(of_group, of_group)
+        slots = int(slot.max()) + 1
+        if 2 * slots > sessions:
+            return None
+        first = n_shared + width
+        columns = np.zeros((len(units), _N_CHANNELS, first + width * slots))
+        columns[:, :, :n_shared], columns[:, :, n_shared:first] = trends.shared[units], trends.of_step[units] * _STEP
+        index = np.full((int(group.max()) + 1, columns.shape[2]), first + width * sessions)
+        index[:, :first] = np.arange(first)
+        mix = np.zeros((first + width * sessions + 1, trends.n_trends))
+        mix[:n_shared, :n_shared] = np.eye(n_shared)
+        for wheel in range(width):
+            here = first + width * slot + wheel
+            columns[np.arange(len(units)), :, here[place]] = trends.of_step[units, :, wheel] * _STEP
+            index[of_group, here] = first + width * session + wheel
+            # counted from the mean of all units, a step has a part that all units take part in
+            away = steps.min(axis=0)
+            mix[n_shared + wheel : -1 : width, n_shared + wheel :: width] = np.concatenate([away[None], steps - away])
+        return GroupTrends(columns, index, mix)
+
+    def products(self, of_group: FloatArray) -> FloatArray:
+        """Return the products of all trends and the gap, (k + 1, k + 1), from those (n_groups, q + 1, q + 1) of groups.
+
+        Only what a group knows has products within it.
+        """
+        n_basis, k = self.mix.shape
+        index = np.concatenate([self.index, np.full((len(of_group), 1), n_basis)], axis=1)
+        place = index[:, :, None] * (n_basis + 1) + index[:, None, :]
+        added = np.bincount(place.ravel(), of_group.ravel(), (n_basis + 1) ** 2).reshape(n_basis + 1, -1)
+        mix = np.zeros((n_basis + 1, k + 1))
+        mix[:-1, :-1], mix[-1, -1] = self.mix, 1.0
+        return np.asarray(mix.T @ added @ mix)
+
+    def solved(self, beta: FloatArray, factor: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return each group's part of coefficients (k,) and of F^T F for F (k, k): (n_groups, q), (n_groups, q, q)."""
+        mixed = self.mix @ factor.T
+        return (self.mix @ beta)[self.index], (mixed @ mixed.T)[self.index[:, :, None], self.index[:, None, :]]
+
+
+def ambient_trends(path: Path) -> Trends:
+    """Return what both radii may do with the surroundings and from session to session."""
     observations = path.s
     waited = observations.number("minutes_under_load")
     load = observations.number("load_left_N") + observations.number("load_right_N")
@@ -191,14 +312,14 @@ def ambient_trends(path: Path) -> FloatArray:
     ]
     values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
     columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
-    return np.concatenate([_on_radii(path, columns), session_steps(path)], axis=2)
+    return replace(session_steps(path), before=_on_radii(path, columns))
 
 
-def session_steps(path: Path) -> FloatArray:
-    """Return what each radius may step by from session to session, shape (n_units, 6, k)."""
-    sessions = path.s.labels["session"]
-    steps = [(sessions == name).astype(np.float64) for name in np.unique(sessions)[1:]]
-    return _on_radii(path, [(column, (0, 1)) for step in steps for column in _standardised(step)])
+def session_steps(path: Path) -> Trends:
+    """Return what each radius may step by from session to session."""
+    of_step = np.where(path.s.usable[:, :, None], path.calibration[:, :, :2], 0.0)
+    _, session = np.unique(path.s.labels["session"], return_inverse=True)
+    return Trends(of_step[:, :, :0], of_step, session, of_step[:, :, :0])
 
 
 def ambient_interactions(path: Path) -> list[FloatArray]:
@@ -238,7 +359,7 @@ def load_speed_trends(path: Path) -> FloatArray:
 
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
     """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
-    pushed = [path.calibration[:, :, k] * column[:, None] * 1e-2 for column, wheels in columns for k in wheels]
+    pushed = [path.calibration[:, :, k] * column[:, None] * _STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
     return np.where(path.s.usable[:, :, None], stacked, 0.0)
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from typing import Final
 
@@ -13,27 +11,13 @@ import numpy as np
 from calib.gap.inference.noise_components import (
     COMPONENTS,
     PRIOR_MEDIANS,
+    GroupTrends,
     NoiseComponents,
-    ambient_interactions,
-    ambient_trends,
-    load_speed_trends,
-    session_steps,
+    Trends,
 )
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: repeats with fewer degrees of freedom for each channel are joined with coarser ones
-ENOUGH_DOF_PER_CHANNEL: Final = 15.0
-#: and in all
-ENOUGH_DOF: Final = 30.0
-#: with fewer than this nothing was learnt
-MIN_DOF: Final = 8.0
-#: units of a neighbourhood, driven one after the other
-NEIGHBOURS_TOGETHER: Final = 3
-#: windows of a neighbourhood: enough to be compared where each has a shape of its own
-WINDOWS_TOGETHER: Final = 5
-#: a noise level that no repeats give is believed up to so many times the stated one
-MAX_NOISE_EXCESS: Final = 5.0
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 #: units further from their repeats than normal noise takes one in so many of weigh less. Weights that already fall
 #: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
@@ -43,71 +27,6 @@ OUTLIER_PROBABILITY: Final = 0.05
 MAX_REPLICATES: Final = 480
 _WEIGHT_ROUNDS: Final = 3
 _N_GROUP_COLUMNS: Final = 9
-
-
-class Basis(StrEnum):
-    """What a noise level rests on."""
-
-    REPEATS = "repeats"
-    ROUTE = "runs of one route, with loads and speeds taken out as trends"
-    NEIGHBOURS = "differences of neighbouring runs"
-    WINDOWS = "windows of recordings, each against its neighbours"
-    STATED = "the stated sigmas alone, for nothing was driven twice"
-    NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NoiseSupport:
-    """One way to find a noise level.
-
-    Parameters
-    ----------
-    basis : Basis
-        What it rests on.
-    labels : array of int, shape (n_units,)
-        Units that are compared with each other share a number.
-    trend : array of float, shape (n_units, 6, k), optional
-        What may differ between them and is no noise.
-    dof : float
-        Degrees of freedom from which on it is taken.
-    """
-
-    basis: Basis
-    labels: IntArray
-    trend: FloatArray | None
-    dof: float
-
-
-def noise_supports(path: Path) -> Iterator[NoiseSupport]:
-    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that make it good enough.
-
-    Pooling all units is none of them: it would turn motion that no wheel sees into noise.
-
-    Parameters
-    ----------
-    path : Path
-        Where the gap is taken.
-    """
-    observations = path.s
-    enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
-    alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
-    trend = np.concatenate([ambient_trends(path), *ambient_interactions(path)], axis=2)
-    yield NoiseSupport(alike, observations.cell, None, enough)
-    yield NoiseSupport(alike, observations.condition, trend, enough)
-    near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
-    beside = neighbours(observations.condition, NEIGHBOURS_TOGETHER)
-    # neighbours are alike in all but this: a session may end between them
-    yield NoiseSupport(near, beside, session_steps(path), enough)
-    yield NoiseSupport(near, beside, None, enough)
-    yield NoiseSupport(alike, observations.condition, trend, MIN_DOF)
-    yield NoiseSupport(alike, observations.cell, None, MIN_DOF)
-    yield NoiseSupport(near, beside, None, MIN_DOF)
-    if observations.windowed:
-        yield NoiseSupport(near, neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
-    else:
-        with_loads = np.concatenate([load_speed_trends(path), trend], axis=2)
-        yield NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
-        yield NoiseSupport(Basis.ROUTE, observations.kind, load_speed_trends(path), MIN_DOF)
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
@@ -130,7 +49,7 @@ def neighbours(labels: IntArray, together: int) -> IntArray:
     return number
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Replicates:
     """Replicates, group by group; units that stand alone are omitted.
 
@@ -171,6 +90,22 @@ class Replicates:
         total: FloatArray = np.add.reduceat(values, self.first, axis=0)
         return total
 
+    @cached_property
+    def alike(self) -> list[tuple[IntArray, IntArray]]:
+        """Groups of one size together: their numbers (m,), and the places of their units (m, size)."""
+        sizes = np.diff(self.first, append=len(self.units))
+        numbers = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+        return [(some, self.first[some][:, None] + np.arange(sizes[some[0]])) for some in numbers]
+
+    def products(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Return the products of columns (n, 6, p) and (n, 6, q) summed over each group, shape (n_groups, p, q)."""
+        p, q = left.shape[2], right.shape[2]
+        total = np.empty((len(self.first), p, q))
+        for numbers, places in self.alike:
+            m = len(numbers)
+            total[numbers] = left[places].reshape(m, -1, p).transpose(0, 2, 1) @ right[places].reshape(m, -1, q)
+        return total
+
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
     """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
@@ -208,22 +143,24 @@ class ScaleLikelihood:
         What the noise of all units is made of.
     grouped : Grouped
         Which units are replicates.
-    trend : array of float, shape (n_units, 6, k)
+    trends : Trends, optional
         What may differ between replicates and is no noise.
     """
 
     def __init__(
-        self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trend: FloatArray | None = None
+        self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trends: Trends | None = None
     ) -> None:
         units = grouped.units
         self.grouped, self.shapes = grouped, shapes.select(units)
         self.active = shapes.active
         self.usable = self.shapes.usable
         design, self.prior = _group_design(path, gap, grouped)
-        trends = np.zeros((len(path.s), 6, 0)) if trend is None else trend
-        self.k = trends.shape[2]
+        trends = trends or Trends.of_all(np.zeros((len(path.s), 6, 0)))
+        self.k = trends.n_trends
         self.own = path.calibration[units, :, :3]
-        self.columns = np.concatenate([design, trends, gap[:, :, None]], axis=2)[units]
+        self.known = GroupTrends.of(trends, units, grouped.group)
+        trend = trends.columns()[units] if self.known is None else self.known.columns
+        self.columns = np.concatenate([design[units], trend, gap[units, :, None]], axis=2)
 
     @cached_property
     def dof(self) -> float:
@@ -254,9 +191,7 @@ class ScaleLikelihood:
         scaled = x @ inverse[group]
         own = np.linalg.solve(gram / both, cross / root[:, :, None]) / root[:, :, None]
         residual = rest - x @ own[group]
-        flat = rest.reshape(-1, k + 1)
-        solved = own.reshape(-1, k + 1)
-        dense = flat.T @ flat - cross.reshape(-1, k + 1).T @ solved
+        dense = self._dense(rest, cross, own)
         middle = float(np.linalg.slogdet(gram)[1].sum())
         kept = np.eye(6) - scaled @ turned
         g, square = residual[:, :, -1], float(dense[k, k])
@@ -264,13 +199,28 @@ class ScaleLikelihood:
             inner = dense[:k, :k] + np.eye(k)
             beta = np.linalg.solve(inner, dense[:k, k])
             square -= float(dense[:k, k] @ beta)
-            t = residual[:, :, :k]
-            g = g - t @ beta
-            # one product of large matrices, not one a unit
-            half = (t.reshape(-1, k) @ np.linalg.inv(np.linalg.cholesky(inner)).T).reshape(t.shape)
-            kept = kept - half @ half.transpose(0, 2, 1)
+            t = residual[:, :, :-1]
+            # (I + T^T T)^-1 = F^T F
+            factor: FloatArray = np.linalg.inv(np.linalg.cholesky(inner))
+            if self.known is None:
+                g = g - t @ beta
+                # one product of large matrices, not one a unit
+                half = (t.reshape(-1, k) @ factor.T).reshape(t.shape)
+                kept = kept - half @ half.transpose(0, 2, 1)
+            else:
+                own_beta, inside = self.known.solved(np.asarray(beta), factor)
+                g = g - (t @ own_beta[group][:, :, None])[:, :, 0]
+                kept = kept - t @ inside[group] @ t.transpose(0, 2, 1)
             middle += float(np.linalg.slogdet(inner)[1])
         return g, kept, middle + square
+
+    def _dense(self, rest: FloatArray, cross: FloatArray, own: FloatArray) -> FloatArray:
+        """Return the products of all trends and the gap, the groups' own columns taken out, shape (k + 1, k + 1)."""
+        if self.known is None:
+            flat, width = rest.reshape(-1, rest.shape[2]), rest.shape[2]
+            return np.asarray(flat.T @ flat - cross.reshape(-1, width).T @ own.reshape(-1, width))
+        of_group = self.grouped.products(rest, rest) - cross.transpose(0, 2, 1) @ own
+        return self.known.products(of_group)
 
     def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
         """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""

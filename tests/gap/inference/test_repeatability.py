@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import Reference
-from calib.gap.inference.noise import Noise, estimate_noise, window_growth
-from calib.gap.inference.repeatability import Basis, Replicates, neighbours, thinned_replicates
+from calib.gap.inference.noise import Basis, Noise, estimate_noise, window_growth
+from calib.gap.inference.repeatability import Replicates, neighbours, thinned_replicates
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
