@@ -45,7 +45,17 @@ class Flat:
 
 
 def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
-    """Write the poses after steps laid flat, each of shape (n,)."""
+    """Write the poses after steps laid flat.
+
+    Parameters
+    ----------
+    flat : Flat
+        The steps.
+    x, y, theta : array of float, shape (n,)
+        Where the poses go.
+    scheme : str
+        How a step is drawn: one of `HEADING_BEHIND`.
+    """
     n = len(flat.left)
     buffers = np.empty((4, min(BLOCK, n)))
     edges = np.append(np.arange(0, n, BLOCK), n)
