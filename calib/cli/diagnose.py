@@ -11,8 +11,6 @@ from calib.cli import terminal
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
     from calib.gap.decision.diagnosis import Diagnosis
@@ -88,7 +86,10 @@ def run(
     terminal.save(result, document)
     if html is not None:
         terminal.save(html, _page(diagnosis, read))
-    terminal.draw(lambda: _figures(diagnosis), figures)
+    if figures is not None:
+        from calib.reporting.figures.gap import gap_figures
+
+        terminal.draw(lambda: gap_figures(diagnosis), figures)
     terminal.emit_json(document)
     terminal.then(after_diagnosis(diagnosis, campaign))
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
@@ -124,12 +125,6 @@ def _pictures(folder: Path | None) -> list[Path]:
     from calib.reporting.figures.gap import GAP_FIGURES
 
     return terminal.figure_files(folder, GAP_FIGURES)
-
-
-def _figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    from calib.reporting.figures.gap import gap_figures
-
-    return gap_figures(diagnosis)
 
 
 def _diagnosed(

@@ -11,8 +11,6 @@ from calib.cli import terminal
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from calib.gap.effects.library import Entry
     from calib.gap.predict import Path as DrivenPath
 
@@ -47,7 +45,11 @@ def run(
     from calib.reporting.topics.effects import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
-    terminal.draw(lambda: _figures(entries, nominal), figures)
+    if figures is not None:
+        from calib.reporting.figures.effects import signature_figure
+
+        shown = {_file_name(one): one.signature for one in entries if one.signature is not None}
+        terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in shown.items()}, figures)
     terminal.then(after_effects(effect, campaign))
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
@@ -76,9 +78,3 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
 
 def _file_name(entry: Entry) -> str:
     return f"signature-{entry.effect.id}".replace(":", "-")
-
-
-def _figures(entries: list[Entry], nominal: DrivenPath) -> dict[str, Figure]:
-    from calib.reporting.figures.effects import signature_figure
-
-    return {_file_name(one): signature_figure(one.signature, nominal) for one in entries if one.signature is not None}

@@ -82,62 +82,48 @@ def run(
     """
     from calib.coefficients.export import coefficients_of, export, parse_loads
     from calib.coefficients.formats import ExportOptions
+    from calib.reporting.next_step import after_export
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
     terminal.refuse_outputs(output if output is not None and output.is_file() else None)
+    accept = accept_implausible.strip()
+    notes: list[str] = []
+    head: dict[str, object] = {"to": to}
     if to in OTHER_FORMATS:
-        _export_other(source, to, output, accept_implausible.strip())
-        return
-    coefficients = coefficients_of(source, outside=outside, created=date, accept=accept_implausible.strip())
-    options = ExportOptions(
-        loads=parse_loads(load or []),
-        controllers=tuple(controller or ()),
-        position_feedback=not velocity_feedback,
-        open_loop=open_loop,
-        model=model,
-        left=left,
-        right=right,
-    )
-    artifacts = export(coefficients.file, to, options=options)
-    notes = [*coefficients.notes, *(text for artifact in artifacts for text in artifact.notes)]
+        artifacts = _of_other_format(source, to, output, accept)
+    else:
+        coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
+        options = ExportOptions(
+            loads=parse_loads(load or []),
+            controllers=tuple(controller or ()),
+            position_feedback=not velocity_feedback,
+            open_loop=open_loop,
+            model=model,
+            left=left,
+            right=right,
+        )
+        artifacts = export(coefficients.file, to, options=options)
+        notes += coefficients.notes
+        head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
+    notes += [text for artifact in artifacts for text in artifact.notes]
     for text in notes:
         terminal.note(text)
     files = _written(artifacts, output)
-    _tell_next(to, source, output)
-    document = {
-        "to": to,
-        "checksum": coefficients.file.checksum,
-        "outside": coefficients.file.outside,
-        "simulated": coefficients.file.simulated,
-        "files": files,
-        "notes": notes,
-    }
-    terminal.emit_json(document)
+    if output is not None:
+        # where the files went to standard output, nothing is added to them
+        terminal.then(after_export(to, source, output))
+    terminal.emit_json({**head, "files": files, "notes": notes})
 
 
-def _export_other(source: Path, to: str, output: Path | None, accept: str) -> None:
-    """Write a format that needs the fit or the runs beside the coefficients."""
+def _of_other_format(source: Path, to: str, output: Path | None, accept: str) -> Sequence[Artifact]:
+    """Return the files of a format that needs the fit or the runs beside the coefficients."""
     from calib.reporting.exports import export_from
 
     if to in BINARY and output is None:
         raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
     with terminal.progress(to) as tick:
-        artifacts = export_from(source, to, accept=accept, progress=tick)
-    notes = [text for artifact in artifacts for text in artifact.notes]
-    for text in notes:
-        terminal.note(text)
-    files = _written(artifacts, output)
-    _tell_next(to, source, output)
-    terminal.emit_json({"to": to, "files": files, "notes": notes})
-
-
-def _tell_next(to: str, source: Path, output: Path | None) -> None:
-    """Say what to do with the files; where they went to standard output, nothing is added to them."""
-    from calib.reporting.next_step import after_export
-
-    if output is not None:
-        terminal.then(after_export(to, source, output))
+        return export_from(source, to, accept=accept, progress=tick)
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:

@@ -71,7 +71,8 @@ def run(
     if not terminal.wants_stdout():
         terminal.show(content)
     terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
-    terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
+    if figures is not None:
+        terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
     terminal.emit_json(document)
     terminal.then(after_fit(fitted.passed, campaign))
     return 0 if fitted.passed else 1

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from calib.cli import terminal
 from calib.errors import BadInputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from calib.campaign.model import Campaign
-    from calib.kinematics.result import Geometry
-
 
 USING = {"end-poses": "end_poses", "windows": "windows"}
 LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
@@ -62,7 +55,12 @@ def run(
     terminal.show(geometry_content(estimated))
     document = estimated.to_dict()
     terminal.save(result, document)
-    terminal.draw(lambda: _figures(estimated, read), figures)
+    if figures is not None:
+        from calib.kinematics.traces import traces_of
+        from calib.reporting.figures.geometry import draw_paths
+
+        paths = traces_of(read, estimated)
+        terminal.draw(lambda: {PICTURE: draw_paths(paths, simulated=estimated.simulated)}, figures)
     terminal.emit_json(document)
     if output is not None:
         from calib.coefficients.build import from_geometry
@@ -77,10 +75,3 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
         near = terminal.nearest(given, known)
         raise BadInputError(f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{near}")
     return None if given is None else known[given]
-
-
-def _figures(estimated: Geometry, read: Campaign) -> dict[str, Figure]:
-    from calib.kinematics.traces import traces_of
-    from calib.reporting.figures.geometry import draw_paths
-
-    return {PICTURE: draw_paths(traces_of(read, estimated), simulated=estimated.simulated)}

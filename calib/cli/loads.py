@@ -11,8 +11,6 @@ from calib.cli import terminal
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from calib.odometry.law_journey import LoadSweep
 
 COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
@@ -80,13 +78,13 @@ def run(
     terminal.refuse_outputs(*terminal.figure_files(figures, [stem]))
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     swept = sweep_loads(meant, payload, x, y, swept=swept_column, span=span, steps=steps)
-    written = terminal.draw(lambda: _figures(stem, swept), figures)
+    written = [] if figures is None else _drawn(stem, swept, figures)
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
     terminal.then(after_loads())
 
 
-def _figures(stem: str, swept: LoadSweep) -> dict[str, Figure]:
+def _drawn(stem: str, swept: LoadSweep, folder: Path) -> list[Path]:
     from calib.reporting.figures.motion import load_figure
 
-    return {stem: load_figure(swept)}
+    return terminal.draw(lambda: {stem: load_figure(swept)}, folder)

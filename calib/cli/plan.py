@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from calib.cli import terminal
 from calib.errors import BadInputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from calib.gap.plan.identifiability import Outlook
 
 #: the picture of --figures
 MATRIX = "plan-matrix"
@@ -97,13 +92,10 @@ def _judge(source: Path, figures: Path | None) -> int:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
     terminal.show(outlook_content(planned.name, len(planned.runs), outlook))
-    terminal.draw(lambda: _figures(outlook), figures)
+    if figures is not None:
+        from calib.reporting.figures.effects import plan_matrix
+
+        terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
     terminal.then(after_plan_file())
     terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()})
     return 0
-
-
-def _figures(outlook: Outlook) -> dict[str, Figure]:
-    from calib.reporting.figures.effects import plan_matrix
-
-    return {MATRIX: plan_matrix(outlook)}

@@ -184,10 +184,8 @@ def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
     return figure_paths(folder, names)
 
 
-def draw(figures: Callable[[], Mapping[str, Figure]], folder: Path | None) -> list[Path]:
-    """Draw figures and write them, where a folder is given for them; return their files."""
-    if folder is None:
-        return []
+def draw(figures: Callable[[], Mapping[str, Figure]], folder: Path) -> list[Path]:
+    """Draw figures and write them into a folder; return their files."""
     from calib.reporting.figures.style import write_figures
 
     with progress("drawing") as tick:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.campaign.check import notes_for_results
-from calib.campaign.checks.plausible import implausible
+from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.campaign.checks.plausible import implausible
+from calib.campaign.check import implausible
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
 from tests.robust.spoilt import FAILED, ROOT, SAID, SILENT, Case, answered, answers, cases
