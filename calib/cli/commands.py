@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,17 +23,23 @@ OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", 
 ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
 
 
-def _shared(json: JsonTarget = None, force: Force = False) -> None:
-    """Declare the options of every command."""
+@cache
+def _shared_options() -> list[Any]:
+    """Return the options of every command."""
+    application = typer.Typer(add_completion=False)
+
+    @application.command()
+    def shared(json: JsonTarget = None, force: Force = False) -> None:
+        """Declare them."""
+
+    return list(typer.main.get_command(application).params)
 
 
 class Guarded(TyperCommand):
     """A command with ``--json`` and ``--force``, whose inputs are never written while it runs."""
 
     def __init__(self, *args: Any, params: list[Any] | None = None, **kwargs: Any) -> None:
-        shared = typer.Typer(add_completion=False)
-        shared.command()(_shared)
-        super().__init__(*args, params=[*(params or ()), *typer.main.get_command(shared).params], **kwargs)
+        super().__init__(*args, params=[*(params or ()), *_shared_options()], **kwargs)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of a command line, none of whose paths may be empty."""

@@ -70,20 +70,20 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
-        head = heading(
+        names, n_rows, recognised = heading(
             split_cells(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above
         )
-        _check_names(head.names, shown, skipped + 1)
+        _check_names(names, shown, skipped + 1)
         end = start
-        for _ in range(head.n_rows):
+        for _ in range(n_rows):
             end = data.find(b"\n", end) + 1 or len(data)
-        fast = _read_numeric(data[end:], head.names, delimiter, wanted)
+        fast = _read_numeric(data[end:], names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
-            notes += head.notes
+            notes += recognised
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-            lines = skipped + 1 + head.n_rows
+            lines = skipped + 1 + n_rows
             return RawTable(columns, np.arange(lines, lines + rows, dtype=np.int64), tuple(notes))
     return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped, layout, above)
 
@@ -305,11 +305,10 @@ def _read_cells(
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
-    head = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
-    names = head.names
+    names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
-    notes += head.notes
-    rows, lines = rows[head.n_rows :], lines[head.n_rows :]
+    notes += recognised
+    rows, lines = rows[n_rows:], lines[n_rows:]
     if layout.lab:
         rows, lines, omitted = table_rows(names, rows, lines, shown)
         notes += omitted

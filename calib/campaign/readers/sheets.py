@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import pi
 from typing import Any, Final
 
@@ -77,18 +76,9 @@ _SUMMARY: Final = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """The names of a table's columns, and how many of the rows looked at they take."""
-
-    names: list[str]
-    n_rows: int
-    notes: list[Note]
-
-
 def heading(
     rows: Sequence[Sequence[Any]], lines: Sequence[int], layout: Layout, shown: str, above: Sequence[Any] = ()
-) -> Heading:
+) -> tuple[list[str], int, list[Note]]:
     """Return the names of the columns, with units in brackets, from the header row and those beneath it.
 
     Parameters
@@ -106,21 +96,25 @@ def heading(
 
     Returns
     -------
-    Heading
-        Names as found; ``column 1``, ``column 2``, ... where no row names them.
+    names : list of str
+        As found; ``column 1``, ``column 2``, ... where no row names them.
+    n_rows : int
+        How many of the rows looked at they take.
+    notes : list of Note
+        What was recognised.
     """
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
     if not layout.lab:
         units = _texts(rows[1]) if len(rows) > 1 else []
         if not units or not _all_known(units):
-            return Heading(first, 1, found)
+            return first, 1, found
         names, note = _with_units(first, units, shown)
-        return Heading(names, 2, [*found, note])
+        return names, 2, [*found, note]
     if layout.header_row is None and len(filled_cells(first)) > 1 and all(map(is_number, filled_cells(first))):
         text = "no row names the columns; they are called column 1, column 2, ..."
         names = [f"column {number + 1}" for number in range(len(first))]
-        return Heading(names, 0, [Note("info", shown, text, "names")])
+        return names, 0, [Note("info", shown, text, "names")]
     n_rows = _header_rows(rows, fixed=layout.header_row is not None)
     units_at = n_rows - 1 if n_rows > 1 and looks_like_units(rows[n_rows - 1]) else None
     if layout.units_row is not None:
@@ -135,9 +129,9 @@ def heading(
     groups = [_texts(above), *block[:-1]] if _is_group(above) else block[:-1]
     names = _joined(block[-1], groups)
     if units_at is None:
-        return Heading(names, n_rows, found)
+        return names, n_rows, found
     names, note = _with_units(names, _texts(rows[units_at]), shown)
-    return Heading(names, n_rows, [*found, note])
+    return names, n_rows, [*found, note]
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:

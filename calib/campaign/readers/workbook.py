@@ -66,13 +66,13 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
     at, rows, lines = sheet.header_at, sheet.rows, sheet.lines
     above = rows[at - 1] if at and lines[at - 1] == lines[at] - 1 else ()
-    head = heading(rows[at : at + LOOKED_AT], lines[at : at + LOOKED_AT], layout, shown, above)
-    header = list(head.names)
+    names, n_rows, recognised = heading(rows[at : at + LOOKED_AT], lines[at : at + LOOKED_AT], layout, shown, above)
+    header = list(names)
     while header and not header[-1]:
         header.pop()
     check_header(header, shown, row=lines[at])
-    notes += [*head.notes, *sheet.notes]
-    rows, lines = rows[at + head.n_rows :], lines[at + head.n_rows :]
+    notes += [*recognised, *sheet.notes]
+    rows, lines = rows[at + n_rows :], lines[at + n_rows :]
     if layout.lab:
         rows, lines, omitted = table_rows(header, rows, lines, shown)
         notes += omitted
