@@ -13,10 +13,9 @@ from typing import Final, get_type_hints
 
 import numpy as np
 
-from calib.campaign.checks import counts, design, distances, loads, poses, settings
+from calib.campaign.checks import counts, design, measurements, poses, settings
 from calib.campaign.checks.design import SIDES, implausible_column, implausible_setting, per_rev, setting_note
-from calib.campaign.checks.distances import implausible_distances, off
-from calib.campaign.checks.loads import implausible_loads
+from calib.campaign.checks.measurements import implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.settings import OdometryModel
@@ -162,9 +161,9 @@ CHECKS: Final[dict[str, Check]] = {
     check.__name__: check
     for check in (
         design.assumed_values,
-        distances.missing_values,
-        distances.distance_span,
-        distances.distance_against_log,
+        measurements.missing_values,
+        measurements.distance_span,
+        measurements.distance_against_log,
         poses.distance_against_pose,
         counts.reversed_wheels,
         counts.count_scale,
@@ -183,9 +182,9 @@ CHECKS: Final[dict[str, Check]] = {
         counts.log_speed,
         design.far_from_repeats,
         design.pasted_rows,
-        loads.wheel_loads,
-        loads.loads_against_payload,
-        loads.reference_load,
+        measurements.wheel_loads,
+        measurements.loads_against_payload,
+        measurements.reference_load,
         poses.mirrored_ends,
         poses.turned_frame,
         poses.bearing_of_ends,

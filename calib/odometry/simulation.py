@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.checks.design import SIDES
-from calib.campaign.checks.distances import off
+from calib.campaign.checks.measurements import off
 from calib.errors import BadInputError
 from calib.limits import DRAWN_PIECES, DRAWS, refuse_more
 from calib.odometry.law_journey import BANDS, Journey, TableRow, law_journey, law_table

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.checks.design import assumed_settings
-from calib.campaign.checks.distances import factor_reason, off
+from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius.budget import declared_sources, observed_components, systematic_components, with_systematic
