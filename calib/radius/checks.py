@@ -61,13 +61,8 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
     checks = [design_check(fit, groups), session_check(fit, groups), order_check(fit)]
     if fit.model == "line":
-        checks += [
-            _range(fit),
-            _lack_of_fit(runs),
-            _curvature(runs),
-            _equal_scatter(runs),
-            session_influence_check(fit, groups),
-        ]
+        checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
+        checks.append(session_influence_check(fit, groups))
     checks += [_influence(runs), _normality(runs), _direction(runs)]
     return replace(fit, checks=tuple(check for check in checks if check is not None))
 
@@ -132,16 +127,10 @@ def _curvature(runs: _Residuals) -> Check | None:
 
 def _equal_scatter(runs: _Residuals) -> Check:
     statistic, p_value = breusch_pagan(runs.residual_m, runs.x)
+    hold = "the slope's interval uses the heteroscedasticity-consistent covariance (HC3) and holds"
     if runs.fit.design == "confounded":
-        finding = (
-            "The scatter of single runs changes with load; the intervals rest on session means and hold, the "
-            "prediction band is too narrow at one end."
-        )
-    else:
-        finding = (
-            "The scatter changes with load; the slope's interval uses the heteroscedasticity-consistent covariance "
-            "(HC3) and holds, the prediction band is too narrow at one end."
-        )
+        hold = "the intervals rest on session means and hold"
+    finding = f"The scatter changes with load; {hold}, the prediction band is too narrow at one end."
     sentences = ("The scatter is the same at every load.", finding)
     return tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
 

@@ -86,7 +86,7 @@ def weave_excess(
     Returns
     -------
     PathExcess
-        Of the broadcast shape.
+        Its arrays have the broadcast shape.
     """
     from scipy.special import ellipeinc
 
@@ -120,7 +120,7 @@ def arc_of_radii_rad(
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
     `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
-    vehicle takes for equal; `track_m`: distance between the wheels' contact points. In rad, left positive.
+    vehicle takes for equal; `track_m`: distance between the wheels' contact points. The turn is in rad, left positive.
     """
     left, right = np.asarray(radius_left_m, dtype=np.float64), np.asarray(radius_right_m, dtype=np.float64)
     return np.asarray(np.asarray(distance_m, dtype=np.float64) * 2 * (right - left) / ((right + left) * track_m))

@@ -269,8 +269,8 @@ def covering_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 def critical_curve(dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical values at the observed shares `SHARES` of the between part.
 
-    `dof_between`, `dof_within`: degrees of freedom of each part, above 0; `coverage`: coverage. Shape (25,):
-    from Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
+    `dof_between`, `dof_within`: degrees of freedom of each part, above 0; `coverage`: coverage. The curve, shape (25,),
+    goes from Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
     """
     from scipy.special import ndtr, stdtrit
 

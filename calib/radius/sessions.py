@@ -156,16 +156,8 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     info = float(x_within @ x_within)
     slope = float(x_within @ y_within) / info if info > 0 else 0.0
     residual = y_within - slope * x_within
-    strata = Strata(
-        groups.sizes,
-        groups.means(x),
-        groups.means(y),
-        info,
-        slope,
-        float(y_within @ y_within),
-        float(residual @ residual),
-    )
-    estimate = line_of_strata(strata)
+    squares = float(y_within @ y_within), float(residual @ residual)
+    estimate = line_of_strata(Strata(groups.sizes, groups.means(x), groups.means(y), info, slope, *squares))
     if estimate is None or estimate.design == "confounded" or estimate.dof_within < HC3_MIN_DOF:
         return estimate
     if breusch_pagan(residual, x)[1] >= HC3_BELOW:

@@ -30,8 +30,7 @@ def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
     """
     kinds = nominal.s.labels["kind"]
     names = list(np.unique(kinds))
-    size = np.nan_to_num(np.nanmax(np.abs(np.where(np.isfinite(signature.change), signature.change, 0.0)), axis=0))
-    moved = [k for k in range(len(CHANNELS)) if size[k] > UNCHANGED]
+    moved = np.flatnonzero(np.abs(np.nan_to_num(signature.change)).max(axis=0) > UNCHANGED).tolist()
     figure = canvas(6.4)
     plan, channels = figure.subfigures(1, 2, width_ratios=(1.0, 1.25), squeeze=False)[0]
     _draw_plan(plan.subplots(), signature, nominal, names)
@@ -44,25 +43,17 @@ def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
 
 
 def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: list[str]) -> None:
-    s = nominal.s
+    s, enlarged = nominal.s, signature.enlarged
     for number, name in enumerate(names):
         units = np.flatnonzero(s.labels["kind"] == name)
-        sizes = np.nansum(signature.change[units] ** 2, axis=1)
-        unit = int(units[np.argmax(sizes)])
-        part = slice(int(s.starts[unit]), int(s.starts[unit + 1]))
+        unit = int(units[np.argmax(np.nansum(signature.change[units] ** 2, axis=1))])
+        part, tint = slice(int(s.starts[unit]), int(s.starts[unit + 1])), colour(number)
         axes.plot(nominal.steps.x_m[part], nominal.steps.y_m[part], color=GREY, linewidth=0.8)
-        tint = colour(number)
-        axes.plot(
-            signature.enlarged.steps.x_m[part],
-            signature.enlarged.steps.y_m[part],
-            color=tint,
-            linewidth=1.1,
-            label=name,
-        )
-        axes.plot(*signature.enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
+        axes.plot(enlarged.steps.x_m[part], enlarged.steps.y_m[part], color=tint, linewidth=1.1, label=name)
+        axes.plot(*enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x, m", ylabel="y, m")
-    bent = signature.factor > 1.0 and bool(np.ptp(signature.enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
+    bent = signature.factor > 1.0 and bool(np.ptp(enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
     axes.set_title(f"paths, effect x {signature.factor:.3g}" if bent else "paths (the effect bends none)")
 
 
@@ -98,9 +89,8 @@ def plan_matrix(outlook: Outlook) -> Figure:
     names = [name.replace("_", " ") for name in outlook.effects]
     axis.set_xticks(range(n + 1), ["(detected)", *names], rotation=90)
     told = outlook.told_apart
-    axis.set_yticks(
-        range(n), [f"{name}  {'told apart' if yes else '–'}" for name, yes in zip(names, told, strict=True)]
-    )
+    rows = [f"{name}  {'told apart' if yes else '–'}" for name, yes in zip(names, told, strict=True)]
+    axis.set_yticks(range(n), rows)
     axis.tick_params(length=0, labelsize=5.5)
     axis.set_xticks(np.arange(-0.5, n + 1), minor=True)
     axis.set_yticks(np.arange(-0.5, n), minor=True)

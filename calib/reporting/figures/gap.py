@@ -90,7 +90,7 @@ class GapArrays:
             after=after,
             noise_level=noise_level,
             covariates={
-                name: np.asarray(values, dtype=np.float64)
+                name: values.astype(np.float64)
                 for name, values in covariate_values(observations).items()
                 if values.dtype.kind == "f"
             },
@@ -107,17 +107,15 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     `offset_m` (shape (n, 2)): measured minus simulated end position; NaN where unknown; `group` (shape
     (n,)): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
     """
-    ends = np.array([path[-1] for path in paths_m], dtype=np.float64)
-    offset = np.asarray(offset_m, dtype=np.float64)
-    known = np.asarray(np.isfinite(np.hstack((offset, ends))).all(axis=1))
-    points = np.concatenate([np.asarray(path, dtype=np.float64) for path in paths_m])
-    points = points[np.flatnonzero(np.isfinite(points).all(axis=1))]
+    ends, points = np.array([path[-1] for path in paths_m]), np.concatenate(list(paths_m))
+    known = np.asarray(np.isfinite(np.hstack((offset_m, ends))).all(axis=1))
+    points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
     size = float(max(np.max(high - low), 1e-3))
-    length = np.hypot(*offset[known].T) if known.any() else np.zeros(0)
+    length = np.hypot(*offset_m[known].T)
     typical = float(np.quantile(length, 0.9)) if len(length) else 0.0
     factor = _round_down(ARROW_SHARE * size / typical) if typical > 0 else 1.0
-    tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset, 0.0))
+    tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset_m, 0.0))
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     margin = 0.04 * float(max(np.max(high - low), 1e-3))
     # a long corridor is a flat figure: the height follows the plan, within reason
@@ -184,7 +182,7 @@ def gap_by_covariate(
     factor, name = readable(unit, _largest(residual))
     figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
     groups = _groups(group, len(residual))
-    gap = factor * np.asarray(residual, dtype=np.float64)
+    gap = factor * residual
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
         if noise_level is not None:
@@ -319,14 +317,13 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     """
     from scipy.special import stdtrit
 
-    distinct, index = np.unique(x, return_inverse=True)
-    if len(distinct) > 8:
+    values, index = np.unique(x, return_inverse=True)
+    if len(values) > 8:
         index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
     rows: list[tuple[float, float, float]] = []
-    for k in np.unique(index):
-        on = index == k
+    for on in (index == k for k in np.unique(index)):
         n = int(on.sum())
         half = float(stdtrit(n - 1, 0.975) * np.std(y[on], ddof=1) / np.sqrt(n)) if n > 1 else 0.0
         rows.append((float(x[on].mean()), float(y[on].mean()), half))
-    columns = np.array(rows)
-    return columns[:, 0], columns[:, 1], columns[:, 2]
+    centre, mean, error = np.array(rows).T
+    return centre, mean, error

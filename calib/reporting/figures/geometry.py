@@ -77,15 +77,9 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
 def _thinned(trace: RunTrace) -> RunTrace:
     """Return a trace of at most `MOST_POINTS` poses and samples: more are not seen, and make the page heavy."""
     poses = _evenly(len(trace.seen))
-    return replace(
-        trace,
-        before_m=trace.before_m[_evenly(len(trace.before_m))],
-        seen=trace.seen[poses],
-        t_s=trace.t_s[poses],
-        reference_m=trace.reference_m[poses],
-        residual_before=trace.residual_before[poses],
-        residual_after=trace.residual_after[poses],
-    )
+    names = ("seen", "t_s", "reference_m", "residual_before", "residual_after")
+    kept = {name: getattr(trace, name)[poses] for name in names}
+    return replace(trace, before_m=trace.before_m[_evenly(len(trace.before_m))], **kept)
 
 
 def _evenly(count: int) -> IntArray:

@@ -56,11 +56,8 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1.0, len(radii) + 1)
     sessions = Groups.of(radii.session, NO_SESSION)
-    sides = (
-        (radii.radius_left_m, radii.std_left_m, radii.load_left_N),
-        (radii.radius_right_m, radii.std_right_m, radii.load_right_N),
-    )
-    loads = np.concatenate((radii.load_left_N, radii.load_right_N))
+    loads = np.stack((radii.load_left_N, radii.load_right_N))
+    sides = zip((radii.radius_left_m, radii.radius_right_m), (radii.std_left_m, radii.std_right_m), loads, strict=True)
     span = Normalize(float(loads.min()), float(loads.max())) if varies(loads) else None
     # few steps, which stay vectors
     scale = mpl.colormaps[LOAD_COLOURS].resampled(32)
@@ -149,8 +146,8 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
     """
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
-    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m) & (radii.amplitude_m > 0)
-    known &= radii.wavelength_m > 0
+    # NaN where unknown, which is above nothing
+    known = (radii.amplitude_m > 0) & (radii.wavelength_m > 0)
     amplitude, wavelength = radii.amplitude_m[known], radii.wavelength_m[known]
     low, high = 1e-3, 1.0
     if len(amplitude):

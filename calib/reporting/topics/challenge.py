@@ -9,7 +9,7 @@ from calib.reporting.blocks import Block, Items, Table, table
 from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
-    from calib.challenge.own.result import Own
+    from calib.challenge.own.run import Own
     from calib.challenge.score import Score
 
 _MET: Final = {True: "met", False: "MISSED", None: ""}
@@ -37,19 +37,12 @@ def score_content(score: Score) -> list[Block]:
 def _board(score: Score) -> Table:
     rows = []
     for name, line in score.board.items():
-        low, high = wilson(line.hits, line.total)
-        exact = clopper_pearson(line.hits, line.total)
-        rows.append(
-            (
-                name,
-                f"{line.hits}/{line.total}",
-                MISSING if line.rate is None else f"{line.rate:.1%}",
-                f"{low:.1%}..{high:.1%}",
-                f"{exact[0]:.1%}..{exact[1]:.1%}",
-                f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else "",
-                _MET[score.meets(name)],
-            )
-        )
+        rate = MISSING if line.rate is None else f"{line.rate:.1%}"
+        spans = [
+            f"{low:.1%}..{high:.1%}" for low, high in (of(line.hits, line.total) for of in (wilson, clopper_pearson))
+        ]
+        target = f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else ""
+        rows.append((name, f"{line.hits}/{line.total}", rate, *spans, target, _MET[score.meets(name)]))
     caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
     intervals = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
     return table(caption, ("<Line", "Cases", "Share", *intervals, "Target", "<"), rows)

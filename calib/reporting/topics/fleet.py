@@ -79,24 +79,14 @@ def _drifting(fleet: Fleet) -> Table:
 def _pictures(fleet: Fleet) -> list[Picture]:
     from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
 
-    pictures = [
-        Picture(
-            "fleet-distribution",
-            "Radius and slope of each vehicle with its 95 % interval, in order of size.",
-            "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size.",
-            lambda: fleet_distribution(fleet),
-        )
-    ]
+    caption = "Radius and slope of each vehicle with its 95 % interval, in order of size."
+    alt = "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size."
+    pictures = [Picture("fleet-distribution", caption, alt, lambda: fleet_distribution(fleet))]
     drift = fleet_drift(fleet)
     if drift is not None:
-        pictures.append(
-            Picture(
-                "fleet-drift",
-                "Drift of each wheel with its 95 % interval, in order of size.",
-                "Dots with bars: drift of every wheel of the fleet in order of size.",
-                lambda: drift,
-            )
-        )
+        caption = "Drift of each wheel with its 95 % interval, in order of size."
+        alt = "Dots with bars: drift of every wheel of the fleet in order of size."
+        pictures.append(Picture("fleet-drift", caption, alt, lambda: drift))
     return pictures
 
 

@@ -10,8 +10,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.challenge.own.plants import parse_sizes, plants_of
 from calib.challenge.own.replay import Replay, own_noise, true_angles
-from calib.challenge.own.result import answer_of
-from calib.challenge.own.run import Asked, challenge_own
+from calib.challenge.own.run import Asked, answer_of, challenge_own
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
