@@ -133,7 +133,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
         causes, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
-            near = tuple((r.effect, r.distance) for r in rivals(design, model, noise, causes[0])[:8])
+            near = tuple(rivals(design, model, noise, causes[0])[:8])
         if recipe.group == "single":
             best, own = _ceilings(design, model, noise, causes[0], recipe, seed)
     return Truth(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from calib.campaign.settings import OdometryModel
@@ -16,14 +14,6 @@ from calib.types import FloatArray
 
 _EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
-
-
-@dataclass(frozen=True, slots=True)
-class Rival:
-    """Another effect, and how far it stays from what the cause does."""
-
-    effect: str  #: its id
-    distance: float  #: norm of what it cannot imitate, in standard deviations of the noise, a recalibration being free
 
 
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:
@@ -58,8 +48,12 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
     return variants
 
 
-def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> tuple[Rival, ...]:
-    """Return the other effects that the design can show, by the best of their forms, nearest first."""
+def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> list[tuple[str, float]]:
+    """Return the other effects that the design can show, nearest first, each with its distance from the cause.
+
+    The distance, by the best of its forms, is the norm of what it cannot imitate in standard deviations of the noise, a
+    recalibration being free.
+    """
     others = [other for other in _variants(design, model.slope_left_m_per_N) if other.effect != cause.effect]
     strong = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
     truth = strong.change[0]
@@ -71,8 +65,7 @@ def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> 
         free = columns if base is None else np.concatenate((base, columns), axis=-1)
         distance = strength(truth, strong.cov, free)
         nearest[effect] = min(nearest.get(effect, np.inf), distance)
-    ordered = sorted(nearest.items(), key=lambda item: item[1])
-    return tuple(Rival(effect, round(distance, 3)) for effect, distance in ordered)
+    return [(effect, round(nearest[effect], 3)) for effect in sorted(nearest, key=nearest.__getitem__)]
 
 
 def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int]]:

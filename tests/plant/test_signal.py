@@ -143,9 +143,10 @@ def test_rivals_know_the_exact_alias() -> None:
     model = random_model(design, rng)
     made, noise, _ = to_signal(design, model, NORMAL, [Cause("beam_misalignment", 0.05)], [15.0])
     found = rivals(design, model, noise, made[0])
-    assert found[0].effect == "rangefinder_scale"
-    assert found[0].distance < 0.05
-    assert found[1].distance > 1.0
+    (nearest, distance), (_, next_distance) = found[:2]
+    assert nearest == "rangefinder_scale"
+    assert distance < 0.05
+    assert next_distance > 1.0
 
 
 def test_the_levers_of_the_recalibration_are_its_derivatives() -> None:

@@ -266,25 +266,15 @@ class Replay:
         if level:
             mean = 0.5 * (world.left.mean() + world.right.mean())
             world.left, world.right = world.left / mean, world.right / mean
-        return _instruments(self, world, _driven(self, world))
+        return _instruments(self, world, *_driven(self, world))
 
     def change(self, act: Act, *, level: bool = False) -> FloatArray:
         """Return what a cause does to the readings, shape (n_units, 6)."""
         return self.readings(act, level=level) - self.readings(None)
 
 
-@dataclass(slots=True)
-class _Ends:
-    """Where every unit ends: its pose, its signed path, and how fast it goes and turns there."""
-
-    pose: FloatArray  # (3, n_units)
-    path_m: FloatArray
-    v_mps: FloatArray
-    omega_radps: FloatArray
-
-
-def _driven(replay: Replay, world: World) -> _Ends:
-    """Drive the logged counts through a world."""
+def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
+    """Drive the logged counts through a world; return every unit at its end, and its signed path in m."""
     route, n_units = replay.route, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
@@ -317,9 +307,8 @@ def _driven(replay: Replay, world: World) -> _Ends:
         now.theta_rad = now.theta_rad + turn
         path += way
     units = np.arange(n_units)
-    speed = route.speed_mps[route.last, units]
-    pose = np.stack([now.x_m, now.y_m, now.theta_rad])
-    return _Ends(pose, path, speed, speed * route.curvature_per_m[route.last, units])
+    now.v_mps, now.curvature_per_m = (part[route.last, units] for part in (route.speed_mps, route.curvature_per_m))
+    return now, path
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -335,15 +324,15 @@ def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple
     return ahead, way * (np.sin(true) - ahead * np.sin(read)) / wheelbase_m
 
 
-def _instruments(replay: Replay, world: World, ends: _Ends) -> FloatArray:
+def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) -> FloatArray:
     """Return what rangefinder, pose reference and front wheel make of where the units are, shape (n_units, 6)."""
-    x, y, theta = ends.pose
+    x, y, theta = end.x_m, end.y_m, end.theta_rad
     axis = replay.observations.axis
-    line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(ends.path_m)))
+    line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(path_m)))
     distance = world.laser_scale * line + world.laser_offset_m
-    theta_late = theta - world.latency_s * ends.omega_radps
-    x_late = x - world.latency_s * ends.v_mps * np.cos(theta)
-    y_late = y - world.latency_s * ends.v_mps * np.sin(theta)
+    theta_late = theta - world.latency_s * (end.v_mps * end.curvature_per_m)
+    x_late = x - world.latency_s * end.v_mps * np.cos(theta)
+    y_late = y - world.latency_s * end.v_mps * np.sin(theta)
     if replay.observations.windowed:
         # a window begins in motion: its start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
@@ -355,5 +344,5 @@ def _instruments(replay: Replay, world: World, ends: _Ends) -> FloatArray:
     seen_y = y_late + sin * lever_x + cos * lever_y - lever_y
     cos, sin = np.cos(world.ref_yaw_rad), np.sin(world.ref_yaw_rad)
     return np.stack(
-        [distance, cos * seen_x - sin * seen_y, sin * seen_x + cos * seen_y, theta_late, ends.path_m, theta], axis=1
+        [distance, cos * seen_x - sin * seen_y, sin * seen_x + cos * seen_y, theta_late, path_m, theta], axis=1
     )

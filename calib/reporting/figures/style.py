@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_files
+from calib.radius.sessions import groups_of
 from calib.types import BoolArray, FloatArray, IntArray, Progress, StrArray, silent, stepped
 
 P = ParamSpec("P")
@@ -144,10 +145,8 @@ class Groups:
     @staticmethod
     def of(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Groups:
         """Return the groups of labels (n,); an empty label is called `none`."""
-        found, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-        order = np.argsort(first)
-        names = [_short(str(found[number]), none, limit) for number in order]
-        return Groups(names, np.argsort(order)[inverse])
+        groups = groups_of(labels)
+        return Groups([_short(str(name), none, limit) for name in groups.names], groups.index)
 
     def draw(self, axis: Axes, x: FloatArray, y: FloatArray, **style: Any) -> None:
         """Draw runs as dots in the colours of their groups; beyond `MANY` as pixels inside a vector figure."""
