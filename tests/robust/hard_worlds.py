@@ -1,4 +1,4 @@
-"""Worlds that hinder a command itself: little memory, small files, no rights, no home, clocks, signals, two writers.
+"""Worlds that hinder a command itself: memory, files, rights, disks, no home, clocks, signals, kills, two writers.
 
 Each has its own effect shown, so that a world that hinders nothing is a fault of the world.
 """
@@ -9,8 +9,10 @@ import itertools
 import os
 import resource
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from calib.fleet.store import SUMS
@@ -102,6 +104,45 @@ def signals(command: str, usual: int) -> Iterator[str]:
     yield from told(f"{command}, after signals", ended(forced(command)), {usual})
 
 
+def killed(command: str, usual: int) -> Iterator[str]:
+    """SIGKILL early, in the middle and late: the next call ends as usual, and nothing unfinished stays."""
+    whole = ended(forced(command)).seconds
+    for share in MOMENTS:
+        end = ended(forced(command), signalled=(signal.SIGKILL, share * whole))
+        yield from told(f"{command}, killed at {share:g}", end, {usual, -9})
+    yield from told(f"{command}, after kills", ended(forced(command)), {usual})
+    yield from _unfinished(command)
+
+
+def full_disk(command: str, usual: int) -> Iterator[str]:
+    """The disk of the outputs has room for a page: what it would be, or one line and 2, nothing unfinished."""
+    with _disk("size=4k"):
+        yield from told(command, ended(forced(command)), {usual, 2})
+        yield from _unfinished(command)
+
+
+def read_only_disk(command: str, usual: int) -> Iterator[str]:
+    """The disk of the outputs is mounted read-only: what it would be, or one line and 2."""
+    with _disk("ro"):
+        yield from told(command, ended(forced(command)), {usual, 2})
+
+
+@contextmanager
+def _disk(options: str) -> Iterator[None]:
+    """Mount a disk in memory over the folder of the outputs; needs the right to mount."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", options, "none", "out"], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "out"], check=True)
+
+
+def _unfinished(command: str) -> Iterator[str]:
+    left = [str(path) for path in Path("out").rglob(".calib-*")]
+    if left:
+        yield f"{command}: {left[:3]} were left"
+
+
 def two_writers(command: str, usual: int) -> Iterator[str]:
     """The same command twice at once, with leave to replace: both end as usual, and what stands is whole."""
     if "--force" not in (words := forced(command)):
@@ -135,7 +176,10 @@ HARD_WORLDS: dict[str, Callable[[str, int], Iterator[str]]] = {
     "bare": bare_environment,
     "clock": clock_goes_back,
     "signals": signals,
+    "killed": killed,
+    "full-disk": full_disk,
+    "read-only-disk": read_only_disk,
     "two-writers": two_writers,
 }
 #: worlds in which at least one command must have been hindered: otherwise the world itself does not work
-HINDERING = {"memory", "small-files", "no-rights", "signals"}
+HINDERING = {"memory", "small-files", "no-rights", "signals", "killed", "full-disk", "read-only-disk"}

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from calib.cli.commands import COMMANDS
-from tests.robust.attacks import PARTS, Attack, fault_of, made
+from tests.robust.attack import Attack, fault_of, made
+from tests.robust.attacks import PARTS, chosen
 
 ROOT = Path(__file__).resolve().parents[2]
 #: processor seconds of a command here; none takes a tenth of it
@@ -34,8 +35,14 @@ def test_as_many_are_tried_as_is_said() -> None:
     assert all(any(line.startswith(f"{command} ") for line in words) for command in COMMANDS if command != "init")
 
 
+def test_parts_hold_each_attack_once() -> None:
+    whole = [attack.name for attack in chosen("settings")]
+    assert sorted(name for n in (1, 2, 3) for name in (a.name for a in chosen("settings", f"{n}/3"))) == sorted(whole)
+    assert {a.words[0] for a in chosen("choices", only="fit *")} == {"fit"}
+
+
 # fleets end in a PDF, whose compiler's threads do not survive the fork of a process that has used it
-@pytest.mark.parametrize("part", ["settings", "tables", "logs", "formats", "documents"])
+@pytest.mark.parametrize("part", ["settings", "tables", "logs", "formats", "documents", "simulators"])
 def test_an_attack_of_each_part_is_answered(part: str, base: Path) -> None:
     attacks = list(PARTS[part]())
     assert fault_of(attacks[len(attacks) // 2], base, SECONDS) == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,20 @@ def test_a_world_that_hinders_nothing_is_a_fault(tmp_path: Path, monkeypatch: py
     assert "no command was hindered" in fault
     monkeypatch.setitem(every.SOUND, "init", "init out/new")
     assert list(every.faults_of("small-files", ["init"])) == []
+
+
+@pytest.mark.parametrize("world", ["killed", "full-disk", "read-only-disk"])
+def test_kills_and_disks_hinder_a_command_that_writes(
+    world: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk can be mounted by few users: elsewhere the script alone tries it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(every.SOUND, "loads", "loads --payload 20 --json out/loads.json")
+    if "disk" in world and subprocess.run(["mount", "-t", "tmpfs", "none", str(tmp_path)], check=False).returncode:
+        pytest.skip("no right to mount a disk")
+    if "disk" in world:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+    faults = list(every.faults_of(world, ["loads"]))
+    # a quick command may be through before it is killed, and its file fit on a small disk
+    assert [fault for fault in faults if "no command was hindered" not in fault] == []
+    assert not faults or world != "read-only-disk"
