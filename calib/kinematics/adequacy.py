@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.kinematics.blunders import Fault
-from calib.kinematics.delays import steering_play_rad
 from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model
 from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
+from calib.kinematics.steering_zeros import STEERING_ZERO, with_own_zeros
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -78,6 +78,13 @@ class Residuals:
     travelled: float
     #: by the stated noise of the reference and the usual drift
     usual_noise: float = math.inf
+    #: what differences between recordings that are part of the fit, such as their steering zeros, add to the noise
+    between: float = 0.0
+
+    @property
+    def expected(self) -> float:
+        """What a further recording leaves: noise, and differences between recordings."""
+        return math.hypot(self.noise, self.between)
 
 
 def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:
@@ -87,18 +94,20 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     """
     found = residuals
     before, after, held_out, noise = (
-        f"{1e3 * value:.3g} {unit}" for value in (found.before, found.after, found.held_out, found.noise)
+        f"{1e3 * value:.3g} {unit}" for value in (found.before, found.after, found.held_out, found.expected)
     )
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
-        reason = f"{what}: replicates scatter by {noise}, {100 * found.noise / travelled:.2g} % of the {of}"
+        share = f"{100 * found.noise / travelled:.2g} % of the {of}"
+        reason = f"{what}: replicates scatter by {1e3 * found.noise:.3g} {unit}, {share}"
         return WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
     useless = found.held_out > USELESS_SHARE * found.before
     if min(found.noise, found.before) > unusual and useless:
-        reason = f"{what}: nothing of {before} is explained, and stretches of the same wheel motion scatter by {noise}"
+        scatter = f"stretches of the same wheel motion scatter by {1e3 * found.noise:.3g} {unit}"
+        reason = f"{what}: nothing of {before} is explained, and {scatter}"
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
-    small = max(LACK_OF_FIT * found.noise, SMALL_SHARE * found.travelled)
+    small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
     worst = max(found.after, found.held_out)
     if worst <= small:
         return CALIBRATED, ()
@@ -108,7 +117,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     where = f"{after} on the runs used, {held_out} on held-out runs, noise {noise}"
     if worst > WRONG_SHARE * travelled:
         return WRONG, (f"{what}: the residual is {100 * worst / travelled:.2g} % of the {of} ({where})",)
-    return DOUBTFUL, (f"{what}: the residual is {worst / max(found.noise, 1e-12):.2g} times the noise ({where})",)
+    return DOUBTFUL, (f"{what}: the residual is {worst / max(found.expected, 1e-12):.2g} times the noise ({where})",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +166,9 @@ def judged(
     used = _used(whole, outliers)
     seen = whole.segments.seen
     after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
-    before = np.where(seen, whole.predict(fitted.parameters.nominal).residuals, 0.0)
+    logged = replace(whole, recording=fitted.logged)
+    before = np.where(seen, logged.predict(fitted.parameters.nominal).residuals, 0.0)
+    by_zero = _by_zero(fitted, logged)
     held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
     way_m, rotation_rad = travelled(whole, fitted.solution.values)
     replicates = _replicates(whole, way_m)
@@ -169,7 +180,8 @@ def judged(
         sizes = [_rms(part[at, columns]) for part in (before, after, held_out)]
         total = _rms(travelled[at, None])
         noise = usual if scatter is None else scatter
-        return Residuals(sizes[0], sizes[1], sizes[2], noise, travelled=total, usual_noise=usual)
+        between = _rms(by_zero[at, columns])
+        return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, between)
 
     reference = campaign.reference
     turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
@@ -193,15 +205,14 @@ def judged(
         *_sideways(position, heading),
         *_copied(position),
         *_lengths_alone(fitted),
+        *_zeros_apart(fitted, heading),
     )
-    if {level, level_of_heading} != {CALIBRATED}:
-        more = (*more, *_steering_play(fitted))
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     # 0 where nothing was measured
     figures = (
         value if part.before or part.after else 0.0
         for part in (position, heading)
-        for value in (part.before, part.after, part.noise, part.held_out)
+        for value in (part.before, part.after, part.expected, part.held_out)
     )
     return Judgement(
         max(verdicts, key=list(GeometryVerdict).index),
@@ -277,13 +288,17 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
     fold = {unit: number % FOLDS for number, unit in enumerate(np.unique(units))}
     of_fit, of_whole = (np.array([fold.get(unit, 0) for unit in part]) for part in (units, ours))
     residuals = after.copy()
+    logged = replace(whole, recording=fitted.logged)
     for number in range(FOLDS):
         rest: Segments = model.segments.select(of_fit != number)
         away = of_whole == number
         if not len(rest) or not away.any():
             continue
-        fit = solve(Model(model.drive, model.recording, rest), fitted.parameters, solution.values, solution.scales)
-        residuals[away] = whole.predict(fit.values).residuals[away]
+        seen = Model(model.drive, fitted.logged, rest)
+        fit = solve(seen, fitted.parameters, solution.values, solution.scales)
+        if fitted.own_zeros is not None:
+            fit = with_own_zeros(replace(fitted, model=seen, solution=fit, own_zeros=None)).solution
+        residuals[away] = logged.predict(fit.values).residuals[away]
     return residuals
 
 
@@ -317,15 +332,25 @@ def _sideways(position: Residuals, heading: Residuals) -> list[str]:
     ]
 
 
-def _steering_play(fitted: Fitted) -> list[str]:
-    """Return a sentence where the recordings disagree on the zero of the steering angle."""
-    play_rad = steering_play_rad(fitted.model, fitted.solution, fitted.parameters)
-    if not play_rad:
+def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
+    """Return what a standard deviation of the recordings' steering zeros does to each segment, shape (n, 3)."""
+    if fitted.own_zeros is None:
+        return np.zeros((len(logged.segments), 3))
+    values = fitted.solution.values.copy()
+    common = logged.predict(values).residuals
+    values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.own_zeros.spread_rad
+    return np.asarray(logged.predict(values).residuals - common)
+
+
+def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
+    """Return a sentence where the recordings' steering zeros differ by more than small headings."""
+    if fitted.own_zeros is None or heading.between <= SMALL_SHARE * heading.travelled:
         return []
+    spread = f"{1e3 * fitted.own_zeros.spread_rad:.2g} mrad"
     return [
-        f"steering_zero_rad differs between recordings by {1e3 * play_rad:.2g} mrad (standard deviation), beyond "
-        "chance: the steering has play, or does not follow its command; log the angle of the wheels, or predict a "
-        "further recording no better than that"
+        f"{STEERING_ZERO} differs between recordings by {spread} (standard deviation), beyond chance: the steering has "
+        f"play, or does not follow its command; a further recording ends off by {heading.between:.2g} rad; log "
+        "the angle of the wheels, or calibrate the zero before each drive"
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -73,7 +74,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
     faults = (*faults, *factor_faults(nominal_of, value_of))
     whole = _whole(model)
-    before, after = whole.predict(nominal), whole.predict(values)
+    before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
     squares = (
         umbmark(before, after, whole.segments, campaign.model.track_m)

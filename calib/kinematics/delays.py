@@ -40,7 +40,7 @@ def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> F
 
     `model`: with windows; `solution`: of the joint fit; `parameters`: the delay is the last of them.
     """
-    group = _groups(model.recording)
+    group = recording_groups(model.recording)
     n_groups = int(group.max()) + 1
     nothing = model.recording.delay_added_s
     if not parameters.free[-1] or n_groups < 2:
@@ -88,7 +88,7 @@ def shifts_of(
     `model`: with windows; `name`: of the parameter. Returns the group of each run (n_runs,), and the shift of each
     group with its standard deviation (n_groups,); None where the parameter is not free or blocks are too few.
     """
-    group = _groups(model.recording)
+    group = recording_groups(model.recording)
     n_groups = int(group.max()) + 1
     if name not in parameters.free_names or n_groups < 2:
         return None
@@ -107,7 +107,7 @@ def shifts_of(
     return group, shift, np.sqrt(np.bincount(of_block, np.square(about), minlength=n_groups)) / size
 
 
-def steering_play_rad(model: Model, solution: Solution, parameters: Parameters) -> float:
+def steering_zero_spread_rad(model: Model, solution: Solution, parameters: Parameters) -> float:
     """Return the standard deviation of the steering angle's zero between recordings; 0 where they agree."""
     shifts = shifts_of(model, solution, parameters, "steering_zero_rad")
     if shifts is None or not _disagree(shifts[1], shifts[2]):
@@ -116,7 +116,8 @@ def steering_play_rad(model: Model, solution: Solution, parameters: Parameters) 
     return float(np.sqrt(max(float(np.var(shift, ddof=1)) - float(np.mean(np.square(std))), 0.0)))
 
 
-def _groups(recording: Recording) -> IntArray:
+def recording_groups(recording: Recording) -> IntArray:
+    """Return the number of each run's recording, shape (n_runs,): its session where there are several, else itself."""
     labels = recording.session if len(np.unique(recording.session)) > 1 else recording.run_id
     return np.asarray(np.unique(labels, return_inverse=True)[1])
 

@@ -14,12 +14,14 @@ from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.delays import Delay, own_delays, sought_delays
+from calib.kinematics.departures import find_departure
 from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.segments import Segments, end_pose_segments, window_segments
+from calib.kinematics.steering_zeros import with_own_zeros
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, Progress, silent, stepped
 
@@ -84,17 +86,18 @@ def estimate_geometry(
     way = using or _way(recording)
     task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
     try:
-        geometry = _estimated(task, recording)
+        fit = _fitted(task, recording)
     except RefusedError:
         corrected = _without_blunder(task, recording)
         if corrected is None:
             raise
-        return corrected
-    if geometry.misfit:
-        geometry = _without_blunder(task, recording) or geometry
+        return corrected.geometry
+    if fit.geometry.misfit:
+        fit = _without_blunder(task, recording) or fit
     free = sensor is None and using is None and not task.sensor
-    if free and not (geometry.passed or geometry.faults):
-        geometry = _with_sensor(task, recording, geometry.residual_rms[2]) or geometry
+    if free and not (fit.geometry.passed or fit.geometry.faults):
+        fit = _with_sensor(task, recording, fit) or fit
+    geometry = fit.geometry if fit.geometry.faults else _without_departure(fit)
     if leave_out is not None:
         geometry = replace(geometry, transfer=_transfer(campaign, geometry, task.sensor, leave_out, progress))
     return geometry
@@ -111,8 +114,17 @@ class _Task:
     progress: Progress
 
 
-def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> Geometry:
-    """Return the geometry of a recording; `found`: blunders that it was corrected for."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A geometry, and the fit and settings that it comes from."""
+
+    task: _Task
+    fitted: Fitted
+    geometry: Geometry
+
+
+def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
+    """Return the fit of a recording; `found`: blunders that it was corrected for."""
     campaign, source, way = task.campaign, task.source, task.way
     recording, off = _with_whole_turns(campaign, source, recording)
     if off and way == "end_poses":
@@ -138,11 +150,23 @@ def _estimated(task: _Task, recording: Recording, found: tuple[Fault, ...] = ())
             break
         chosen = other
     chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
-    return replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
+    chosen = with_own_zeros(chosen) if way == "windows" else chosen
+    geometry = replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
+    return _Fit(task, chosen, geometry)
 
 
-def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
-    """Return the geometry of the recording with its blunder corrected; None where no blunder explains it."""
+def _without_departure(fit: _Fit) -> Geometry:
+    """Return the geometry of the recording with a departure corrected, where nothing else is then left unexplained."""
+    found = find_departure(fit.fitted)
+    if found is None:
+        return fit.geometry
+    recording, fault = found
+    corrected = _fitted(fit.task, recording, (fault,)).geometry
+    return fit.geometry if corrected.misfit else corrected
+
+
+def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
+    """Return the fit of the recording with its blunder corrected; None where no blunder explains it."""
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
@@ -153,24 +177,24 @@ def _without_blunder(task: _Task, recording: Recording) -> Geometry | None:
         return None
     campaign, corrected, blunder = found
     try:
-        return _estimated(replace(task, campaign=campaign), corrected, (blunder,))
+        return _fitted(replace(task, campaign=campaign), corrected, (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
 
 
-def _with_sensor(task: _Task, recording: Recording, end_heading_rms_rad: float) -> Geometry | None:
-    """Return the geometry with the place of the reference's sensor estimated too; None where that explains no more.
+def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
+    """Return the fit with the place of the reference's sensor estimated too; None where that explains no more.
 
-    Along the way, where the reference follows the vehicle: so it is taken in any case where end headings are far off,
+    Along the path, where the reference follows the vehicle. It is taken in any case where end headings are far off,
     since end poses of paths that bend otherwise say little.
     """
     way: Using = "windows" if recording.continuous else task.way
     try:
-        geometry = _estimated(replace(task, sensor=True, way=way), recording)
+        other = _fitted(replace(task, sensor=True, way=way), recording)
     except RefusedError:
         return None
-    bent = way != task.way and end_heading_rms_rad > BENT_RAD
-    return geometry if geometry.passed or bent else None
+    bent = way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
+    return other if other.geometry.passed or bent else None
 
 
 def _bends(fitted: Fitted) -> bool:

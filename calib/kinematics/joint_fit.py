@@ -25,7 +25,7 @@ from calib.kinematics.model import Model, rear_shaft
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
 from calib.kinematics.solve import Solution, solve
-from calib.kinematics.uncertainty import Clustering, clustered
+from calib.kinematics.uncertainty import Clustering, clustered, whitened
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -80,9 +80,8 @@ def loosest(std: FloatArray, parameters: Parameters) -> str | None:
 
 def _directions(solution: Solution, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
     """Return singular values of the whitened Jacobian in units of the prior spread, and its directions as rows."""
-    free, prior = parameters.free, parameters.prior_std
-    root = np.sqrt(solution.weights)[:, None, None]
-    jacobian = (solution.whitener @ solution.prediction.jacobian[:, :, free]) * root * prior[free]
+    free = parameters.free
+    jacobian = whitened(solution, free)[0] * parameters.prior_std[free]
     _, singular, directions = np.linalg.svd(jacobian.reshape(-1, int(free.sum())), full_matrices=False)
     return singular, directions
 
@@ -94,6 +93,16 @@ LOADS_VARY: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OwnZeros:
+    """Steering zeros of single recordings, which the angles of the fit's recording are corrected for."""
+
+    #: with the angles as they were logged
+    logged: Recording
+    #: standard deviation of the zeros about the common one
+    spread_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
     """A fit: model, parameters, solution and covariance."""
 
@@ -102,6 +111,13 @@ class Fitted:
     solution: Solution
     clustering: Clustering
     dropped: tuple[str, ...]
+    #: where each recording has a steering zero of its own
+    own_zeros: OwnZeros | None = None
+
+    @property
+    def logged(self) -> Recording:
+        """The recording with the steering angles as they were logged."""
+        return self.own_zeros.logged if self.own_zeros else self.model.recording
 
     @property
     def spread(self) -> float:

@@ -122,6 +122,18 @@ LONGEST: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """A random effect that segments of one group have in common, of unit variance."""
+
+    #: group of each segment, shape (n,)
+    group: IntArray
+    #: what a unit of it adds to whitened and weighted residuals, shape (n, 3)
+    change: FloatArray
+    #: what it is taken to be in each group, shape (n_groups,)
+    amount: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """Result of the search."""
 
@@ -139,10 +151,17 @@ class Solution:
     squares: FloatArray
     #: whether the last step was small
     converged: bool
+    #: a random effect beside the noise; the prediction contains it
+    shared: Shared | None = None
 
 
 def solve(
-    model: Model, parameters: Parameters, start: FloatArray, scales: FloatArray, rounds: int = ROUNDS
+    model: Model,
+    parameters: Parameters,
+    start: FloatArray,
+    scales: FloatArray,
+    rounds: int = ROUNDS,
+    noise_rounds: int = NOISE_ROUNDS,
 ) -> Solution:
     """Return the parameters that the data make most likely.
 
@@ -158,6 +177,8 @@ def solve(
         Variances of the noise's components to begin with.
     rounds : int
         Linearisations at most.
+    noise_rounds : int
+        Linearisations in which the noise is estimated too.
 
     Returns
     -------
@@ -170,17 +191,16 @@ def solve(
     size = seen.sum(axis=1)
     prediction, converged = model.predict(values), False
     for number in range(rounds):
-        if number < NOISE_ROUNDS:
-            kernel = _kernel(model, prediction, values)
         problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)
-        if number < NOISE_ROUNDS:
+        if number < noise_rounds:
+            kernel = _kernel(model, prediction, values)
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
             scales = _noise(problem.part(some), kernel[:, some], scales, least)
             whitener = _inverse(kernel, scales, seen)[1]
         spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
         step[free] = spreads * prior[free]
-        if number >= NOISE_ROUNDS - 1 and sigmas < CLOSE:
+        if number >= noise_rounds - 1 and sigmas < CLOSE:
             converged = True
             break
         values, prediction, moved = _advance(model, (values, prediction), step, prior, _judge(whitener, size))

@@ -12,7 +12,7 @@ import numpy as np
 from calib.kinematics.drives import Parameters
 from calib.kinematics.recording import Recording
 from calib.kinematics.segments import Segments
-from calib.kinematics.solve import DEGREES, Solution
+from calib.kinematics.solve import DEGREES, Shared, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: a length that turns determine relative to a radius -> these radii, of which the mean counts
@@ -166,10 +166,29 @@ class Uncertainty:
 
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted."""
+    """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted.
+
+    With a random effect, it is part of the covariance, and the residuals are those of a prediction without it.
+    """
     root = np.sqrt(solution.weights)[:, None]
-    jacobian = (solution.whitener @ solution.prediction.jacobian[:, :, free]) * root[:, :, None]
-    return jacobian, np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals) * root
+    jacobian = np.asarray((solution.whitener @ solution.prediction.jacobian[:, :, free]) * root[:, :, None])
+    residuals = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals) * root
+    shared = solution.shared
+    if shared is None:
+        return jacobian, residuals
+    residuals = residuals + shared.change * shared.amount[shared.group][:, None]
+    return _decorrelated(jacobian, shared), _decorrelated(residuals[:, :, None], shared)[:, :, 0]
+
+
+def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
+    """Return whitened columns, (n, 3, k), times the inverse root of their covariance with a random effect."""
+    n_groups = len(shared.amount)
+    size = np.bincount(shared.group, np.square(shared.change).sum(axis=1), minlength=n_groups)
+    factor = (1.0 / np.sqrt(1.0 + size) - 1.0) / np.maximum(size, 1e-300)
+    along = np.einsum("ni,nik->nk", shared.change, columns)
+    sums = np.zeros((n_groups, columns.shape[2]))
+    np.add.at(sums, shared.group, along)
+    return np.asarray(columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :])
 
 
 def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:

@@ -214,6 +214,17 @@ def _marker_turned(recording: Recording) -> None:
         run.end = run.end + np.array([0.0, 0.0, 0.7])
 
 
+def _with_play(play_rad: float) -> Change:
+    """Return steering whose wheel follows its sensor with a play: the sensor is ahead of it by half of that."""
+
+    def ahead(angle: Array) -> Array:
+        change = np.diff(angle, prepend=0.0)
+        last = np.maximum.accumulate(np.where(change != 0.0, np.arange(len(angle)), 0))
+        return angle + 0.5 * play_rad * np.sign(change[last])
+
+    return each_column(("steer_rad",), ahead)
+
+
 _METRES_PER_COUNT: Final = 2 * np.pi * NOMINAL_RADIUS_M / COUNTS_PER_REV
 _RADIANS_PER_COUNT: Final = 2 * np.pi / COUNTS_PER_REV
 
@@ -305,4 +316,6 @@ TRICYCLE: Final[dict[str, Change]] = {
     "steering of the motor's shaft": each_column(("steer_rad",), lambda a: 12.0 * a),
     "steering 0.3 rad off its zero": each_column(("steer_rad",), lambda a: a + 0.3),
     "steering as its tangent": each_column(("steer_rad",), np.tan),
+    "steering with a play of 0.02 rad": _with_play(0.02),
+    "steering with a play of 0.06 rad": _with_play(0.06),
 }

@@ -1,4 +1,4 @@
-"""A differential drive and a tricycle in numpy, written as campaign folders: shares no code with calib."""
+"""A differential drive, a tricycle, a car and a mecanum in numpy, written as campaign folders: no code of calib."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ RADIUS_LEFT_M: Final = 0.0502
 RADIUS_RIGHT_M: Final = 0.0501
 TRACK_M: Final = 0.303
 WHEELBASE_M: Final = 0.40
+#: half the length plus half the width of the mecanum, as stated and as it is
+NOMINAL_ARM_M, ARM_M = 0.36, 0.3636
 #: noise of the reference, and of each wheel's radius from run to run (relative)
 SIGMA_XY_M: Final = 0.002
 SIGMA_THETA_RAD: Final = 0.001
@@ -64,7 +66,11 @@ ROUTES: Final[dict[str, tuple[tuple[float, float, float], ...]]] = {
     "circle_ccw": ((1.0, 1.0, 16.0),),
     "circle_cw": ((1.0, -1.0, 16.0),),
     "eight": ((1.0, 0.8, 20.0), (1.0, -0.8, 20.0)),
+    # each curvature is reached from either side
+    "winding": tuple((1.0, curvature, 4.0) for curvature in (0.3, 0.9, 0.3, -0.3, -0.9, -0.3)),
 }
+#: routes of a vehicle that turns on the spot
+FREE: Final = ("line", "square_ccw", "square_cw", "circle_ccw", "circle_cw", "eight")
 
 
 def _velocities(kind: str) -> tuple[Array, Array]:
@@ -95,7 +101,7 @@ def _measured(path: Array, rng: np.random.Generator) -> Array:
     return path + noise
 
 
-def differential(rng: np.random.Generator, repeats: int = 3, kinds: tuple[str, ...] = tuple(ROUTES)) -> Recording:
+def differential(rng: np.random.Generator, repeats: int = 3, kinds: tuple[str, ...] = FREE) -> Recording:
     """Return runs of a differential drive: counts of both wheels and the reference along the path."""
     runs = []
     for repeat in range(repeats):
@@ -104,33 +110,68 @@ def differential(rng: np.random.Generator, repeats: int = 3, kinds: tuple[str, .
             scatter = 1.0 + rng.normal(0.0, SIGMA_RADIUS, 2)
             left = (v - 0.5 * TRACK_M * w) / (RADIUS_LEFT_M * scatter[0])
             right = (v + 0.5 * TRACK_M * w) / (RADIUS_RIGHT_M * scatter[1])
-            turns = [np.concatenate([[0.0], np.cumsum(rate)]) / RATE_HZ / (2 * np.pi) for rate in (left, right)]
             ref = _measured(_path(v, w), rng)
             log = {"t_s": np.arange(len(ref)) / RATE_HZ}
-            log["counts_left"], log["counts_right"] = (np.round(turn * COUNTS_PER_REV) for turn in turns)
+            log["counts_left"], log["counts_right"] = _counted(left), _counted(right)
             log |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), ref.T, strict=True))
             runs.append(Run(f"{kind}_{repeat}", kind, log, ref[-1]))
     return Recording(runs, "differential", _settings("differential"))
 
 
+#: routes of a vehicle that cannot turn on the spot
+DRIVEN: Final = ("line", "circle_ccw", "circle_cw", "eight", "winding")
+
+
 def tricycle(rng: np.random.Generator, repeats: int = 3) -> Recording:
     """Return runs of a tricycle whose odometry has the front wheel's counts and its steering angle."""
+    return _steered(rng, repeats, "tricycle", "counts_front")
+
+
+def ackermann(rng: np.random.Generator, repeats: int = 3) -> Recording:
+    """Return runs of a car whose odometry has the drive shaft's counts and the steering angle."""
+    return _steered(rng, repeats, "ackermann", "counts_rear")
+
+
+def _steered(rng: np.random.Generator, repeats: int, drive: str, column: str) -> Recording:
     runs = []
     for repeat in range(repeats):
-        for kind in ("line", "circle_ccw", "circle_cw", "eight"):
+        for kind in DRIVEN:
             v, w = _velocities(kind)
             steer = np.arctan2(WHEELBASE_M * w, np.maximum(v, 1e-9)) * (v > 1e-6)
-            front = np.hypot(v, WHEELBASE_M * w) / (RADIUS_LEFT_M * (1.0 + rng.normal(0.0, SIGMA_RADIUS)))
-            turn = np.concatenate([[0.0], np.cumsum(front)]) / RATE_HZ / (2 * np.pi)
+            rolled = np.hypot(v, WHEELBASE_M * w) if column == "counts_front" else v
+            rate = rolled / (RADIUS_LEFT_M * (1.0 + rng.normal(0.0, SIGMA_RADIUS)))
             ref = _measured(_path(v, w), rng)
             log = {
                 "t_s": np.arange(len(ref)) / RATE_HZ,
-                "counts_front": np.round(turn * COUNTS_PER_REV),
+                column: _counted(rate),
                 "steer_rad": np.append(steer, steer[-1]),
             }
             log |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), ref.T, strict=True))
             runs.append(Run(f"{kind}_{repeat}", kind, log, ref[-1]))
-    return Recording(runs, "tricycle", _settings("tricycle"))
+    return Recording(runs, drive, _settings(drive))
+
+
+def mecanum(rng: np.random.Generator, repeats: int = 3) -> Recording:
+    """Return runs of four mecanum wheels of one radius, with turns on the spot."""
+    runs = []
+    for repeat in range(repeats):
+        for kind in FREE:
+            v, w = _velocities(kind)
+            radius = RADIUS_LEFT_M * (1.0 + rng.normal(0.0, SIGMA_RADIUS))
+            ref = _measured(_path(v, w), rng)
+            log = {"t_s": np.arange(len(ref)) / RATE_HZ}
+            for side, sign in (("left", -1.0), ("right", 1.0)):
+                for end in ("front", "rear"):
+                    log[f"counts_{end}_{side}"] = _counted((v + sign * ARM_M * w) / radius)
+            log |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), ref.T, strict=True))
+            runs.append(Run(f"{kind}_{repeat}", kind, log, ref[-1]))
+    return Recording(runs, "mecanum", _settings("mecanum"))
+
+
+def _counted(rate_radps: Array) -> Array:
+    """Return the whole counts of an encoder by its rate of turning."""
+    turns = np.concatenate([[0.0], np.cumsum(rate_radps)]) / RATE_HZ / (2 * np.pi)
+    return np.round(turns * COUNTS_PER_REV)
 
 
 def _settings(drive: str) -> dict[str, dict[str, object]]:
@@ -141,8 +182,11 @@ def _settings(drive: str) -> dict[str, dict[str, object]]:
         "encoder": {"counts_per_rev": COUNTS_PER_REV, "counts_per_rev_front": COUNTS_PER_REV},
         "reference": {"sigma_xy_m": SIGMA_XY_M, "sigma_theta_rad": SIGMA_THETA_RAD},
     }
-    if drive == "tricycle":
-        settings["odometry"] = {"from": "front"}
+    if drive == "mecanum":
+        vehicle["half_length_plus_half_width_m"] = NOMINAL_ARM_M
+    source = {"tricycle": "front", "ackermann": "shaft"}.get(drive)
+    if source is not None:
+        settings["odometry"] = {"from": source}
     return settings
 
 

@@ -1,7 +1,7 @@
 """Every blunder through ``calib geometry`` and ``calib diagnose``: ``python -m tests.blunders.table``.
 
-A row a blunder and reference (end poses, along the path): exit status of both commands, what they name, and whether it
-went unnoticed: an exit status of 0 beside an interval that misses the truth.
+A row a blunder and reference (end poses, along the path): exit status of both commands, what they name, and what became
+of it. An exit status of 0 beside an interval that misses the truth is silent. ``--controls 20``: sound campaigns.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import io
 import json
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Collection
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +31,9 @@ TRUTH: Final = {
     "radius_right_m": plant.RADIUS_RIGHT_M,
     "track_m": plant.TRACK_M,
     "front_radius_m": plant.RADIUS_LEFT_M,
+    "rear_radius_m": plant.RADIUS_LEFT_M,
+    "wheel_radius_m": plant.RADIUS_LEFT_M,
+    "half_length_plus_half_width_m": plant.ARM_M,
     "wheelbase_m": plant.WHEELBASE_M,
 }
 #: what a diagnosis may name with exit status 0: the calibration of the plant, or the blunder itself
@@ -73,12 +78,13 @@ NAMES: Final = {
     "counters reset halfway": {"count_jump"},
     "counts of the motor's shaft": {"count_gear", "radius_factor"},
     "steering of the motor's shaft": {"steering_gear"},
-    "radius in inches": {"count_gear"},
+    "radius in inches": {"count_gear", "radius_factor"},
+    "y of a camera squeezed by 8 %": {"axis_scale"},
     "positions in degrees of latitude": {"radius_factor"},
     "absolute steering encoder that wraps": {"steering_wraps"},
+    "heading as the quaternion's z": {"heading_quaternion"},
+    **{f"steering with a play of {play} rad": {"steering_play"} for play in ("0.02", "0.06")},
 }
-#: an estimate nearer than this to the truth is no harm (relative)
-HARMLESS: Final = 2e-2
 
 
 @dataclass(frozen=True)
@@ -102,15 +108,29 @@ def ask(*arguments: str) -> Answer:
     return Answer(status, document, err.getvalue().strip())
 
 
-def harmful(document: dict[str, Any]) -> list[str]:
-    """Return the parameters of a geometry whose value is further from the truth than is harmless."""
+def missed(document: dict[str, Any]) -> list[str]:
+    """Return the parameters of a geometry whose stated interval misses the truth."""
     wrong = []
     for name, value in document.get("parameters", {}).items():
-        if name in TRUTH:
-            off = value["value"] / TRUTH[name] - 1.0
-            if abs(off) > HARMLESS:
-                wrong.append(f"{name} {100 * off:+.1f} %")
+        low, high = value["ci95"]
+        if name in TRUTH and not low <= TRUTH[name] <= high:
+            wrong.append(f"{name} {100 * (value['value'] / TRUTH[name] - 1.0):+.2f} %")
     return wrong
+
+
+class Outcome(StrEnum):
+    """What became of a blunder in ``geometry``."""
+
+    #: a result with another exit status than 0 that names the blunder
+    NAMED = "named"
+    #: an error, or a result that is doubtful or wrong, without a name for it
+    REFUSED = "refused"
+    #: exit status 0, and every interval holds the truth: the blunder does not touch what is estimated
+    UNCHANGED = "answer unchanged"
+    #: exit status 0 beside an interval that misses the truth
+    SILENT = "SILENT"
+    #: another blunder is named
+    MISNAMED = "MISNAMED"
 
 
 @dataclass(frozen=True)
@@ -123,19 +143,18 @@ class Row:
     diagnosis: Answer | None
 
     @property
-    def geometry_unnoticed(self) -> bool:
-        """Whether geometry gives wrong parameters with exit status 0."""
-        return self.geometry.status == 0 and bool(harmful(self.geometry.document))
-
-    @property
     def codes(self) -> list[str]:
         """What geometry names."""
         return [fault.get("code", "") for fault in self.geometry.document.get("faults", ())]
 
     @property
-    def misnamed(self) -> bool:
-        """Whether geometry names another blunder than the one that was made."""
-        return not set(self.codes) <= NAMES.get(self.name, set())
+    def outcome(self) -> Outcome:
+        """What became of the blunder in geometry."""
+        if not set(self.codes) <= NAMES.get(self.name, set()):
+            return Outcome.MISNAMED
+        if self.geometry.status == 0:
+            return Outcome.SILENT if missed(self.geometry.document) else Outcome.UNCHANGED
+        return Outcome.NAMED if self.codes else Outcome.REFUSED
 
     @property
     def diagnosis_unnoticed(self) -> bool:
@@ -144,10 +163,9 @@ class Row:
 
     def __str__(self) -> str:
         error = self.geometry.error.splitlines()[0][:90] if self.geometry.error else ""
-        named = ", ".join(self.codes) or self.geometry.document.get("verdict", "") or error
-        mark = "SILENT " + ", ".join(harmful(self.geometry.document)) if self.geometry_unnoticed else ""
-        mark += "MISNAMED" if self.misnamed else ""
-        cells = [self.name, self.reference, str(self.geometry.status), named, mark]
+        said = ", ".join(self.codes) or self.geometry.document.get("verdict", "") or error
+        off = missed(self.geometry.document) if self.geometry.status == 0 else []
+        cells = [self.name, self.reference, str(self.geometry.status), said, " ".join([self.outcome, *off])]
         if self.diagnosis is not None:
             causes = ", ".join(cause["effect"] for cause in self.diagnosis.document.get("causes", ()))
             word = f"{self.diagnosis.document.get('verdict', self.diagnosis.error[:60])} {causes}"
@@ -162,48 +180,86 @@ def _right(document: dict[str, Any]) -> bool:
 
 
 REFERENCES: Final = {"end poses": False, "along": True}
+PLANTS: Final = ((DIFFERENTIAL, plant.differential), (TRICYCLE, plant.tricycle))
+ALL_NAMES: Final = (*DIFFERENTIAL, *TRICYCLE)
+#: drives of the controls: campaigns without any blunder
+SOUND: Final = (plant.differential, plant.tricycle, plant.ackermann, plant.mecanum)
+
+
+def geometry(place: Path, reference: str) -> Answer:
+    """Run ``calib geometry`` on a campaign folder."""
+    return ask("geometry", str(place), *(["--using", "windows"] if REFERENCES[reference] else []))
 
 
 def rows(
     names: Collection[str], *, diagnose: bool, folder: Path, references: Collection[str] = tuple(REFERENCES)
 ) -> list[Row]:
-    """Return the rows of the named blunders; all of them where none is named."""
+    """Return the rows of the named blunders."""
     found = []
-    for changes, make in ((DIFFERENTIAL, plant.differential), (TRICYCLE, plant.tricycle)):
+    for changes, make in PLANTS:
         sound = make(np.random.default_rng(1))
-        for name, change in changes.items():
-            if names and name not in names:
-                continue
+        for name in (name for name in changes if name in names):
             altered = sound.copy()
-            change(altered)
+            changes[name](altered)
             for reference in references:
-                along = REFERENCES[reference]
-                place = plant.write(altered, folder / f"{len(found)}", along=along)
-                diagnosis = ask("diagnose", str(place)) if diagnose and not along else None
-                using = ["--using", "windows"] if along else []
-                found.append(Row(name, reference, ask("geometry", str(place), *using), diagnosis))
+                place = plant.write(altered, folder / f"{len(found)}", along=REFERENCES[reference])
+                diagnosis = ask("diagnose", str(place)) if diagnose and not REFERENCES[reference] else None
+                found.append(Row(name, reference, geometry(place, reference), diagnosis))
                 sys.stdout.write(f"{found[-1]}\n")
                 sys.stdout.flush()
     return found
 
 
+def controls(seeds: Collection[int], folder: Path, references: Collection[str] = tuple(REFERENCES)) -> int:
+    """Print what geometry makes of sound campaigns of each drive, and return how many it does not pass."""
+    refused = 0
+    for make in SOUND:
+        bad, inside, intervals = [], 0, 0
+        for seed in seeds:
+            for reference in references:
+                along = REFERENCES[reference]
+                sound = make(np.random.default_rng(seed))
+                place = plant.write(sound, folder / f"{make.__name__}{seed}{along}", along=along)
+                answer = geometry(place, reference)
+                intervals += len(TRUTH.keys() & answer.document.get("parameters", {}).keys())
+                inside -= len(missed(answer.document))
+                if answer.status != 0:
+                    bad.append(f"seed {seed}, {reference}: {answer.document.get('why', answer.error)}")
+        refused += len(bad)
+        sys.stdout.write(
+            f"{make.__name__}: {len(seeds) * len(references)} sound campaigns, not passed {len(bad)}; "
+            f"intervals that hold the truth {inside + intervals} of {intervals}\n"
+            + "".join(f"  {one}\n" for one in bad)
+        )
+        sys.stdout.flush()
+    return refused
+
+
 def main() -> None:
-    """Print the table; exit status 1 where a blunder goes unnoticed."""
+    """Print the table; exit status 1 where a blunder goes unnoticed or a sound campaign is not passed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*")
+    parser.add_argument("names", nargs="*", help="blunders; all by default")
     parser.add_argument("--no-diagnosis", action="store_true")
-    given = parser.parse_args()
-    sys.stdout.write("| blunder | reference | geometry | it names | | diagnose | it says | |\n" + "|---" * 8 + "|\n")
-    with tempfile.TemporaryDirectory() as folder:
-        table = rows(given.names, diagnose=not given.no_diagnosis, folder=Path(folder))
-    silent = sum(row.geometry_unnoticed for row in table), sum(row.diagnosis_unnoticed for row in table)
-    asked = sum(row.diagnosis is not None for row in table)
-    misnamed, named = sum(row.misnamed for row in table), sum(bool(row.codes) for row in table)
-    sys.stdout.write(
-        f"{len(table)} recordings: geometry silent {silent[0]}, blunder named {named}, misnamed {misnamed}; "
-        f"diagnose silent {silent[1]} of {asked}\n"
+    parser.add_argument("--reference", action="append", choices=list(REFERENCES), help="both by default")
+    parser.add_argument("--part", default="1/1", help="1/3: the first of three parts of the table")
+    parser.add_argument(
+        "--controls", type=int, default=0, metavar="SEEDS", help="sound campaigns of each drive instead"
     )
-    sys.exit(int(any(silent) or misnamed > 0))
+    given = parser.parse_args()
+    references = given.reference or list(REFERENCES)
+    with tempfile.TemporaryDirectory() as folder:
+        if given.controls:
+            sys.exit(int(controls(range(2, 2 + given.controls), Path(folder), references) > 0))
+        part, parts = map(int, given.part.split("/"))
+        names = (given.names or ALL_NAMES)[part - 1 :: parts]
+        sys.stdout.write("| blunder | reference | geometry | it says | outcome | diagnose | it says | |\n")
+        sys.stdout.write("|---" * 8 + "|\n")
+        table = rows(names, diagnose=not given.no_diagnosis, folder=Path(folder), references=references)
+    outcomes = Counter(row.outcome for row in table)
+    silent, asked = sum(row.diagnosis_unnoticed for row in table), sum(row.diagnosis is not None for row in table)
+    counts = ", ".join(f"{outcome} {outcomes[outcome]}" for outcome in Outcome)
+    sys.stdout.write(f"{len(table)} recordings: geometry {counts}; diagnose silent {silent} of {asked}\n")
+    sys.exit(int(silent + outcomes[Outcome.SILENT] + outcomes[Outcome.MISNAMED] > 0))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ import yaml
 from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
-from calib.kinematics.delays import steering_play_rad
+from calib.kinematics.adequacy import GeometryVerdict
+from calib.kinematics.delays import steering_zero_spread_rad
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
@@ -213,9 +214,31 @@ def test_the_play_of_a_steering_is_the_scatter_of_its_zero_between_recordings(tm
     recording = recording_of(read, "shaft")
     drive = drive_of(read, "shaft", recording)
     fitted = fit_parameters(read, drive, recording, window_segments(recording, 60), sensor=True)
-    found = steering_play_rad(fitted.model, fitted.solution, fitted.parameters)
+    found = steering_zero_spread_rad(fitted.model, fitted.solution, fitted.parameters)
     # six recordings know a standard deviation to a third; without play nothing beyond the noise of a recording's zero
     assert found == pytest.approx(play_rad, rel=0.7, abs=2e-3)
+
+
+def test_recordings_with_zeros_of_their_own_make_a_result_doubtful_and_its_intervals_wide(tmp_path: Path) -> None:
+    """The common zero is known as well as the scatter of eight recordings tells it; other parameters stay right."""
+    zeros_rad, truth = np.random.default_rng(6).normal(0.0, 0.03, 8), Truth()
+    each = iter(zeros_rad)
+    folder = spoilt(campaign(tmp_path / "car", truth, runs=8), "steer_rad", lambda angle: angle + next(each))
+    found = estimate_geometry(read_campaign(folder), using="windows")
+    assert found.verdict is GeometryVerdict.DOUBTFUL
+    assert any("differs between recordings" in reason for reason in found.why), found.why
+    zero = found["steering_zero_rad"]
+    low, high = zero.ci95
+    assert low < truth.zero_rad < high
+    # the error of a mean of eight, and up to half more for the scale of the angle, which eight zeros tell less well
+    assert 1.0 < zero.std / (zeros_rad.std(ddof=1) / np.sqrt(8.0)) < 1.5
+    for name in ("rear_radius_m", "wheelbase_m", "sensor_x_m"):
+        if name in found.values and name not in found.held:
+            assert abs(found[name].value - true_values(truth)[name]) < WITHIN * found[name].std, name
+    judgement = found.judgement
+    assert judgement is not None
+    # with its own zero each recording is at the noise; a further one is not
+    assert judgement.adequacy.after_rms_m < 0.2 * judgement.adequacy.held_out_rms_m
 
 
 def test_derivatives_are_those_of_the_motion() -> None:
@@ -322,3 +345,6 @@ def test_a_real_car_under_motion_capture(shared_data: Path) -> None:
     low, high = found["steering_zero_rad"].ci95
     assert low < STEERING_ZERO_RAD < high
     assert not any("sensor" in sentence for sentence in found.why)
+    # the servo's zero is another one in each recording, and the result says so
+    assert found.verdict is GeometryVerdict.DOUBTFUL
+    assert any("steering_zero_rad differs between recordings" in sentence for sentence in found.why)

@@ -1,0 +1,321 @@
+"""Readings of a recording: hypotheses of blunders, each of which changes the recording back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calib.kinematics.blunders import Fault
+from calib.kinematics.drives import SENSOR, Drive, nominal_values
+from calib.kinematics.recording import Recording
+from calib.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+#: axes turned by less are a sensor's mounting, which is estimated
+LEAST_ANGLE_RAD: Final = 0.02
+#: a sine, with noise of the reference
+LARGEST_Z: Final = 1.05
+#: widths of counters in use, bits
+COUNTER_BITS: Final = (8, 10, 12, 13, 14, 16, 24, 32)
+
+#: units of positions, in metres
+LENGTH_UNITS: Final = {
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "feet": 0.3048,
+    "inches": 0.0254,
+    "decimetres": 0.1,
+    "kilometres": 1e3,
+}
+#: units of angles, in radians
+ANGLE_UNITS: Final = {"degrees": np.pi / 180.0, "turns": 2.0 * np.pi, "gon": np.pi / 200.0}
+#: factors that counts per revolution are wrong by
+COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four times": 4.0}
+
+#: factors that a track is stated wrong by: from the middle to a wheel
+TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
+
+#: a step so many times as large as those beside it, and above a revolution, is no motion
+JUMP_FACTOR: Final = 20.0
+#: jumps a run, on average; more are a counter that wraps
+MOST_JUMPS: Final = 2.0
+#: no wheel is steered further
+LARGEST_STEERING_RAD: Final = 2.0
+#: gear ratios tried, near enough to each other for the scale of the steering angle to be found from one of them
+GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
+
+Change = Callable[[Recording], Recording]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A hypothesis: a change of the recording, and the blunder that it corrects."""
+
+    blunder: Fault
+    change: Change
+    #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
+    zeroed: Change | None = None
+    #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
+    refined: Callable[[tuple[float, float]], Reading] | None = None
+    #: a setting that it corrects
+    setting: Callable[[Campaign], Campaign] | None = None
+
+
+def readings(
+    recording: Recording, per_rev: float, drive: Drive, turned_rad: float, *, plausible: bool
+) -> Iterator[Reading]:
+    """Yield readings, the simplest first.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it stands.
+    per_rev : float
+        Counts per revolution that are stated.
+    drive : Drive
+        With its nominal values.
+    turned_rad : float
+        Angle by which the reference's displacements are turned against those of the wheels.
+    plausible : bool
+        Whether lengths are near nominal as it stands.
+    """
+    yield from _axes(turned_rad)
+    yield from _quaternions(recording, drive)
+    yield from _units()
+    yield from _tracks(drive)
+    yield from _wheel_units(per_rev, drive)
+    if not plausible:
+        yield from _geared()
+    yield from _wraps(recording, per_rev)
+    yield from _increments(recording)
+    yield from _jumps(recording)
+    if recording.steps.steer_rad is not None:
+        yield from _steering(recording.steps.steer_rad)
+
+
+def _referred(change: Callable[[FloatArray], FloatArray]) -> Change:
+    """Return a change of every reference pose, given as columns of x, y, theta, shape (3, n)."""
+
+    def changed(recording: Recording) -> Recording:
+        ends = change(recording.end_pose.T).T
+        return replace(recording, reference=change(recording.reference), end_pose=np.asarray(ends))
+
+    return changed
+
+
+def _linear(matrix: Sequence[Sequence[float]]) -> Change:
+    return _referred(lambda pose: np.asarray(np.array(matrix) @ np.nan_to_num(pose) + 0.0 * pose))
+
+
+def _scaled(x: float, y: float, theta: float) -> Change:
+    return _linear([[x, 0, 0], [0, y, 0], [0, 0, theta]])
+
+
+def _axes(turned_rad: float) -> Iterator[Reading]:
+    """Yield axes that are turned, mirrored or exchanged against the vehicle's start heading."""
+    if abs(turned_rad) > LEAST_ANGLE_RAD:
+        c, s = float(np.cos(turned_rad)), float(np.sin(turned_rad))
+        text = (
+            f"the reference's axes are turned by {np.degrees(turned_rad):+.3g} degrees against the start heading; turn "
+            "them back, so that x is the vehicle's heading at the start, or state sensor_yaw_rad in [reference]"
+        )
+        yield Reading(Fault("axes_turned", text), _linear([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
+    for code, what, matrix in (
+        ("y_mirrored", "y is mirrored: it is positive to the left", [[1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+        ("x_mirrored", "x is mirrored: it is positive ahead", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ("heading_clockwise", "the heading is clockwise: left turns are positive", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("axes_exchanged", "x and y are exchanged: x is ahead, y to the left", [[0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by 90 degrees: x is ahead", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by -90 degrees: x is ahead", [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        ("axes_turned", "the axes are turned by 180 degrees: x is ahead", [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+        (
+            "mirrored",
+            "y and heading are mirrored, or the wheels exchanged",
+            [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+        ),
+    ):
+        yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
+
+
+def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
+    """Yield headings that are the z of a unit quaternion, the sine of half the heading."""
+    ends = recording.end_pose[:, 2]
+    z = np.concatenate([recording.reference[2], ends])
+    if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
+        return
+    turn = np.cumsum(drive.motion(nominal_values(drive)[: -len(SENSOR)], recording.steps).body[2])
+    start = np.repeat(turn[recording.offsets[:-1]], np.diff(recording.offsets))
+    told = turn - start
+
+    def headings(recording: Recording) -> Recording:
+        reference, end_pose = recording.reference.copy(), recording.end_pose.copy()
+        reference[2] = _of_quaternion(reference[2], told)
+        end_pose[:, 2] = _of_quaternion(end_pose[:, 2], told[recording.offsets[1:] - 1])
+        return replace(recording, reference=reference, end_pose=end_pose)
+
+    text = "ref_theta_rad: found the z of a quaternion where a heading in rad is expected; take 2 atan2(z, w)"
+    yield Reading(Fault("heading_quaternion", text), headings, _scaled(1.0, 1.0, 0.0))
+
+
+def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
+    """Return the heading of which z is the sine of half, of all such the one nearest to what the wheels say."""
+    half = np.arcsin(np.clip(z, -1.0, 1.0))
+    headings = np.stack([2.0 * half, 2.0 * (np.pi - half)])
+    headings += 4.0 * np.pi * np.rint((told_rad - headings) / (4.0 * np.pi))
+    nearest = np.argmin(np.abs(headings - told_rad), axis=0)
+    return np.asarray(np.take_along_axis(headings, nearest[None], axis=0)[0] + 0.0 * z)
+
+
+def _units() -> Iterator[Reading]:
+    """Yield positions and headings in other units."""
+    for unit, metres in LENGTH_UNITS.items():
+        for columns, x, y in (("ref_x_m, ref_y_m", metres, metres), ("ref_x_m", metres, 1.0), ("ref_y_m", 1.0, metres)):
+            text = f"{columns}: found {unit} where metres are expected; convert, or state the unit in the mapping"
+            zeroed = _scaled(float(x == 1.0), float(y == 1.0), 1.0)
+            yield Reading(Fault("position_unit", text), _scaled(x, y, 1.0), zeroed)
+    for unit, radians in ANGLE_UNITS.items():
+        text = f"ref_theta_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
+        yield Reading(Fault("heading_unit", text), _scaled(1.0, 1.0, float(radians)), _scaled(1.0, 1.0, 0.0))
+
+
+def unchanged(recording: Recording) -> Recording:
+    """Return the recording as it stands."""
+    return recording
+
+
+def _tracks(drive: Drive) -> Iterator[Reading]:
+    """Yield a track that was stated as half of it, or twice."""
+    if not any(item.name == "track_m" for item in drive.parameters):
+        return
+    for words, factor in TRACK_FACTORS.items():
+
+        def stated(campaign: Campaign, factor: float = factor) -> Campaign:
+            return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
+
+        text = f"track_m: {words} the track that is stated explains the data; correct [vehicle]"
+        yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), unchanged, setting=stated)
+
+
+def _turned(factors: FloatArray | float) -> Change:
+    """Return a change of the wheels' angles by factors, one a wheel."""
+    return lambda recording: recording.with_turned((recording.steps.turned_rad.T * factors).T)
+
+
+def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
+    """Yield counts that are angles or distances, and counts per revolution that are wrong."""
+    radius = next(item.nominal for item in drive.parameters if "radius" in item.name)
+    units = {"radians": per_rev / (2.0 * np.pi), "degrees": per_rev / 360.0, "turns": per_rev}
+    units |= {"metres": per_rev / (2.0 * np.pi * radius), "millimetres": 1e-3 * per_rev / (2.0 * np.pi * radius)}
+    for side, which in _sides(sum(item.name.startswith("radius_") for item in drive.parameters)):
+        for unit, factor in units.items():
+            text = f"counts of {side}: found {unit} where encoder counts are expected; map the column with its unit"
+            yield Reading(Fault("count_unit", text), _turned(np.where(which, factor, 1.0)))
+        for words, factor in COUNT_FACTORS.items():
+            text = f"counts of {side}: {words} the stated counts_per_rev explains the data; correct [encoder]"
+            code = "radius_factor" if which.all() else "counts_per_rev"
+            text += ", or the radius (a diameter?)" if which.all() else ""
+            yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
+
+
+def _geared() -> Iterator[Reading]:
+    """Yield counts of an encoder that turns many times a revolution of the wheel."""
+
+    def reading(ratio: float) -> Reading:
+        text = f"counts: {ratio:.3g} times too many for [encoder] and [vehicle] (the motor's? inches?); correct one"
+        change = _turned(1.0 / ratio)
+        return Reading(Fault("count_gear", text), change, refined=lambda scales: reading(ratio / scales[0]))
+
+    yield from map(reading, GEAR_RATIOS)
+
+
+def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
+    """Return sets of wheels with their names: all; of two wheels each by itself, too."""
+    if n_wheels != 2:
+        return [("the wheels", np.ones(1, dtype=np.bool_))]
+    both = np.ones(2, dtype=np.bool_)
+    return [("both wheels", both), ("the left wheel", both & [True, False]), ("the right wheel", both & [False, True])]
+
+
+def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
+    """Yield counters that overflow: of an absolute encoder after a turn, or of a register of so many bits."""
+    turned = recording.steps.turned_rad
+    periods = {"one revolution (an absolute encoder)": 2.0 * np.pi}
+    periods |= {f"2^{bits}": 2.0 * np.pi * 2.0**bits / per_rev for bits in COUNTER_BITS}
+    largest = np.abs(turned).max(axis=1)
+    for what, period in periods.items():
+        wraps = largest > 0.5 * period
+        if not wraps.any() or float(largest.max()) > 1.01 * period:
+            continue
+        text = f"counts overflow at {what} and were not unwrapped; state wrap_bits in [encoder], or unwrap them"
+
+        def unwrapped(recording: Recording, period: float = period) -> Recording:
+            turned = recording.steps.turned_rad
+            return recording.with_turned(turned - period * np.rint(turned / period))
+
+        yield Reading(Fault("counts_wrap", text), unwrapped)
+
+
+def _increments(recording: Recording) -> Iterator[Reading]:
+    """Yield counts that are increments since the sample before."""
+    for side, which in _sides(len(recording.steps.turned_rad)):
+
+        def summed(recording: Recording, which: BoolArray = which) -> Recording:
+            turned = recording.steps.turned_rad
+            total = np.cumsum(turned, axis=1)
+            start = np.repeat(total[:, recording.offsets[:-1]], np.diff(recording.offsets), axis=1)
+            return recording.with_turned(np.where(which[:, None], total - start, turned))
+
+        text = f"counts of {side}: found increments since the sample before where totals are expected; add them up"
+        yield Reading(Fault("count_increments", text), summed)
+
+
+def _jumps(recording: Recording) -> Iterator[Reading]:
+    """Yield counters that start again, or jump: single steps far above those beside them are taken out."""
+    size = np.abs(recording.steps.turned_rad)
+    beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
+    jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
+    n_jumps = int(jumps.any(axis=0).sum())
+    if not 0 < n_jumps <= MOST_JUMPS * len(recording):
+        return
+
+    def without(recording: Recording) -> Recording:
+        return recording.with_turned(np.where(jumps, 0.0, recording.steps.turned_rad))
+
+    text = f"counts: found {n_jumps} jumps of more than a revolution in one sample (a counter that starts again); "
+    yield Reading(Fault("count_jump", text + "join the parts of each run, or leave these runs out"), without)
+
+
+def _steering(steer: FloatArray) -> Iterator[Reading]:
+    """Yield steering angles in another unit, of the other sign, or that wrap."""
+
+    def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
+        return lambda recording: replace(
+            recording, steps=replace(recording.steps, steer_rad=change(np.asarray(recording.steps.steer_rad)))
+        )
+
+    for unit, radians in ANGLE_UNITS.items():
+        text = f"steer_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"
+        yield Reading(Fault("steering_unit", text), steered(partial(np.multiply, float(radians))))
+    period = float(np.max(steer))
+    if np.min(steer) >= 0.0 and period > 0.0:
+        for factor in (1.0, 1.001, 1.01):
+            text = f"steer_rad: it wraps at {factor * period:.3g} rad (an absolute encoder); unwrap it about its zero"
+
+            def unwrapped(angle: FloatArray, full: float = factor * period) -> FloatArray:
+                return np.asarray(np.where(angle > 0.5 * full, angle - full, angle))
+
+            yield Reading(Fault("steering_wraps", text), steered(unwrapped))
+    if float(np.max(np.abs(steer))) > LARGEST_STEERING_RAD:
+
+        def geared(ratio: float) -> Reading:
+            text = f"steer_rad: found angles some {ratio:.3g} times the wheel's (the motor's?); divide by the gear"
+            change = steered(partial(np.multiply, 1.0 / ratio))
+            return Reading(Fault("steering_gear", text), change, refined=lambda scales: geared(ratio / scales[1]))
+
+        yield from map(geared, GEAR_RATIOS)

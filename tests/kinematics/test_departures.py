@@ -1,0 +1,42 @@
+"""A departure that residuals need not show is named where it explains them, and only there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.read import read_campaign
+from calib.kinematics.estimate import estimate_geometry
+from tests.blunders import plant
+from tests.blunders.blunders import TRICYCLE, Change, columns_times
+
+
+def faults(folder: Path, change: Change | None) -> dict[str, str]:
+    """Return codes and sentences of the faults that a tricycle's geometry along the path names."""
+    recording = plant.tricycle(np.random.default_rng(3))
+    if change is not None:
+        change(recording)
+    found = estimate_geometry(read_campaign(plant.write(recording, folder / "c")), using="windows")
+    assert found.passed is (change is None)
+    return {fault.code: fault.text for fault in found.faults}
+
+
+def test_a_sound_recording_has_none(tmp_path: Path) -> None:
+    assert not faults(tmp_path, None)
+
+
+def test_the_play_of_a_steering_is_named_with_its_size(tmp_path: Path) -> None:
+    """20 mrad, to a tenth: each curvature is reached from either side."""
+    text = faults(tmp_path, TRICYCLE["steering with a play of 0.02 rad"])["steering_play"]
+    play_mrad = float(text.partition("play of ")[2].partition(" mrad")[0])
+    assert play_mrad == pytest.approx(20.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("x", "y", "named"), [(1.0, 0.95, "ref_y_m"), (0.95, 1.0, "ref_x_m")])
+def test_an_axis_that_is_squeezed_is_named(x: float, y: float, named: str, tmp_path: Path) -> None:
+    """Or the other one as stretched, which is the same but for the scale of the wheels."""
+    text = faults(tmp_path, columns_times(x, y, 1.0))["axis_scale"]
+    other = "ref_x_m" if named == "ref_y_m" else "ref_y_m"
+    assert (named in text and "short" in text) or (other in text and "long" in text)
