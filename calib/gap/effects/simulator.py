@@ -10,13 +10,15 @@ import numpy as np
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.gap.observations.arrays import N_CHANNELS, Channel
 from calib.gap.predict import predict
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"
 #: Gauss-Newton steps from which wheels reproduce a change; of a per cent the third is at rounding
 _STEPS: Final = 3
 #: wheels carry a change where they leave no more than this share of its squares
 _LEFT_SHARE: Final = 0.1
+#: a remainder is more than the simulator's noise where noise exceeds it less often than this
+_NOISE_TAIL: Final = 1e-3
 
 
 def simulator_title(name: str) -> str:
@@ -76,11 +78,12 @@ class SimulatorParameter(Effect):
         return [Form(self.id, "", (self.parameter,), pushed)]
 
 
-def carried_by_wheels(nominal: Path, change: FloatArray, step: float) -> Carried:
+def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: FloatArray) -> Carried:
     """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
 
     A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track that
-    are off alike in all runs, then as both wheels off in each run by itself; what explains little of it is omitted.
+    are off alike in all runs, then as both wheels off in each run by itself; what explains little of it is omitted. If
+    the first leaves no more than the noise of the change, (4,), the remainder is no signature.
     """
     s = nominal.s
     on = s.usable[:, :4]
@@ -102,9 +105,23 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float) -> Carried
         before, after = (((part * weight) ** 2).sum(axis=1) for part in (remaining, left))
         good = np.full(len(s), after.sum() < _LEFT_SHARE * before.sum()) if alike else after < _LEFT_SHARE * before
         wheels, remaining = np.where(good[:, None], found, wheels), np.where(good[:, None], left, remaining)
+        if alike and _is_noise(remaining, on, noise):
+            remaining = np.zeros_like(remaining)
+            break
     rest = np.where(on, remaining, 0.0)
     left, right, track = wheels.T / step
     return Carried(tuple(s.labels["run_id"]), left, right, track, rest / step)
+
+
+def _is_noise(change: FloatArray, on: BoolArray, noise: FloatArray) -> bool:
+    """Return whether a change (n_obs, 4) where it is on is no more than noise of standard deviations (4,)."""
+    from scipy.stats import chi2
+
+    seen = on & (noise > 0.0)
+    if not seen.any() or change[on & ~seen].any():
+        return False
+    square = float(np.sum((change / np.where(noise > 0.0, noise, 1.0))[seen] ** 2))
+    return bool(chi2.sf(square, int(seen.sum())) > _NOISE_TAIL)
 
 
 def _correction(columns: FloatArray, gap: FloatArray, *, alike: bool) -> FloatArray:

@@ -187,9 +187,8 @@ def test_a_parameter_that_acts_by_a_curve_is_iterated(tmp_path: Path) -> None:
     assert 2 <= done.runs.asked - 3 <= 8
 
 
-def test_a_noisy_simulator_is_averaged(tmp_path: Path) -> None:
-    """Ends that scatter by 2 mm a run, as much as the reference does."""
-    noise = """
+#: of ends that scatter by 2 mm a run, as much as the reference does
+NOISE = """
 def taken(seed):
     try:
         seed.touch(exist_ok=False)
@@ -203,11 +202,14 @@ shaken = [row.split(",")[:1] + [str(float(v) + random.gauss(0.0, 2e-3)) for v in
           + row.split(",")[4:] for row in rows[1:]]
 out.write_text("\\n".join([rows[0], *map(",".join, shaken)]))
 """
+
+
+def test_a_noisy_simulator_is_averaged(tmp_path: Path) -> None:
     sim = other_settings(
         tmp_path,
         'p["track"] = given["track"]',
         '[[parameter]]\nname = "track"\nnominal = 0.7\nstep = 0.01\nlargest = 0.05\nunit = "m"\n',
-        noise,
+        NOISE,
     )
     done = diagnosed(tmp_path, {"track": 0.712}, sim)
     assert done.diagnosis.causes[0].effect == "simulator:track"
@@ -215,6 +217,20 @@ out.write_text("\\n".join([rows[0], *map(",".join, shaken)]))
     low, high = done.diagnosis.causes[0].parameters["track"].ci95
     assert abs(done.diagnosis.fix.parameters["track"] - 0.712) < SPREAD * (high - low) / (2 * 1.96)
     assert done.runs.asked >= 8
+
+
+@pytest.mark.parametrize(("name", "value"), [("track", 0.712), ("load_slope", 1.5e-6)])
+def test_a_noisy_simulator_of_several_parameters_names_the_one(tmp_path: Path, name: str, value: float) -> None:
+    """All parameters of the example; a step of the slope as declared changes no more than four times the scatter."""
+    text = (NUMPY / "SIM.toml").read_text()
+    sim = other_settings(tmp_path, "p.update(given)", text[text.index("[[parameter]]") :], NOISE)
+    done = diagnosed(tmp_path, {name: value}, sim)
+    assert [cause.effect for cause in done.diagnosis.causes] == [f"simulator:{name}"]
+    assert done.diagnosis.groups == ()
+    low, high = done.diagnosis.causes[0].parameters[name].ci95
+    assert abs(done.diagnosis.fix.parameters[name] - value) < SPREAD * (high - low) / (2 * 1.96)
+    after, floor = done.diagnosis.closure.after_rms_m, done.diagnosis.closure.floor_rms_m
+    assert after is not None and floor is not None and after < CLOSED * floor
 
 
 def test_the_command_says_it_and_writes_what_to_set(
