@@ -7,7 +7,7 @@ the same paths (particles, one a run, by no code of calib's), with the alphas of
 again. Ratios within the central 95 % of these are what few runs show of a model that is right. A bound beyond what the
 draws show is the form's: errors that stay the same during a run.
 
-The sample campaigns `corridor_crossed` and `yard`, and the OptiOdom recordings where they are at hand; `yard N` makes
+The sample campaigns `corridor_crossed` and `yard`, and the OptiOdom recordings of the folder `shared`; `yard N` makes
 the yard again with N other seeds of its noise.
 """
 
