@@ -15,12 +15,12 @@ from calib.campaign.model import Campaign
 from calib.documents import to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.io import inside
-from calib.radius.result import Fit, is_result, provenance, read_result
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+    from calib.radius.result import Fit
     from calib.reporting.figures.gap import GapArrays
 
 #: a PDF cannot carry an earlier date of creation
@@ -112,6 +112,8 @@ def source_of(
     is refused. Returns `source`: without diagnosis; `campaign`: the campaign, where it was read. Raises BadInputError
     where the path is neither, or cannot be used; RefusedError where the runs allow no law.
     """
+    from calib.radius.result import is_result, read_result
+
     path = Path(path)
     if not path.exists():
         raise BadFileError(path, "nothing", "a campaign folder or a result folder of calib fit", "give the path of one")
@@ -169,6 +171,7 @@ def from_campaign(campaign: Campaign, *, issued: str, accept: str = "") -> Sourc
     """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
     from calib.coefficients.build import from_fit
     from calib.radius.fit import fit_campaign
+    from calib.radius.result import provenance
 
     fit = fit_campaign(campaign)
     fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}), accepted=accept)
