@@ -37,6 +37,8 @@ class Perturbation:
     end_arc: FloatArray | None = None
     start_arc: FloatArray | None = None
     delay_s: FloatArray | None = None  #: shape (n_obs,): time before the end at which the pose was read
+    #: shape (n_obs, 2): slope in m/N that it gives the left and right radius; a payload that is misreported acts by it
+    law_slopes: FloatArray | None = None
 
     @classmethod
     def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Perturbation:

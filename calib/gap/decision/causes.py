@@ -91,13 +91,22 @@ def causes_of(
     return sorted(causes, key=lambda cause: (-classes[cause.effect], -cause.signal))
 
 
-def negligible(causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain."""
+def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain.
+
+    Nearly certain is a cause at more than even odds where its family is by `certain`: which member it is does not make
+    it small.
+    """
     largest = max((cause.share for cause in causes), default=0.0)
+
+    def is_certain(cause: Cause) -> bool:
+        if cause.probability <= EVEN_PROBABILITY:
+            return False
+        return max(cause.probability, certain.get(cause.effect, 0.0)) >= CERTAIN_PROBABILITY
 
     def too_small(cause: Cause) -> bool:
         # a small error of the largest cause's law looks like a small cause
-        doubtful = cause.share <= SMALL_SHARE * largest and cause.probability < CERTAIN_PROBABILITY
+        doubtful = cause.share <= SMALL_SHARE * largest and not is_certain(cause)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful
 
     return tuple(cause.effect for cause in causes if too_small(cause))

@@ -115,6 +115,24 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     return alternatives
 
 
+def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
+    """Return the effects of some groups that are at least a tenth as probable as the named one of their group.
+
+    A form of many parameters (a zone of the floor, a step between sessions) follows the signal of nearly every weak
+    cause, so that no run tells it from that; what it pays for its parameters in the evidence does.
+    """
+    inclusion, least = evidence.search.inclusion(), float(np.exp(-LOG_EVIDENCE_WINDOW))
+
+    def probability(name: str) -> float:
+        return max(inclusion.get(name, 0.0), evidence.recalibration.probability(name) if name in NAMES else 0.0)
+
+    probable: set[str] = set()
+    for group in groups:
+        named = max((probability(name) for name in group if name in evidence.named), default=0.0)
+        probable.update(name for name in group if probability(name) >= least * named)
+    return probable
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Correction:
     """A recalibration, shape (4,), and forms with their sizes."""

@@ -56,7 +56,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = size_differences(evidence, probable)
     causes = limited_to_even(causes, differing)
-    small = negligible(causes)
+    small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     closure, situation = evidence.held_out.closure, evidence.situation
@@ -120,6 +120,16 @@ def _beside_blunder(kind: VerdictKind) -> VerdictKind:
     if kind is VerdictKind.NO_GAP:
         return VerdictKind.EXPLAINED
     return VerdictKind.PARTLY_EXPLAINED if kind in NOTHING_NAMED else kind
+
+
+def _families(evidence: Evidence) -> list[list[str]]:
+    """Return each named effect with the others of its family, none of them named, where these are forms of it."""
+    family = {name: effect.family for name, effect in evidence.effects.items()}
+    return [
+        [name, *(other for other in family if family[other] == family[name] and other not in evidence.named)]
+        for name in evidence.named
+        if family[name] not in OWN_CORRECTIONS
+    ]
 
 
 def _by_family(

@@ -74,7 +74,7 @@ def fix_of(
         *reasons(causes, certain, improvement, evidence.trials, unexplained, differing),
         *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
-        *elsewhere(fitted, tied),
+        *elsewhere(fitted, alternatives(evidence, tied, unexplained, differing)),
     ]
     return Fix(
         recommended=not why,
@@ -209,13 +209,28 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
     return [trial for trial in trials if trial.growth_sd > limit]
 
 
-def elsewhere(fitted: Iterable[str], tied: Sequence[Sequence[str]]) -> list[str]:
-    """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead.
+def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
+    """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead."""
+    return sorted({text for name in {*fitted, *alternatives} if (text := why_not_transferable(name))})
 
-    An alternative counts at any probability: what these runs cannot tell, only the prior does.
+
+def alternatives(
+    evidence: Evidence,
+    tied: Sequence[Sequence[str]],
+    unexplained: Unexplained | None,
+    differing: Mapping[str, SizeDifference] | None,
+) -> set[str]:
+    """Return what the causes may be instead: the probable ones where they explain all, else every one.
+
+    Odds between causes hold only where one of them is the whole truth: beside an unexplained residual, or a cause
+    whose size differs between groups of runs, none is. What steps between sessions always counts: runs that vary a
+    quantity with the session alone never tell the two apart.
     """
-    concerned = {*fitted, *(name for group in tied for name in group)}
-    return sorted({text for name in concerned if (text := why_not_transferable(name))})
+    every = {name for group in tied for name in group}
+    if differing or (unexplained is not None and unexplained.share > SMALL_SHARE):
+        return every
+    stepping = {name for name in every if name in evidence.effects and evidence.effects[name].per_session}
+    return confounding.as_probable(evidence, tied) | stepping
 
 
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
@@ -287,7 +302,7 @@ def sure_part(
         *unhelpful(improvement),
         *harm(tried),
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
-        *elsewhere(names, concerned),
+        *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
     ]
     if why:
         # without a cause beside a blunder there are no reasons yet

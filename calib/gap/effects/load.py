@@ -17,6 +17,8 @@ from calib.vehicle import wheel_loads_N
 
 #: relative slope where neither the model nor the hypothesis has any
 NOMINAL_PER_N: Final = 1e-5
+#: a slope below this share of the nominal one says nothing: a fit of the law beside others ends at chance values there
+SMALLEST_SLOPE: Final = 0.1
 
 
 def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter, ...]:
@@ -28,30 +30,32 @@ def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter
     return tuple(Parameter(name, "m/N", typical=1e-5 * soft_m, largest=6e-5 * soft_m) for name in names)
 
 
-def radius_slopes_m_per_N(path: Path, use: BoolArray | None = None) -> tuple[float, float]:
-    """Return the slopes of the left and right radius against load.
+def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
+    """Return the slopes of the left and right radius against load, shape (2,).
 
-    Those of the model; where it has none, those that the hypothesis gives the radii of the observations `use`, shape
-    (n_obs,); where there are none either, `NOMINAL_PER_N` times the radius (more on
-    lighter vehicles). With a nominal slope only the product
-    of slope and misreported load means anything.
+    Those of the model; where it has none, the hypothesis' `own`, shape (2,); where that has none either,
+    `NOMINAL_PER_N` times the radius (more on lighter vehicles). With a nominal slope only the product of slope and
+    misreported load means anything.
     """
-    observations = path.s
-    model, nominal_per_N = observations.model, NOMINAL_PER_N * softness(observations)
-    if model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0:
-        return model.slope_left_m_per_N, model.slope_right_m_per_N
-    keep = np.ones(len(observations), dtype=bool) if use is None else use
+    model = path.s.model
+    slopes = np.array([model.slope_left_m_per_N, model.slope_right_m_per_N])
+    if slopes.any():
+        return slopes
+    nominal = NOMINAL_PER_N * softness(path.s) * np.array([model.radius_left_m, model.radius_right_m])
+    return np.where(np.abs(own) > SMALLEST_SLOPE * nominal, own, nominal)
 
-    def slope(rolled: FloatArray, load: FloatArray, radius: float) -> float:
-        good = keep & np.isfinite(rolled) & np.isfinite(load)
-        found = 0.0
-        if good.sum() > 1 and np.ptp(load[good]) > 20.0:
-            over = load[good] - load[good].mean()
-            found = float(over @ rolled[good] / (over @ over))
-        return found if abs(found) > 0.1 * nominal_per_N * radius else nominal_per_N * radius
 
-    loads, rolled = observations.wheel_loads_N, path.rolling_radii_m.T
-    return slope(rolled[0], loads[0], model.radius_left_m), slope(rolled[1], loads[1], model.radius_right_m)
+def _shown_by(path: Path, others: BoolArray) -> FloatArray:
+    """Return the slopes that the hypothesis gives the radii of some observations (n_obs,), shape (2,); 0 for none."""
+
+    def slope(rolled: FloatArray, load: FloatArray) -> float:
+        good = others & np.isfinite(rolled) & np.isfinite(load)
+        if good.sum() < 2 or np.ptp(load[good]) <= 20.0:
+            return 0.0
+        over = load[good] - load[good].mean()
+        return float(over @ rolled[good] / (over @ over))
+
+    return np.array([slope(*each) for each in zip(path.rolling_radii_m.T, path.s.wheel_loads_N, strict=True)])
 
 
 def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
@@ -72,10 +76,16 @@ class _OfLoad(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
 
-def _on_radii(observations: Observations, left_m: FloatArray, right_m: FloatArray) -> Perturbations:
-    """Return what changes of the left and of the right radius (n_obs,) do, per unit of a parameter each."""
+def _on_radii(
+    observations: Observations, left_m: FloatArray, right_m: FloatArray, *, is_law: bool = False
+) -> Perturbations:
+    """Return what changes of the left and of the right radius (n_obs,) do, per unit of a parameter each.
+
+    `is_law`: the parameters are the slopes of a load law.
+    """
     left, right = left_m / observations.radius_left_m, right_m / observations.radius_right_m
-    return lambda _: [Perturbation(left=left), Perturbation(right=right)]
+    slopes = [np.tile(each, (len(observations), 1)) if is_law else None for each in np.eye(2)]
+    return lambda _: [Perturbation(left=left, law_slopes=slopes[0]), Perturbation(right=right, law_slopes=slopes[1])]
 
 
 class LoadRadius(_OfLoad):
@@ -96,7 +106,7 @@ class LoadRadius(_OfLoad):
             return []
         reference = observations.model.reference_load_N
         slopes = slope_parameters(observations, "slope_left", "slope_right")
-        return [Form(self.id, "", slopes, _on_radii(observations, left - reference, right - reference))]
+        return [Form(self.id, "", slopes, _on_radii(observations, left - reference, right - reference, is_law=True))]
 
 
 LOAD_EXPONENTS: Final = (0.5, 0.7, 0.85, 2.0)
@@ -123,7 +133,7 @@ class LoadRadiusNonlinear(_OfLoad):
         def form(exponent: float) -> Form:
             def about(centre: Centre) -> Perturbations:
                 ratio = np.maximum(loads, 0.0) / centre.mean
-                return _on_radii(observations, *(centre.mean * (ratio**exponent - 1.0) / exponent))
+                return _on_radii(observations, *(centre.mean * (ratio**exponent - 1.0) / exponent), is_law=True)
 
             label = "quadratic" if exponent == 2.0 else f"exponent {exponent:g}"
             settings, tries = {"exponent": exponent}, len(LOAD_EXPONENTS)
@@ -231,7 +241,7 @@ class PayloadMass(_OfPayload):
 
         def form(label: str, mine: BoolArray, parameter: Parameter, settings: dict[str, float]) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
-                left, right = radius_slopes_m_per_N(path, ~mine)
+                left, right = _slopes_m_per_N(path, _shown_by(path, ~mine))
                 return [
                     Perturbation(
                         left=np.where(mine, left * added_left, 0.0) / observations.radius_left_m,
@@ -257,7 +267,7 @@ class PayloadPosition(_OfPayload):
     """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.
 
     Left: dF = +-m g dy / b, e_theta ~ S 2 c W dy / b^2. Ahead: dF = -m g dx / 2L on each rear wheel and +m g dx / L on
-    the front wheel, so e_s and e_F go opposite ways. The slope is the mean of both wheels' (see `load_slopes`).
+    the front wheel, so e_s and e_F go opposite ways. The slope is the mean of both wheels'.
     """
 
     id = "payload_position"
@@ -280,7 +290,10 @@ class PayloadPosition(_OfPayload):
         radius_left, radius_right = observations.radius_left_m, observations.radius_right_m
 
         def changed_m(path: Path, lever_m: float) -> FloatArray:
-            return 0.5 * sum(radius_slopes_m_per_N(path)) * weight_N / lever_m
+            # read from the radii, the slope would follow what the place is to explain
+            law = path.perturbation.law_slopes
+            slopes = _slopes_m_per_N(path, np.zeros(2) if law is None else law[0])
+            return float(slopes.mean()) * weight_N / lever_m
 
         def sideways(path: Path) -> list[Perturbation]:
             change_m = changed_m(path, track)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
+from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import harmed, reasons
+from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.trials import Trial
 
@@ -76,3 +78,28 @@ def test_harm_beyond_noise_keeps_a_fix_back_and_is_named_with_its_size() -> None
     ten = [trial(3.0), *(trial(0.0, f"route {n}") for n in range(9))]
     assert not harmed(ten)
     assert harmed([*ten[1:], trial(3.2)])
+
+
+#: a flexible effect (a place of the floor) that follows a weak cause's signal and pays for its parameters
+TIED = (("steering_scale", "floor_zone"),)
+DIFFERS = {"wear": SizeDifference("wear", "kind", "square_cw", "corridor", 0.3, 0.1, 1e-4)}
+LEFT = Unexplained(0.2, 12.0, ())
+
+
+@pytest.mark.parametrize(
+    ("floor_zone", "unexplained", "differing", "counted"),
+    [
+        (0.004, None, {}, False),
+        (0.2, None, {}, True),
+        (0.004, LEFT, {}, True),
+        (0.004, replace(LEFT, share=0.01), {}, False),
+        (0.004, None, DIFFERS, True),
+    ],
+)
+def test_an_alternative_that_holds_nowhere_else_counts_where_it_is_probable_or_odds_mean_nothing(
+    floor_zone: float, unexplained: Unexplained | None, differing: dict[str, SizeDifference], *, counted: bool
+) -> None:
+    search = SimpleNamespace(inclusion=lambda: {"steering_scale": 0.95, "floor_zone": floor_zone})
+    evidence = SimpleNamespace(search=search, named=("steering_scale",), effects={})
+    instead = alternatives(evidence, TIED, unexplained, differing)  # type: ignore[arg-type]
+    assert bool(elsewhere(["steering_scale"], instead)) is counted

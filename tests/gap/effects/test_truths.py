@@ -19,8 +19,7 @@ from calib.gap.effects.library import REGISTRY, library
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
-from calib.gap.steps import Perturbation
-from tests.gap.effects.making import RADIUS_M, ROUTE, SQUARE, STRAIGHT, campaign, gap, motion_of, situation
+from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, campaign, gap, motion_of, situation
 from tests.gap.effects.truths.cases import CASES, ROLLING, RUNS, SLOPED, Case
 
 for _family in sorted(Path(__file__).with_name("truths").glob("*.py")):
@@ -93,16 +92,25 @@ def test_integration_scheme_is_the_difference_of_the_coarse_simulation(label: st
 def test_payload_effects_take_the_slope_of_a_load_law_that_the_hypothesis_brings() -> None:
     """With a load law fitted beside it, a share means the same as where the model has that law."""
     of_model, bare = situation(RUNS, model=SLOPED), situation(RUNS)
-    law = [
-        Perturbation(**{side: 1.2e-6 * (bare.number(f"load_{side}_N") - 300.0) / RADIUS_M})
-        for side in ("left", "right")
-    ]
+    law = [push.scaled(1.2e-6) for push in form_of(bare, "load_radius").perturbations(predict(bare))]
     for effect, label in (("payload_mass", "payload of 150"), ("payload_position", "sideways")):
         (known,) = form_of(of_model, effect, label).perturbations(predict(of_model))
         (found,) = form_of(bare, effect, label).perturbations(predict(bare, law))
         # the radius under it differs by 1e-2 at most
         np.testing.assert_allclose(found.left, known.left, rtol=2e-2)
         np.testing.assert_allclose(found.right, known.right, rtol=2e-2)
+
+
+@pytest.mark.parametrize("size", [-0.3, 0.05, 0.3])
+def test_a_payload_effect_does_not_feed_on_itself(size: float) -> None:
+    """About its own path it does what it does about the model's: radii that it moves are no load law."""
+    bare = situation(RUNS)
+    for effect, label in (("payload_mass", "payload of 150"), ("payload_position", "sideways")):
+        form = form_of(bare, effect, label)
+        (first,) = form.perturbations(predict(bare))
+        (again,) = form.perturbations(predict(bare, [first.scaled(size)]))
+        np.testing.assert_array_equal(again.left, first.left)
+        np.testing.assert_array_equal(again.right, first.right)
 
 
 def test_a_wrong_truth_is_not_closed() -> None:
