@@ -225,7 +225,7 @@ class Kept:
 
     def values(self) -> dict[str, Any]:
         """Return the values of the line; raises ValueError where they are not what was written."""
-        values: dict[str, Any] = json.loads(self.line)
+        values = dict(json.loads(self.line))
         if values.pop(SEAL, "") != _seal(values):
             raise ValueError("a kept line was changed")
         return values
