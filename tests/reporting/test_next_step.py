@@ -49,7 +49,6 @@ def test_every_command_says_what_follows() -> None:
             for node in tree.body
             if isinstance(node, ast.FunctionDef) and "Example: calib" in str(ast.get_docstring(node))
         ]
-        called = {
-            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        }
+        functions = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        called = {getattr(function, "attr", getattr(function, "id", "")) for function in functions}
         assert not commands or "then" in called, path.name

@@ -233,8 +233,9 @@ class SimulatorRunner:
             return [result for result in results if result is not None]
         command = self._command()
         with ThreadPoolExecutor(min(self.workers, len(todo))) as pool:
-            waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
             try:
+                # an interruption while they are handed over ends those at work, too
+                waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
                 while waiting:
                     done, _ = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
                     for future in done:
