@@ -91,6 +91,8 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
     weight = np.where(on, 1.0 / sigma, 0.0)
 
     def moved(wheels: FloatArray) -> tuple[Path, FloatArray]:
+        if not wheels.any():
+            return nominal, change
         path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
         return path, change - (path.reading - nominal.reading)[:, :4]
 
@@ -115,13 +117,13 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
 
 def _is_noise(change: FloatArray, on: BoolArray, noise: FloatArray) -> bool:
     """Return whether a change (n_obs, 4) where it is on is no more than noise of standard deviations (4,)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     seen = on & (noise > 0.0)
     if not seen.any() or change[on & ~seen].any():
         return False
     square = float(np.sum((change / np.where(noise > 0.0, noise, 1.0))[seen] ** 2))
-    return bool(chi2.sf(square, int(seen.sum())) > _NOISE_TAIL)
+    return bool(chdtrc(int(seen.sum()), square) > _NOISE_TAIL)
 
 
 def _correction(columns: FloatArray, gap: FloatArray, *, alike: bool) -> FloatArray:

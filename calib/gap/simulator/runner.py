@@ -224,7 +224,7 @@ class SimulatorRunner:
 
     def run(self, jobs: Sequence[Job]) -> list[FloatArray]:
         """Return what each run simulates, (n_runs, 4); an error or an interruption ends all that is at work."""
-        from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+        from concurrent.futures import ThreadPoolExecutor
 
         results = [self.cache.get(job.parameters, job.repeat, self.run_ids) for job in jobs]
         todo = [number for number, result in enumerate(results) if result is None]
@@ -237,8 +237,9 @@ class SimulatorRunner:
                 # an interruption while they are handed over ends those at work, too
                 waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
                 while waiting:
-                    done, _ = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-                    for future in done:
+                    # asleep, not in the futures' own wait: an interruption there leaves their locks held
+                    time.sleep(LOOK_S)
+                    for future in [future for future in waiting if future.done()]:
                         results[waiting.pop(future)] = future.result()
                     self.progress(len(jobs) - len(waiting), len(jobs), RUNS_STAGE)
             except BaseException:
