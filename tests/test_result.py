@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.result import PRESENTATION, Result, plain, plain_fields
+from calib.documents import PRESENTATION, Result, plain, plain_fields
 
 
 class _Colour(StrEnum):

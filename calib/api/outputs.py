@@ -144,7 +144,7 @@ def report(
     from calib.gap.diagnose import diagnose_in_full
     from calib.io import write_bytes
     from calib.reporting.content import compose, place_of
-    from calib.reporting.pdf import to_pdf
+    from calib.reporting.pages import to_pdf
     from calib.reporting.source import from_campaign, issue_date, source_of_fit
 
     issued = issue_date(date)

@@ -13,8 +13,8 @@ from calib.campaign.settings import OdometryModel
 from calib.challenge.ceiling import Ceiling, ceiling_of, ceiling_of_truth
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
+from calib.plant.effects import find
 from calib.plant.effects.form import Cause
-from calib.plant.effects.registry import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
@@ -70,7 +70,7 @@ class Truth:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Truth:
-        """Return what `calib.result.plain` made of it; there an infinite tail and a target that is NaN are null."""
+        """Return what `calib.documents.plain` made of it; there an infinite tail and a target that is NaN are null."""
         from pydantic import TypeAdapter
 
         recipe, noise = dict(data["recipe"]), dict(data["noise"])

@@ -13,7 +13,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.limits import CASES, refuse_beyond
-from calib.plant.effects.registry import ALL, forms_of
+from calib.plant.effects import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 
 Group = Literal["empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded"]

@@ -13,9 +13,9 @@ import numpy as np
 from calib.challenge.cases import Truth
 from calib.challenge.judge import Judged, judge
 from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
+from calib.documents import plain_fields
 from calib.errors import BadFileError
 from calib.io import sha256_file
-from calib.result import plain_fields
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:

@@ -13,12 +13,11 @@ from typing import Any, Final, TypeVar
 from calib.campaign.write import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
-from calib.documents import to_json
+from calib.documents import plain, to_json
 from calib.errors import BadFileError, RefusedError
 from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
 from calib.limits import refuse_workers
-from calib.result import plain
 
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"

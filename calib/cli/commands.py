@@ -155,16 +155,21 @@ GROUPS: Final[dict[str, str]] = {
 COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
 
+#: commands of one word that share a module, where each is the function that bears its name
+TOGETHER: Final = {"check": "campaigns", "init": "campaigns", "ingest": "campaigns"}
+
+
 def module_of(name: str) -> str:
     """Return the module of a command; the commands of a group share one."""
-    return f"calib.cli.{name.split(maxsplit=1)[0]}"
+    first = name.split(maxsplit=1)[0]
+    return f"calib.cli.{TOGETHER.get(first, first)}"
 
 
 def function_of(name: str) -> Callable[..., Any]:
-    """Return what a command calls: ``run`` of its module, in a group the function that bears its name."""
-    _, _, inner = name.partition(" ")
-    function: Callable[..., Any] = getattr(importlib.import_module(module_of(name)), inner or "run")
-    return function
+    """Return what a command calls: the function that bears its name, or ``run`` of a module of its own."""
+    function = name.rpartition(" ")[2] if name in TOGETHER or " " in name else "run"
+    called: Callable[..., Any] = getattr(importlib.import_module(module_of(name)), function)
+    return called
 
 
 def options_of(name: str) -> set[str]:

@@ -48,7 +48,7 @@ def run(
     """
     from calib.radius import deviation as table
     from calib.reporting.next_step import after_deviation
-    from calib.reporting.topics.deviation import arc_content, runs_content, weave_content
+    from calib.reporting.topics.checks import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):
         read, judged = _judged(campaign, tolerance)

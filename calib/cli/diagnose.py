@@ -113,7 +113,7 @@ def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSectio
 
 
 def _page(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    from calib.reporting.html import diagnosis_page
+    from calib.reporting.pages import diagnosis_page
 
     with terminal.waiting("making the page"):
         return diagnosis_page(diagnosis, campaign)

@@ -56,7 +56,7 @@ def run(
     document = estimated.to_dict()
     terminal.save(result, document)
     if figures is not None:
-        from calib.kinematics.traces import traces_of
+        from calib.kinematics.estimate import traces_of
         from calib.reporting.figures.geometry import draw_paths
 
         paths = traces_of(read, estimated)

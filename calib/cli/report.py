@@ -54,7 +54,7 @@ def run(
     from calib.reporting.content import place_of
     from calib.reporting.figures.style import write_figures
     from calib.reporting.next_step import after_diagnosis, after_geometry, after_report
-    from calib.reporting.pdf import to_pdf
+    from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date
 
     terminal.refuse_outputs(html)
@@ -151,8 +151,7 @@ def _without_law(
     from calib.campaign.read import read_campaign
     from calib.coefficients.build import from_geometry
     from calib.gap.diagnose import diagnose_in_full
-    from calib.kinematics.estimate import estimate_geometry
-    from calib.kinematics.traces import traces_of
+    from calib.kinematics.estimate import estimate_geometry, traces_of
     from calib.reporting.content import report_without_law
 
     read = read_campaign(path, progress=tick)
@@ -180,7 +179,7 @@ def _without_law(
 
 def _page(content: _Content, tick: Progress) -> str:
     """Return the page, with linked panels where there is a diagnosis to look into."""
-    from calib.reporting.html import to_html
+    from calib.reporting.pages import to_html
 
     tick(0, 0, "page")
     if content.diagnosis is None or content.campaign is None:

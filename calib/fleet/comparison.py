@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain_fields
 from calib.fleet.population import (
     Difference,
     Population,
@@ -18,7 +19,6 @@ from calib.fleet.population import (
     outlying,
     population,
 )
-from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray
 
 #: fewest vehicles that are judged against each other, and that a label must have in common

@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from calib.campaign.readers import READERS, read_table
-from calib.documents import VERSION
+from calib.documents import VERSION, plain
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.fleet.workers import Engine, Task
 from calib.io import inside, sha256_file, write_text
-from calib.result import plain
 
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"

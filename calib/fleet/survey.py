@@ -11,12 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Labels, Quantities, SharedCause, VehicleResult, quantities_of, shared_causes
-from calib.fleet.reading import campaign_of
+from calib.fleet.run import campaign_of
 from calib.fleet.store import Kept, Keys, Member, Progress, labels_of, members_of, one_line, renewed
 from calib.fleet.workers import engine
-from calib.result import plain, plain_fields
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64

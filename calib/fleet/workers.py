@@ -27,7 +27,7 @@ SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
 DASK_BATCH: Final = (8, 256)
 #: what nearly every task needs and the parent too: imported before processes are made of it
-SHARED_MODULES: Final = ("calib.fleet.reading", "scipy.special")
+SHARED_MODULES: Final = ("calib.fleet.run", "scipy.special")
 #: what nearly every task needs and what starts threads: imported by each worker
 WORKER_MODULES: Final = ("pyarrow.parquet",)
 #: how long a scheduler may take to answer and to close, and how long nothing may come back before it is asked

@@ -1,4 +1,7 @@
-"""Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, and held-out runs."""
+"""Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, held-out runs, and residuals.
+
+The residuals are those of each run: aligned paths of the reference sensor, and their differences in time.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,20 @@ from calib.errors import RefusedError
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.delays import Delay, own_delays, sought_delays
 from calib.kinematics.departures import find_departure
-from calib.kinematics.drives import SENSOR, nominal_values
+from calib.kinematics.drives import SENSOR, nominal_values, parameters_of
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model
+from calib.kinematics.per_recording import Delay, own_delays, sought_delays, with_own_zeros
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.result import Geometry, Transfer
+from calib.kinematics.result import Geometry, RunTrace, Transfer
 from calib.kinematics.segments import Segments, end_pose_segments, window_segments
-from calib.kinematics.steering_zeros import with_own_zeros
 from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import FloatArray, Progress, silent, stepped
+from calib.types import FloatArray, IntArray, Progress, silent, stepped
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
+    from calib.kinematics.recording import Recording
 
 Using = Literal["end_poses", "windows"]
 
@@ -278,3 +281,90 @@ def _transfer(
         ]
         rows.append(Transfer(str(label), len(tried), errors[0], errors[1]))
     return tuple(rows)
+
+
+def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
+    """Return paths and residuals of the runs of a campaign by the nominal and by the calibrated vehicle.
+
+    `campaign`: the one that was calibrated.
+    """
+    recording, _ = corrected_recording(campaign, geometry.source)
+    drive = drive_of(campaign, geometry.source, recording)
+    items = parameters_of(drive, campaign.reference)
+    nominal = np.array([item.nominal for item in items])
+    calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
+    own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
+    labels = zip(recording.run_id, recording.session, strict=True)
+    added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
+    before = _sensor_paths(Model(drive, recording, _from_starts(recording)), nominal)
+    after = _sensor_paths(Model(drive, replace(recording, own_delay_s=added), _from_starts(recording)), calibrated)
+    return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
+
+
+def _from_starts(recording: Recording) -> Segments:
+    """Return a segment from the start of each run to each of its samples."""
+    n = len(recording.t_s)
+    whole = np.zeros(n, dtype=np.bool_)
+    number = np.arange(n, dtype=np.int64)
+    run = recording.run
+    return Segments(run, recording.offsets[run], number, np.zeros((n, 3)), ~np.zeros((n, 3), bool), run, 0 * run, whole)
+
+
+def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
+    """Return the sensor's poses at the samples, each run in the frame of its first, shape (3, n_samples)."""
+    values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
+    return -model.predict(values).residuals.T
+
+
+def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
+    """Return a run's trace from the sensor's paths before and after, each (3, n_samples of all runs)."""
+    part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
+    reference = recording.reference[:, part]
+    seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
+    before, after = paths = [path[:, part] for path in paths]
+    if len(seen) > 1:
+        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
+        every = np.arange(len(seen))
+        measured = _aligned(reference[:, seen], after[:, seen], every)
+        aligned = [_aligned(before, measured, seen), after]
+    else:
+        seen = np.array([reference.shape[1] - 1], dtype=np.int64)
+        measured, aligned = recording.end_pose[run][:, None], paths
+    residuals = [_residuals(path[:, seen], measured) for path in aligned]
+    return RunTrace(
+        run_id=str(recording.run_id[run]),
+        kind=str(recording.kind[run]),
+        before_m=aligned[0][:2].T,
+        after_m=aligned[1][:2].T,
+        seen=seen,
+        t_s=recording.t_s[part][seen],
+        reference_m=measured[:2].T,
+        residual_before=residuals[0],
+        residual_after=residuals[1],
+    )
+
+
+def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
+    """Return a path turned and shifted as a whole so that its samples `seen` lie nearest to those of `onto`, (3, n)."""
+    good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
+    if good.sum() < 2:
+        turn = float(np.nanmean(onto[2] - path[2, seen]))
+        return np.asarray(path + np.array([0.0, 0.0, turn])[:, None])
+    own, other = path[:2, seen][:, good], onto[:2, good]
+    own_mean, other_mean = own.mean(axis=1), other.mean(axis=1)
+    a, b = own - own_mean[:, None], other - other_mean[:, None]
+    turn = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
+    apart = onto[2] - path[2, seen]
+    if np.isfinite(apart).any():
+        turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    rotate = np.array([[cosine, -sine], [sine, cosine]])
+    place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
+    return np.concatenate([place, path[2:] + turn])
+
+
+def _residuals(path: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return measured less predicted along and to the left of the heading, and in the heading, shape (n_poses, 3)."""
+    apart = measured - path
+    cosine, sine = np.cos(path[2]), np.sin(path[2])
+    return np.stack([cosine * apart[0] + sine * apart[1], cosine * apart[1] - sine * apart[0], apart[2]], axis=1)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from calib.documents import Result, plain_fields
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
-from calib.kinematics.delays import Delay
+from calib.kinematics.per_recording import Delay
 from calib.kinematics.umbmark import Umbmark
 from calib.kinematics.uncertainty import Freedom
-from calib.result import Result, plain_fields
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

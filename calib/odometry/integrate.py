@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
-from calib.odometry.array_loop import HEADING_BEHIND, Flat, fill_arrays
-from calib.odometry.numba_loop import is_installed, machine_code
 from calib.odometry.poses import Poses
+from calib.odometry.step_loops import HEADING_BEHIND, Flat, fill_arrays, is_installed, machine_code
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray
 

@@ -15,6 +15,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
+from calib.documents import Result, plain
 from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, radii_of_model, radii_under_load, travel_from_counts
 from calib.odometry.poses import PoseErrors, Poses, pose_errors
@@ -29,7 +30,6 @@ from calib.odometry.replay_checks import (
     with_loads,
 )
 from calib.radius.law import RadiusLaw
-from calib.result import Result, plain
 from calib.types import BoolArray, FloatArray, StrArray
 
 if TYPE_CHECKING:

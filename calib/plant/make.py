@@ -10,8 +10,8 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import drive
+from calib.plant.effects import find
 from calib.plant.effects.form import Cause
-from calib.plant.effects.registry import find
 from calib.plant.measure import campaign_of
 from calib.plant.noise import Noise, draw_noise, random_noise
 from calib.plant.world import REFERENCE_LOAD_N, World, build_world

@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, lacks
+from calib.plant.effects import ALL
 from calib.plant.effects.form import Cause
-from calib.plant.effects.registry import ALL
 from calib.plant.noise import Noise
 from calib.plant.signal import is_calibration, strength, strengths, whiten
 from calib.types import FloatArray

@@ -15,8 +15,8 @@ import numpy as np
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive
+from calib.plant.effects import find
 from calib.plant.effects.form import Cause
-from calib.plant.effects.registry import find
 from calib.plant.make import apply_causes
 from calib.plant.measure import reference_poses, simulated_poses, steering_readings
 from calib.plant.noise import Noise, NoiseDraw, quiet

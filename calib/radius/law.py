@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.result import plain_fields
+from calib.documents import plain_fields
 from calib.types import FloatArray
 
 #: order of the joint covariance of both wheels' laws and the track

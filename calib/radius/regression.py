@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
 from calib.radius.order import Autocorrelation, widened
@@ -22,7 +23,6 @@ from calib.radius.sessions import (
     stratified_constant,
     stratified_line,
 )
-from calib.result import plain, plain_fields
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -15,13 +15,12 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.documents import CHECKSUM_KEY, checksum, csv_text, to_json
+from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_json
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, sha256_file, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
-from calib.result import Result, plain
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:

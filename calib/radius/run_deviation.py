@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import plain
 from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
@@ -19,7 +20,6 @@ from calib.radius.deviation import (
 )
 from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import correct_paths
-from calib.result import plain
 from calib.types import FloatArray, StrArray
 
 PASSED: Final = "within"

@@ -9,7 +9,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from calib.result import plain_fields
+from calib.documents import plain_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
 from calib.campaign.checks.design import assumed_settings
-from calib.documents import to_json
+from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing
 from calib.radius.result import ingest_notes
@@ -19,7 +19,6 @@ from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
 from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
-from calib.result import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

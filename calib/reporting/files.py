@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
-from calib.documents import csv_text, to_json
+from calib.documents import csv_text, plain, to_json
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.io import refuse_existing, write_files, write_json, write_text
@@ -28,7 +28,6 @@ from calib.reporting.content import Attachment, Report
 from calib.reporting.figures.style import write_figures
 from calib.reporting.source import number_of
 from calib.reporting.topics.fleet import fleet_content, survey_content
-from calib.result import plain
 from calib.types import FloatArray
 
 
@@ -184,8 +183,7 @@ def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, head
     """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
     if heads is None:
         return {}
-    from calib.reporting.html import to_html
-    from calib.reporting.pdf import to_pdf
+    from calib.reporting.pages import to_html, to_pdf
 
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])

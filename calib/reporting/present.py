@@ -1,4 +1,4 @@
-"""Words and figures of each result: where `calib.result.Result` meets its topic."""
+"""Words and figures of each result: where `calib.documents.Result` meets its topic."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from calib.documents import Result
 from calib.errors import BadInputError
 from calib.reporting.blocks import Drawings, drawn
 from calib.reporting.text import to_text
-from calib.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ def brief(result: Result) -> str:
 
 def brief_html(result: Result) -> str:
     """Return what a notebook shows of a result."""
-    from calib.reporting.html import blocks_html
+    from calib.reporting.pages import blocks_html
 
     return blocks_html(_content(result, brief=True))
 

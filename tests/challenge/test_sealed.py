@@ -18,10 +18,10 @@ from calib.challenge.recipe import GROUPS, SEEDS, Seeds, read_seeds, recipes
 from calib.challenge.run import run
 from calib.challenge.score import open_truth, score
 from calib.challenge.seal import HASH, PUBLIC, make, truth_path
+from calib.documents import plain
 from calib.errors import BadFileError, BadInputError
-from calib.plant.effects.registry import effects
+from calib.plant.effects import effects
 from calib.reporting.figures.challenge import board_figure, confusion_figure, save
-from calib.result import plain
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """
@@ -207,5 +207,5 @@ def test_a_bad_seeds_file_is_named(tmp_path: Path, text: str, match: str) -> Non
 
 def test_the_next_set_to_score_holds_every_group() -> None:
     """Several causes at once beside one outside the library included."""
-    count = Counter(recipe.group for recipe in recipes(read_seeds(SEEDS / "scoring8.toml")))
+    count = Counter(recipe.group for recipe in recipes(read_seeds(Path(__file__).with_name("seeds") / "scoring8.toml")))
     assert set(count) == set(GROUPS)

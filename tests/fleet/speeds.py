@@ -79,7 +79,7 @@ def dask_workers() -> Iterator[Any]:
         processes=True,
         dashboard_address=None,
         host="127.0.0.1",
-        preload=["calib.fleet.reading"],
+        preload=["calib.fleet.run"],
     ) as cluster:
         yield cluster
 

@@ -18,7 +18,7 @@ from calib.gap.effects.applied import applied_perturbations, model_of, with_effe
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
-from calib.plant.effects.registry import find
+from calib.plant.effects import find
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from tests.gap.effects.making import Motion, Run, rich_runs

@@ -9,8 +9,8 @@ import pytest
 
 from calib.plant.design import lacks
 from calib.plant.drive import drive
+from calib.plant.effects import ALL, find
 from calib.plant.effects.form import Cause
-from calib.plant.effects.registry import ALL, find
 from calib.plant.make import as_causes, make_campaign, random_model
 from calib.plant.noise import Noise, draw_noise, quiet
 from calib.plant.plans import good_design

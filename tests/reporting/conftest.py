@@ -10,7 +10,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.reporting.content import Report, compose
-from calib.reporting.pdf import to_pdf
+from calib.reporting.pages import to_pdf
 from calib.reporting.source import Source, from_campaign
 
 DATE = "2025-03-31"

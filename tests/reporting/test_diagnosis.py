@@ -15,8 +15,7 @@ from calib.gap.observations.arrays import Channel
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.reporting.blocks import Notice, Picture, Section, Table
 from calib.reporting.content import compose
-from calib.reporting.html import blocks_html
-from calib.reporting.pdf import to_pdf
+from calib.reporting.pages import blocks_html, to_pdf
 from calib.reporting.source import Source
 from calib.reporting.text import to_text
 from calib.reporting.topics.diagnosis import diagnosis_content

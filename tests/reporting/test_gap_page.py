@@ -16,12 +16,12 @@ from calib.gap.diagnose import diagnose_in_full
 
 pytest.importorskip("bokeh", reason="the extra html is not installed")
 
+from calib.documents import plain
 from calib.reporting.content import report_without_law
 from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.formatting import prose
-from calib.reporting.html import diagnosis_page, to_html
 from calib.reporting.interactive import interactive_panels
-from calib.result import plain
+from calib.reporting.pages import diagnosis_page, to_html
 
 ROOT = Path(__file__).resolve().parents[2]
 #: what a page of the samples may weigh: it is sent by mail

@@ -12,9 +12,8 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.write import write_campaign
 from calib.cli.main import run as calib
-from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.estimate import estimate_geometry, traces_of
 from calib.kinematics.result import Geometry, RunTrace
-from calib.kinematics.traces import traces_of
 from calib.reporting.blocks import Facts, Notice, Picture
 from calib.reporting.content import Report, report_without_law
 from tests.kinematics.campaigns import Leg, Truth, campaign, square

@@ -102,7 +102,7 @@ def test_covariates_that_vary_alike_get_one_panel() -> None:
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
 def test_colour_axis_and_time_can_be_chosen(along: Campaign, diagnosis: Diagnosis, tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="the extra html is not installed")
-    from calib.reporting.html import diagnosis_page
+    from calib.reporting.pages import diagnosis_page
 
     before, end, after = diagnosis_page(diagnosis, along).rpartition("</body>")
     path = tmp_path / "page.html"

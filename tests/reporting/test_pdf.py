@@ -17,7 +17,7 @@ from calib.documents import to_json
 from calib.reporting.blocks import Column, Facts, Items, Notice, Section, Table, Text
 from calib.reporting.content import Report, compose
 from calib.reporting.figures.style import FORMS, write_figures
-from calib.reporting.pdf import to_pdf
+from calib.reporting.pages import to_pdf
 from calib.reporting.source import STATED, Source
 
 HOSTILE = '#panic("x") $a^b$ *bold* _it_ @ref <lab> `raw` \\ \\u{41} // /* ~ [b] = h -- ... \'q\' #let " {{}} ümläut λ'

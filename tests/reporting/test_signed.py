@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.documents import plain
 from calib.errors import CalibError
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.reporting.blocks import Notice, Picture, Table
 from calib.reporting.content import Report, compose
-from calib.reporting.pdf import to_pdf
+from calib.reporting.pages import to_pdf
 from calib.reporting.source import Source, from_campaign, logo_of, source_of
 from calib.reporting.topics.fit import result_section
-from calib.result import plain
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><rect width="20" height="10"/></svg>'
 DATE = "2025-03-31"
@@ -119,7 +119,7 @@ def test_the_table_of_runs_has_the_counts_of_the_campaign(report: Report, campai
 
 
 def test_the_html_page_is_whole_and_needs_no_network(report: Report) -> None:
-    from calib.reporting.html import to_html
+    from calib.reporting.pages import to_html
 
     page = to_html(report)
     assert page.startswith("<!doctype html>")

@@ -27,8 +27,8 @@ COMPUTED = (
     ("calib.gap.diagnose", "diagnose_in_full"),
     ("calib.kinematics.estimate", "estimate_geometry"),
     ("calib.reporting.figures.style", "render"),
-    ("calib.reporting.pdf", "to_pdf"),
-    ("calib.reporting.html", "to_html"),
+    ("calib.reporting.pages", "to_pdf"),
+    ("calib.reporting.pages", "to_html"),
 )
 
 

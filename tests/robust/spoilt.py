@@ -259,7 +259,7 @@ def answers(case: Case, base: Path) -> dict[str, int]:
     }
     given = {}
     # what the report says is decided before its PDF is set, which takes most of the time
-    with mock.patch("calib.reporting.pdf.to_pdf", lambda *_: b"%PDF"):
+    with mock.patch("calib.reporting.pages.to_pdf", lambda *_: b"%PDF"):
         for name, arguments in jobs.items():
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
                 given[name] = run(arguments)

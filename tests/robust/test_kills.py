@@ -17,8 +17,8 @@ from tests.robust.killing import ROOT
 
 #: what takes long to compute and is no matter here, no matter what it gives
 STAND_INS = {
-    "calib.reporting.pdf.to_pdf": b"%PDF-1.7",
-    "calib.reporting.html.to_html": "<html></html>",
+    "calib.reporting.pages.to_pdf": b"%PDF-1.7",
+    "calib.reporting.pages.to_html": "<html></html>",
     "calib.reporting.figures.style.render": b"<svg/>",
 }
 

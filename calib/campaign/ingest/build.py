@@ -22,10 +22,9 @@ from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import parse_settings
 from calib.campaign.write import write_campaign
-from calib.documents import to_json
+from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
-from calib.result import plain
 from calib.types import FloatArray, Progress, silent, stepped
 
 RECORD: Final = "ingest.json"

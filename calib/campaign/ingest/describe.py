@@ -19,9 +19,9 @@ from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED
 from calib.campaign.write import to_toml
+from calib.documents import plain
 from calib.errors import BadInputError, would_overwrite
 from calib.io import write_text
-from calib.result import plain
 
 #: files of one kind that are read to the end; of more, the first and the last
 _ALL_READ: Final = 40

@@ -15,11 +15,11 @@ from calib.challenge.own.plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own.replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
 from calib.challenge.seal import each
+from calib.documents import plain
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
-from calib.result import plain
 from calib.types import FloatArray
 
 #: verdicts that name no cause

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import Result, plain, plain_fields
 from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -27,7 +28,6 @@ from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.gap.predict import Path, residuals
-from calib.result import Result, plain, plain_fields
 from calib.types import FloatArray
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain_fields
 from calib.gap.inference.fit import Fitted, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.predict import Path, residuals
-from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: no run was held out, the user's simulator ran again with the fix

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain
 from calib.errors import BadInputError
 from calib.gap.effects import calibration, drift, encoder, floor, load, path, reference, steering, turning
 from calib.gap.effects.columns import (
@@ -25,7 +26,6 @@ from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.gap.steps import Perturbation
 from calib.limits import COVARIATES, refuse_beyond
-from calib.result import plain
 from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here

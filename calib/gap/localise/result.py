@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from calib.documents import plain_fields
 from calib.gap.observations.arrays import Channel
-from calib.result import plain_fields
 
 #: what a line is called that stands for all channels together
 ALL_CHANNELS = "all"

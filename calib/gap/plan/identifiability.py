@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import plain_fields
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, signature_columns, whitened_rows
@@ -18,7 +19,6 @@ from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
-from calib.result import plain_fields
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
 
 #: signatures closer than this (in standard deviations) are confounded: no test at 1 % separates them

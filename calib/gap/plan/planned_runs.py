@@ -20,10 +20,10 @@ from calib.campaign.wheels import (
     odometry_source,
     without_rear_wheels,
 )
+from calib.documents import plain_fields
 from calib.errors import BadInputError
 from calib.limits import PLANNED_SAMPLES
 from calib.odometry.routes import NAMED, Route, arc, straight
-from calib.result import plain_fields
 from calib.types import FloatArray
 from calib.vehicle import wheel_loads_N
 

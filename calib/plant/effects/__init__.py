@@ -1,1 +1,44 @@
-"""What can be wrong with a vehicle's world, as the plant does it: its own forms, beside the plain ones."""
+"""Every form of every effect that the plant knows."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from calib.errors import BadInputError
+from calib.plant.effects import instruments, motion, surroundings, wheels
+from calib.plant.effects.form import Form
+
+# the order is part of a sealed set: what is drawn from a seed follows it
+ALL: Final[tuple[Form, ...]] = (
+    *wheels.FORMS,
+    *motion.FORMS,
+    *surroundings.FLOOR,
+    *instruments.FORMS,
+    *surroundings.OUTSIDE,
+)
+
+
+def effects() -> tuple[str, ...]:
+    """Return the ids of all effects, each once, in the registry's order."""
+    return tuple(dict.fromkeys(form.effect for form in ALL))
+
+
+def forms_of(effect: str) -> tuple[Form, ...]:
+    """Return the forms of an effect."""
+    forms = tuple(form for form in ALL if form.effect == effect)
+    if not forms:
+        raise BadInputError(f"effect {effect!r} found; expected one of {', '.join(effects())}; name one of these")
+    return forms
+
+
+def find(effect: str, form: str = "") -> Form:
+    """Return one form of an effect; its first where `form` is empty or not known for it."""
+    forms = forms_of(effect)
+    if not form:
+        return forms[0]
+    for known in forms:
+        if known.form == form:
+            return known
+    raise BadInputError(
+        f"form of {effect}: found {form!r}; expected one of {', '.join(known.form for known in forms)}; choose one"
+    )

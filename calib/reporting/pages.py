@@ -1,27 +1,121 @@
-"""Report as one HTML page that opens from disk: blocks as plain markup, figures inside, no script needed."""
+"""The report as PDF/A-3 with its coefficient file attached, and as one HTML page that opens from disk.
+
+Same input, same bytes. A page of HTML is plain markup with its figures inside; it needs no script.
+"""
 
 from __future__ import annotations
 
 import base64
+import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final
 
+from calib.documents import plain, to_json
+from calib.errors import CalibError
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
 from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
 from calib.reporting.text import EQUATIONS
-from calib.result import plain
+from calib.types import Progress, silent, stepped
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
+
+#: PDF/A-3 at its accessible level: tagged, with alternative texts
+STANDARD: Final = "a-3a"
+#: missing signs replaced one by one, beyond whole scripts that the fonts lack
+MAX_MISSING_SIGNS: Final = 24
+
+
+def to_pdf(report: Report, progress: Progress = silent) -> bytes:
+    """Return the report as PDF/A-3a.
+
+    The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name holds
+    signs that these lack. Raises CalibError where the page cannot be set.
+    """
+    sources: dict[str, bytes] = {
+        "main.typ": (files("calib.reporting") / "page.typ").read_bytes(),
+        "data.json": to_json(report.to_dict()).encode("utf-8"),
+    }
+    for picture in stepped(report.pictures, progress, "figures of the PDF"):
+        sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
+    for attachment in report.attachments:
+        sources[attachment.name] = attachment.data
+    if report.logo is not None:
+        sources |= dict([report.logo])
+    with TemporaryDirectory(prefix="calib-report-") as folder:
+        for name, data in sources.items():
+            (Path(folder) / name).write_bytes(data)
+        return _compile_with_fallback(Path(folder), report)
+
+
+def _compile_with_fallback(folder: Path, report: Report) -> bytes:
+    """Set the page with the built-in fonts.
+
+    Where a sign is in none of them, those of the system are used, too; where it is in none of these either, it is
+    replaced by its code point.
+    """
+    text = (folder / "data.json").read_text(encoding="utf-8")
+    with suppress(_MissingSign):
+        return _compiled(folder, report, system_fonts=False)
+    for _ in range(MAX_MISSING_SIGNS):
+        try:
+            return _compiled(folder, report, system_fonts=True)
+        except _MissingSign as error:
+            for sign in {sign for sign in text if _of_rare_script(sign)} | set(str(error)):
+                text = text.replace(sign, f"[U+{ord(sign):X}]")
+            (folder / "data.json").write_text(text, encoding="utf-8")
+    raise CalibError("the report's page cannot be set: too many signs that no font has; expected common scripts")
+
+
+def _of_rare_script(sign: str) -> bool:
+    """Return whether a sign is of a script that the built-in fonts lack as a whole."""
+    common = unicodedata.name(sign, "").startswith(("LATIN", "GREEK", "CYRILLIC"))
+    return unicodedata.category(sign) in {"Lo", "So", "Cn", "Co"} and not common
+
+
+class _MissingSign(Exception):
+    """Signs that no font has."""
+
+
+def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
+    import typst
+
+    try:
+        compiled = typst.compile(
+            str(folder / "main.typ"),
+            root=str(folder),
+            format="pdf",
+            pdf_standards=[STANDARD],
+            ignore_system_fonts=not system_fonts,
+            timestamp=datetime.fromisoformat(report.issued).replace(tzinfo=UTC),
+        )
+    except RuntimeError as error:
+        missing = re.search(r'the text `"(.+?)"` could not be displayed', str(error))
+        if missing:
+            raise _MissingSign(missing[1]) from error
+        if report.logo is not None and re.search(r"image|svg", str(error), re.IGNORECASE):
+            raise CalibError(
+                f"campaign.toml, report.logo: found a file that cannot be drawn ({error}); expected a picture as its "
+                "name says; save it again as SVG, PNG or JPEG"
+            ) from error
+        raise CalibError(
+            f"the report's page cannot be set: {error}; expected a page for any content, so please report it"
+        ) from error
+    return bytes(compiled)
 
 
 def to_html(report: Report, panels: str = "") -> str:

@@ -1,4 +1,4 @@
-"""``calib ingest``: raw laboratory files and recordings become a campaign; or a description and a proposed mapping."""
+"""`calib init`, `ingest` and `check`: an empty campaign, one from raw lab files, and what is wrong with one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,26 @@ if TYPE_CHECKING:
 _LISTED_RUNS = 8
 
 
-def run(
+def init(
+    folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")],
+) -> None:
+    """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
+
+    What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
+
+    Example: calib init hall3
+    """
+    from calib.campaign.ingest.describe import write_blank
+    from calib.reporting.next_step import after_init
+
+    written = write_blank(folder, force=terminal.forced())
+    terminal.emit_json({"campaign": str(folder), "written": [str(path) for path in written]})
+    if not terminal.wants_stdout():
+        terminal.wrote(written)
+        terminal.then(after_init(folder))
+
+
+def ingest(
     sources: Annotated[
         list[Path],
         typer.Argument(help="Run table first, where there is one; then logs, recordings or folders of them."),
@@ -47,12 +66,12 @@ def run(
         raise BadInputError(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
-    from calib.campaign.ingest.build import ingest, merged_notes
+    from calib.campaign.ingest import build
+    from calib.documents import plain
     from calib.reporting.next_step import after_ingest
-    from calib.result import plain
 
     with terminal.progress("reading") as tick:
-        ingested = ingest(sources, into, mapping=mapping, force=terminal.forced(), dry_run=dry_run, progress=tick)
+        ingested = build.ingest(sources, into, mapping=mapping, force=terminal.forced(), dry_run=dry_run, progress=tick)
     document = {
         "campaign": str(ingested.folder),
         "n_runs": ingested.n_runs,
@@ -66,7 +85,7 @@ def run(
     terminal.emit_json(document)
     if terminal.wants_stdout():
         return
-    for note in merged_notes(ingested.notes):
+    for note in build.merged_notes(ingested.notes):
         terminal.say(f"{note.where}: {note.text}")
     _say_cuts(ingested)
     end = "; nothing was written" if dry_run else ""
@@ -93,3 +112,38 @@ def _say_cuts(ingested: Ingested) -> None:
     shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in ingested.cuts[:_LISTED_RUNS])
     more = f" and {len(ingested.cuts) - _LISTED_RUNS} more" if len(ingested.cuts) > _LISTED_RUNS else ""
     terminal.say(f"Cut into runs: {shown}{more}.")
+
+
+def check(
+    campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
+    strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 on suspicious things, too.")] = False,
+    mapping: terminal.MappingOption = None,
+) -> int:
+    """Say what was found in a campaign, what is wrong and what is suspicious; nothing is changed.
+
+    It ends in one of three verdicts: sound, look at this (something is suspicious), or wrong. The exit status is 1
+    where something is wrong, 0 otherwise (with --strict only where nothing is suspicious either), 2 where the campaign
+    cannot be read at all.
+
+    Example: calib check sample_runs/corridor --json -
+    """
+    from dataclasses import asdict
+
+    from calib.campaign.check import check_campaign
+    from calib.campaign.read import read_or_ingest
+    from calib.reporting.next_step import after_check
+    from calib.reporting.topics.checks import check_content
+
+    with terminal.progress("checking") as tick:
+        report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)
+    document = {
+        "campaign": report.campaign,
+        "simulated": report.simulated,
+        "sound": report.sound,
+        "verdict": report.verdict,
+        "found": asdict(report.found),
+        **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
+    }
+    terminal.answer(document, check_content(report))
+    terminal.then(after_check(report.verdict, campaign, distances=report.found.distance_m is not None))
+    return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
