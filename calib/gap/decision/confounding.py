@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.diagnosis import Evidence
+from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
@@ -222,6 +222,29 @@ def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -
     parts = np.split(sizes, np.cumsum([len(free), *(len(form.parameters) for form in forms)])[:-1])[1:]
     theta = [part * form.typical for part, form in zip(parts, forms, strict=True)]
     return float(residual @ residual), _Correction(change, forms, theta)
+
+
+def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
+    """Return the causes whose part a second form of a larger cause explains as well.
+
+    No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
+    linearly, leaves a part of the larger cause that looks like a smaller one.
+    """
+    errors: list[str] = []
+    fitted, window = evidence.fitted, 2.0 * LOG_EVIDENCE_WINDOW
+    for cause in causes:
+        larger = {other.effect for other in causes if other.share > cause.share}
+        fitted_labels = {(form.effect, form.label) for form in fitted.forms}
+        offered = (form for name in larger for form in evidence.search.forms.get(name, ()))
+        second = [form for form in offered if (form.effect, form.label) not in fitted_labels]
+        if not second:
+            continue
+        kept = [form for form in fitted.forms if form.effect != cause.effect]
+        fixed = [NAMES.index(cause.effect)] if _is_recalibrated(evidence, cause.effect) else []
+        least = _refitted(evidence, fitted.forms, ())[0] + window
+        if any(_refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least for form in second):
+            errors.append(cause.effect)
+    return tuple(errors)
 
 
 def gap_probability(evidence: Evidence) -> float:

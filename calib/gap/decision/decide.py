@@ -57,6 +57,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     differing = size_differences(evidence, probable)
     causes = limited_to_even(causes, differing)
     small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
+    small += confounding.form_errors(evidence, [c for c in causes if c.effect in probable.difference(small)])
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     closure, situation = evidence.held_out.closure, evidence.situation

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import prod
-
-import numpy as np
+from typing import Final
 
 from calib.gap.decision import confounding
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement, improvement_of
-from calib.gap.decision.sentences import SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.sentences import (
+    CERTAIN_PROBABILITY,
+    SIGNAL_OVER_UNEXPLAINED,
+    SMALL_SHARE,
+    corrections_agree,
+)
 from calib.gap.decision.trials import FALSE_ALARM, Trial, trials
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.effect import Family
@@ -24,6 +28,8 @@ from calib.gap.predict import residuals
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
+#: least probability that all causes of a fix are at work: one with a wrong cause costs twice what one withheld does
+FIX_PROBABILITY: Final = 2.0 / 3.0
 
 
 def fix_of(
@@ -75,6 +81,7 @@ def fix_of(
         *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not probable enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, tied, unexplained, differing)),
+        *unsized(evidence, unexplained),
     ]
     return Fix(
         recommended=not why,
@@ -139,9 +146,18 @@ def doubts(
 
 def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
     together = prod(certain.get(cause.effect, cause.probability) for cause in causes)
-    if together < EVEN_PROBABILITY:
+    if together < FIX_PROBABILITY:
         listed = ", ".join(f"{cause.effect} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes)
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
+
+
+def unsized(evidence: Evidence, unexplained: Unexplained | None) -> Iterator[str]:
+    """Yield that an unexplained residual is probable where it is too small to be given a size."""
+    if unexplained is None and evidence.search.rest >= EVEN_PROBABILITY:
+        yield (
+            f"the probability of an unexplained residual is {evidence.search.rest:.2f}, though it is too small to be "
+            "located; repeat the routes with the largest gap"
+        )
 
 
 def unhelpful(improvement: Improvement | None) -> Iterator[str]:
@@ -336,10 +352,10 @@ def _parted(
     """Return the causes that are sure, and of the others by name why they are not."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
     kept = [cause for cause in causes if cause.effect not in dropped]
-    for cause in sorted(kept, key=lambda each: certain.get(each.effect, each.probability)):
-        probability = certain.get(cause.effect, cause.probability)
-        if float(np.prod([certain.get(each.effect, each.probability) for each in kept])) >= EVEN_PROBABILITY:
-            break
-        kept.remove(cause)
-        dropped[cause.effect] = f"{cause.effect} is at work with a probability of {probability:.2f}"
+    probability = {cause.effect: certain.get(cause.effect, cause.probability) for cause in kept}
+    if prod(probability.values()) < FIX_PROBABILITY:
+        # a part of doubtful causes is chosen by chance: only the nearly certain ones are sure
+        doubtful = {name: p for name, p in probability.items() if p < CERTAIN_PROBABILITY}
+        kept = [cause for cause in kept if cause.effect not in doubtful]
+        dropped |= {name: f"{name} is at work with a probability of {p:.2f}" for name, p in doubtful.items()}
     return kept, dropped
