@@ -10,7 +10,7 @@ import numpy as np
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
 from calib.gap.observations.arrays import N_CHANNELS, Channel
 from calib.gap.predict import predict
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"
 #: Gauss-Newton steps from which wheels reproduce a change; of a per cent the third is at rounding
@@ -19,6 +19,8 @@ _STEPS: Final = 3
 _LEFT_SHARE: Final = 0.1
 #: a remainder is more than the simulator's noise where noise exceeds it less often than this
 _NOISE_TAIL: Final = 1e-3
+#: a channel repeats itself within this share of an instrument's stated uncertainty
+_REPEATED_SHARE: Final = 0.02
 
 
 def simulator_title(name: str) -> str:
@@ -83,12 +85,14 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
 
     A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track that
     are off alike in all runs, then as both wheels off in each run by itself; what explains little of it is omitted. If
-    the first leaves no more than the noise of the change, (4,), the remainder is no signature.
+    the change has noise, (4,), the wheels are also sought off in proportion to a quantity of the runs. The first that
+    leaves no more than the noise is taken: few numbers from all runs, in which little of the noise is left.
     """
     s = nominal.s
     on = s.usable[:, :4]
     sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-    weight = np.where(on, 1.0 / sigma, 0.0)
+    spread = np.maximum(noise, _REPEATED_SHARE * sigma) if noise.any() else sigma
+    weight = np.where(on, 1.0 / spread, 0.0)
 
     def moved(wheels: FloatArray) -> tuple[Path, FloatArray]:
         if not wheels.any():
@@ -96,47 +100,65 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
         path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
         return path, change - (path.reading - nominal.reading)[:, :4]
 
-    wheels, remaining = np.zeros((len(s), 3)), change
-    for alike in (True, False):
-        found = wheels
+    def sought(wheels: FloatArray, basis: FloatArray | None) -> tuple[FloatArray, FloatArray]:
         for _ in range(_STEPS):
-            path, left = moved(found)
-            columns = path.calibration[:, :4, : 3 if alike else 2] * weight[:, :, None]
-            found = found + _correction(columns, in_end_frame(path, left)[:, :4] * weight, alike=alike)
-        left = moved(found)[1]
-        before, after = (((part * weight) ** 2).sum(axis=1) for part in (remaining, left))
-        good = np.full(len(s), after.sum() < _LEFT_SHARE * before.sum()) if alike else after < _LEFT_SHARE * before
-        wheels, remaining = np.where(good[:, None], found, wheels), np.where(good[:, None], left, remaining)
-        if alike and _is_noise(remaining, on, noise):
-            remaining = np.zeros_like(remaining)
+            path, left = moved(wheels)
+            gap = in_end_frame(path, left)[:, :4] * weight
+            wheels = wheels + _correction(path.calibration[:, :4, :3] * weight[:, :, None], gap, basis)
+        return wheels, moved(wheels)[1]
+
+    def squares(left: FloatArray) -> FloatArray:
+        return np.asarray(((left * weight) ** 2).sum(axis=1))
+
+    ones = np.ones((len(s), 3, 1))
+    wheels, remaining = np.zeros((len(s), 3)), change
+    for basis in [ones, *(np.concatenate([ones, one[:, :, None]], axis=2) for one in _quantities(s) if noise.any())]:
+        found, left = sought(np.zeros((len(s), 3)), basis)
+        is_noise = bool(noise.any() and _is_noise(squares(left).sum(), int(on.sum())))
+        if is_noise or (basis is ones and squares(left).sum() < _LEFT_SHARE * squares(remaining).sum()):
+            wheels, remaining = found, np.zeros_like(left) if is_noise else left
+        if is_noise:
             break
+    else:
+        found, left = sought(wheels, None)
+        good = (squares(left) < _LEFT_SHARE * squares(remaining))[:, None]
+        wheels, remaining = np.where(good, found, wheels), np.where(good, left, remaining)
     rest = np.where(on, remaining, 0.0)
     left, right, track = wheels.T / step
     return Carried(tuple(s.labels["run_id"]), left, right, track, rest / step)
 
 
-def _is_noise(change: FloatArray, on: BoolArray, noise: FloatArray) -> bool:
-    """Return whether a change (n_obs, 4) where it is on is no more than noise of standard deviations (4,)."""
+def _quantities(s: Observations) -> list[FloatArray]:
+    """Return what the wheels may follow, of (left, right, track), each (n_obs, 3), that are known and vary."""
+    numbers = [s.number(name) for name in ("speed_mps", "temperature_C")]
+    each = [(*s.wheel_loads_N, s.wheel_loads_N.mean(axis=0)), *((number,) * 3 for number in numbers)]
+    tables = [np.stack(columns, axis=1) for columns in each]
+    return [(table - table.mean()) / table.std() for table in tables if np.isfinite(table).all() and table.std() > 0.0]
+
+
+def _is_noise(square: float, count: int) -> bool:
+    """Return whether the squares of so many readings over their noise are no more than noise."""
     from scipy.special import chdtrc
 
-    seen = on & (noise > 0.0)
-    if not seen.any() or change[on & ~seen].any():
-        return False
-    square = float(np.sum((change / np.where(noise > 0.0, noise, 1.0))[seen] ** 2))
-    return bool(chdtrc(int(seen.sum()), square) > _NOISE_TAIL)
+    return bool(chdtrc(count, square) > _NOISE_TAIL)
 
 
-def _correction(columns: FloatArray, gap: FloatArray, *, alike: bool) -> FloatArray:
-    """Return the change (n_obs, 3) of left, right wheel and track that columns (n_obs, 4, k) ask for of a gap."""
-    normal = np.einsum("nck,ncl->nkl", columns, columns)
-    right = np.einsum("nck,nc->nk", columns, gap)
-    if alike:
-        normal, right = normal.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
-    k = columns.shape[2]
+def _correction(columns: FloatArray, gap: FloatArray, basis: FloatArray | None) -> FloatArray:
+    """Return the change (n_obs, 3) of left, right wheel and track that columns (n_obs, 4, 3) ask for of a gap.
+
+    Of a few numbers for all runs, by a basis (n_obs, 3, k); without one both wheels of each run by itself.
+    """
     found = np.zeros((len(columns), 3))
     # of unit prior: what runs do not determine stays at zero
-    found[:, :k] = np.linalg.solve(normal + np.eye(k), right[:, :, None])[:, :, 0]
-    return found
+    if basis is None:
+        wheels = columns[:, :, :2]
+        normal = np.eye(2) + np.einsum("nck,ncl->nkl", wheels, wheels)
+        right = np.einsum("nck,nc->nk", wheels, gap)
+        found[:, :2] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        return found
+    whole = (columns[:, :, :, None] * basis[:, None]).reshape(gap.size, -1)
+    sizes = np.linalg.solve(np.eye(whole.shape[1]) + whole.T @ whole, whole.T @ gap.ravel())
+    return np.asarray(np.einsum("njk,jk->nj", basis, sizes.reshape(3, -1)))
 
 
 def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
