@@ -113,13 +113,13 @@ class LocalSearch:
         deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
         return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
 
-    def _sums_beside(self, share: float = 1.0) -> Sums:
-        """Return the sums beside the current hypothesis, its effects deviating by a share of what they may."""
+    def _sums_beside(self) -> Sums:
+        """Return the sums beside the current hypothesis and what its effects may deviate by."""
         current_sizes = {k: self.sizes[k] for k in self.current}
         return self.system.sums(
             self.system.columns,
             self.system.calibration,
-            share * self._deviations(self.system, current_sizes),
+            self._deviations(self.system, current_sizes),
             prior_rest=self.settings.prior_rest,
         )
 
@@ -148,10 +148,14 @@ class LocalSearch:
         Deviations that may be large but are not would leave a strong effect's size to chance.
         """
         full_deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        # what else is on offer makes no difference to how probable a scale is beside these forms
+        own, model = self.system.only(self.current), tuple(range(len(self.current)))
+        priors = FormPriors.from_forms(own.forms, self.settings.further)
         weightings = []
         for share in _DEVIATION_SHARES if self.current else (1.0,):
-            sums = self.sums if share == 1.0 else self._sums_beside(share)
-            weight = self.weigh([self.current], sums)[:, 0]
+            deviations = share * full_deviations
+            sums = own.sums(own.columns, own.calibration, deviations, prior_rest=self.settings.prior_rest)
+            weight = log_weights(sums, priors, [model])[:, 0]
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
         _, kind, scale, share = max(weightings, key=lambda each: each[0])

@@ -22,6 +22,8 @@ SCALE_CHOICE_COST: Final = float(np.log(4.0))
 _BATCH_SIZE: Final = 400
 #: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
 _BATCH_ENTRIES: Final = 2**19
+#: from so many columns on, half the products save more than a call a matrix costs
+_WIDE: Final = 64
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80, 160, 320)
 
@@ -108,8 +110,23 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     """
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
-    products: FloatArray = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
-    return products
+    return np.asarray(_solved(scaled, (right / size)[..., None])[..., 0] / size)
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve positive definite matrices (..., p, p) for right sides (..., p, q); of wide ones by one triangle alone."""
+    if matrix.shape[-1] < _WIDE:
+        return np.asarray(np.linalg.solve(matrix, right))
+    from scipy.linalg.lapack import dposv
+
+    solved = np.empty(np.broadcast_shapes(matrix.shape[:-1], right.shape[:-1]) + right.shape[-1:])
+    sides = np.broadcast_to(right, solved.shape)
+    for place in np.ndindex(*matrix.shape[:-2]):
+        # a symmetric matrix is its own transpose, which stands as LAPACK has it
+        _, solved[place], failed = dposv(matrix[place].T, sides[place])
+        if failed:
+            solved[place] = np.linalg.solve(matrix[place], sides[place])
+    return solved
 
 
 def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
@@ -274,7 +291,7 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
     inner, size = _inner(gram, root)
     # columns with a sign are few among the hundreds that an effect of every session has
     signed = np.flatnonzero((sign != 0).reshape(-1, sign.shape[-1]).any(axis=0))
-    inverse = np.linalg.solve(inner, np.eye(sign.shape[-1])[:, signed])
+    inverse = _solved(inner, np.eye(sign.shape[-1])[:, signed])
     # both times the prior scale over the scaling
     mean = np.einsum("...kc,...k->...c", inverse, root * right / size)
     spread = np.sqrt(inverse[..., signed, np.arange(len(signed))])
