@@ -12,7 +12,7 @@ import statsmodels.api as sm
 
 from calib.campaign.read import read_campaign
 from calib.challenge.cases import campaigns_of, truth_of
-from calib.challenge.recipe import Seeds, recipes
+from calib.challenge.recipe import Seeds, read_seeds, recipes
 from calib.gap.decision.constancy import SAME_SIZE_SD, SizeDifference, _difference, size_differences
 from calib.gap.diagnose import diagnose_in_full
 
@@ -119,3 +119,16 @@ def test_what_imitates_a_cause_is_not_recommended() -> None:
     diagnosis = diagnose_in_full(campaign, plan=False, exclude=("speed_radius",))
     assert not diagnosis.recommended
     assert any("differs by speed" in reason for reason in diagnosis.fix.why)
+
+
+@pytest.mark.parametrize(("case", "cause", "imitation"), [("c0026", "lost_counts", "speed_radius")])
+def test_what_a_second_form_of_the_cause_explains_is_no_second_cause(
+    project_root: Path, case: str, cause: str, imitation: str
+) -> None:
+    """Counts lost with the square of the speed, a form that is not offered: the rest of its law is no radius."""
+    seeds = read_seeds(project_root / "calib" / "challenge" / "seeds" / "scoring15.toml")
+    recipe = next(recipe for recipe in recipes(seeds) if recipe.case == case)
+    campaign, _ = campaigns_of(truth_of(recipe, seeds.seed, 160))
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    assert [one.effect for one in diagnosis.causes] == [cause]
+    assert diagnosis.recommended and any(imitation in note for note in diagnosis.notes)
