@@ -6,10 +6,6 @@ The checksum is SHA-256 over a canonical form that survives re-indenting and re-
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields, is_dataclass
-from enum import Enum
-from importlib import import_module
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -155,6 +151,8 @@ class Result:
 
 
 def _presentation() -> Any:
+    from importlib import import_module
+
     return import_module(PRESENTATION)
 
 
@@ -166,12 +164,19 @@ def plain(value: Any) -> Any:
     with ``metadata={"json": False}`` and renamed with ``metadata={"json": "name"}``; an object with a ``to_dict`` of
     its own is asked for it.
     """
-    if value is None or isinstance(value, bool | str):
+    if value is None or type(value) in {bool, int, str}:
+        return value
+    if isinstance(value, float):
+        return float(value) if value - value == 0.0 else None
+    # imported here, since `import calib` reads this file
+    from dataclasses import is_dataclass
+    from enum import Enum
+    from pathlib import PurePath
+
+    if isinstance(value, str):
         return str(value.value) if isinstance(value, Enum) else value
     if isinstance(value, int):
         return int(value)
-    if isinstance(value, float):
-        return float(value) if value - value == 0.0 else None
     if isinstance(value, dict) or hasattr(value, "items"):
         return {str(plain(key)): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
@@ -194,6 +199,8 @@ def plain_fields(value: Any, **changes: Any) -> dict[str, Any]:
 
     `changes`: key of the JSON -> value, in place of the field's own or after the fields.
     """
+    from dataclasses import fields
+
     document = {}
     for part in fields(value):
         key = part.metadata.get("json", part.name)
