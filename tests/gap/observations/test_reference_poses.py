@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calib.gap.effects.surroundings import common_frame, far_end_m, floor_place, map_heading_rad
 
 from calib.campaign.settings import Reference
+from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from tests.gap.observations.paths import ROUTE, Truth, campaign_of, seen
