@@ -229,19 +229,28 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
 
     No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
     linearly, leaves a part of the larger cause that looks like a smaller one.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was measured.
+    causes : sequence of Cause
+        What would be named.
     """
+    if len(causes) < 2:
+        return ()
     errors: list[str] = []
     fitted, window = evidence.fitted, 2.0 * LOG_EVIDENCE_WINDOW
+    fitted_labels = {(form.effect, form.label) for form in fitted.forms}
+    least = _refitted(evidence, fitted.forms, ())[0] + window
     for cause in causes:
         larger = {other.effect for other in causes if other.share > cause.share}
-        fitted_labels = {(form.effect, form.label) for form in fitted.forms}
         offered = (form for name in larger for form in evidence.search.forms.get(name, ()))
         second = [form for form in offered if (form.effect, form.label) not in fitted_labels]
         if not second:
             continue
         kept = [form for form in fitted.forms if form.effect != cause.effect]
         fixed = [NAMES.index(cause.effect)] if _is_recalibrated(evidence, cause.effect) else []
-        least = _refitted(evidence, fitted.forms, ())[0] + window
         if any(_refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least for form in second):
             errors.append(cause.effect)
     return tuple(errors)

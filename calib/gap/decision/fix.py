@@ -319,6 +319,7 @@ def sure_part(
         *harm(tried),
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
         *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
+        *unsized(evidence, unexplained),
     ]
     if why:
         # without a cause beside a blunder there are no reasons yet
