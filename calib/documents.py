@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 #: of the program, as its documents name it
@@ -67,6 +68,19 @@ def spreadsheet_cell(value: Any) -> Any:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def templates_of(package: str, *, markup: bool = False) -> Environment:
+    """Return the templates in a package's folder, in which a line that begins with ``%`` is a statement.
+
+    `markup`: every text that they take is escaped; elsewhere the last line keeps its end.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader(package, "."), autoescape=markup, undefined=StrictUndefined,
+        line_statement_prefix="%", keep_trailing_newline=not markup,
+    )  # fmt: skip
 
 
 def canonical_bytes(document: dict[str, object]) -> bytes:

@@ -92,7 +92,9 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 
 def _script(name: str) -> str:
-    return (files("calib.reporting") / "scripts" / f"{name}.js").read_text(encoding="utf-8")
+    """Return a script of ``panels.js``, where each begins below a line of its name."""
+    scripts = (files("calib.reporting") / "panels.js").read_text(encoding="utf-8")
+    return scripts.partition(f"//: {name}\n")[2].partition("//: ")[0]
 
 
 def _packed(script: str) -> str:

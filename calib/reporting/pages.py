@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
-from calib.documents import plain, to_json
+from calib.documents import plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
@@ -189,9 +189,7 @@ def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
 
 @cache
 def _template() -> Template:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(loader=PackageLoader("calib.reporting", "."), autoescape=True, undefined=StrictUndefined)
+    environment = templates_of("calib.reporting", markup=True)
     environment.globals |= {"equations": EQUATIONS, "groups": _groups}
     return environment.get_template("page.html.j2")
 

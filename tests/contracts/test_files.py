@@ -89,7 +89,7 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
         "coefficients/formats/c_runtime.h",
         "reporting/page.typ",
         "reporting/page.html.j2",
-        "reporting/scripts/choose.js",
+        "reporting/panels.js",
         "challenge/seeds/scoring.toml",
     ):
         assert (PACKAGE / name).is_file(), name

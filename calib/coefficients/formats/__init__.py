@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
+
+from calib.documents import templates_of
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+
     from calib.coefficients.file import CoefficientFile
 
 #: name of the format -> module of this package, None for the coefficient file itself; each has
@@ -130,3 +135,30 @@ def number(value: float) -> str:
     text = repr(float(value))
     mantissa, mark, exponent = text.partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.0") + mark + exponent
+
+
+def c_number(value: float) -> str:
+    """Return a double as C reads it, to the last bit."""
+    text = repr(float(value))
+    return text if any(mark in text for mark in ".e") else f"{text}.0"
+
+
+def c_literal(value: float) -> str:
+    """Return a double as C reads it; negative ones in brackets."""
+    text = c_number(value)
+    return f"({text})" if text.startswith("-") else text
+
+
+@cache
+def templates() -> Environment:
+    """Return the templates of this folder."""
+    environment = templates_of(__name__)
+    environment.filters |= {"ascii_line": ascii_line, "c_number": c_number, "literal": c_literal, "number": number}
+    # six digits are more than a variance is known to
+    environment.filters["variance"] = lambda value: number(float(f"{value:.6g}"))
+    return environment
+
+
+def rendered(name: str, **values: Any) -> bytes:
+    """Return the text that a template of this folder makes of values."""
+    return templates().get_template(name).render(values).encode("utf-8")
