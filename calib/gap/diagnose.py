@@ -207,9 +207,10 @@ def _searched(
         progress(next(passes), 0, "search of causes")
 
     noise = estimate_noise(nominal, residuals(nominal, nominal))
-    recalibrated = fit(nominal, noise)
-    noise = estimate_noise(recalibrated.path, recalibrated.left)
-    base = fit(nominal, noise, start=recalibrated)
+    base = fit(nominal, noise)
+    if base.calibration.any():
+        noise = estimate_noise(base.path, base.left)
+        base = fit(nominal, noise, start=base)
     searched = search(nominal, noise, base, effects, settings, passed=passed)
     for _ in range(NOISE_PASSES):
         best = searched.fitted

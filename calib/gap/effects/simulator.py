@@ -15,6 +15,12 @@ from calib.types import FloatArray
 SIMULATOR_PREFIX: Final = "simulator:"
 #: Gauss-Newton steps from which wheels reproduce a change; of a per cent the third is at rounding
 _STEPS: Final = 3
+#: what is left is at rounding below this share of a change's squares
+_ROUNDING: Final = 1e-8
+#: a further step is taken where it promises, linear, to leave no more than this share
+_PROMISED_SHARE: Final = 0.2
+#: radii and track alike in all runs that leave less than this share are all that there is to a change
+_ALL_BUT: Final = 1e-4
 #: wheels carry a change where they leave no more than this share of its squares
 _LEFT_SHARE: Final = 0.1
 #: a remainder is more than the simulator's noise where noise exceeds it less often than this
@@ -26,6 +32,10 @@ _REPEATED_SHARE: Final = 0.02
 def simulator_title(name: str) -> str:
     """Return the title of a parameter's effect."""
     return f"{name} of the simulator"
+
+
+#: relative changes of the wheels (n_obs, 3), the path with them, and what of a change they leave (n_obs, 4)
+_Sought = tuple[FloatArray, Path, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,35 +104,44 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
     spread = np.maximum(noise, _REPEATED_SHARE * sigma) if noise.any() else sigma
     weight = np.where(on, 1.0 / spread, 0.0)
 
-    def moved(wheels: FloatArray) -> tuple[Path, FloatArray]:
-        if not wheels.any():
-            return nominal, change
-        path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
-        return path, change - (path.reading - nominal.reading)[:, :4]
-
-    def sought(wheels: FloatArray, basis: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-        for _ in range(_STEPS):
-            path, left = moved(wheels)
-            gap = in_end_frame(path, left)[:, :4] * weight
-            wheels = wheels + _correction(path.calibration[:, :4, :3] * weight[:, :, None], gap, basis)
-        return wheels, moved(wheels)[1]
-
     def squares(left: FloatArray) -> FloatArray:
         return np.asarray(((left * weight) ** 2).sum(axis=1))
 
-    ones = np.ones((len(s), 3, 1))
-    wheels, remaining = np.zeros((len(s), 3)), change
+    rounding = _ROUNDING * squares(change).sum()
+
+    def sought(start: _Sought, basis: FloatArray | None) -> _Sought:
+        wheels, path, left = start
+        for _ in range(_STEPS):
+            gap = in_end_frame(path, left)[:, :4] * weight
+            columns = path.calibration[:, :4, :3] * weight[:, :, None]
+            step = _correction(columns, gap, basis)
+            promised = ((gap - np.einsum("nck,nk->nc", columns, step)) ** 2).sum(axis=1)
+            now = squares(left)
+            if basis is not None:
+                now, promised = now.sum(keepdims=True), promised.sum(keepdims=True)
+            # little by little a noisy change adds up over the runs
+            gains = (now > promised) if noise.any() else (promised < _PROMISED_SHARE * now)
+            if now[gains].sum() <= rounding:
+                break
+            wheels = wheels + step
+            path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
+            left = change - (path.reading - nominal.reading)[:, :4]
+        return wheels, path, left
+
+    ones, unmoved = np.ones((len(s), 3, 1)), (np.zeros((len(s), 3)), nominal, change)
+    best = unmoved
     for basis in [ones, *(np.concatenate([ones, one[:, :, None]], axis=2) for one in _quantities(s) if noise.any())]:
-        found, left = sought(np.zeros((len(s), 3)), basis)
-        is_noise = bool(noise.any() and _is_noise(squares(left).sum(), int(on.sum())))
-        if is_noise or (basis is ones and squares(left).sum() < _LEFT_SHARE * squares(remaining).sum()):
-            wheels, remaining = found, np.zeros_like(left) if is_noise else left
-        if is_noise:
+        found = sought(unmoved, basis)
+        square = squares(found[2]).sum()
+        if noise.any() and _is_noise(square, int(on.sum())):
+            wheels, remaining = found[0], np.zeros_like(change)
             break
+        if basis is ones and square < _LEFT_SHARE * squares(change).sum():
+            best = found
     else:
-        found, left = sought(wheels, None)
-        good = (squares(left) < _LEFT_SHARE * squares(remaining))[:, None]
-        wheels, remaining = np.where(good, found, wheels), np.where(good, left, remaining)
+        found = sought(best, None) if squares(best[2]).sum() > _ALL_BUT * squares(change).sum() else best
+        good = (squares(found[2]) < _LEFT_SHARE * squares(best[2]))[:, None]
+        wheels, remaining = np.where(good, found[0], best[0]), np.where(good, found[2], best[2])
     rest = np.where(on, remaining, 0.0)
     left, right, track = wheels.T / step
     return Carried(tuple(s.labels["run_id"]), left, right, track, rest / step)

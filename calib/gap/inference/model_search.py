@@ -43,6 +43,8 @@ _TRIAL_STEPS: Final = 4
 #: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
+#: no further step where the squares are within this share of what was promised: the gap is linear in the effect
+_SETTLED_SHARE: Final = 0.02
 #: an effect that leaves more than this share of the squares is not what makes them so many
 _MAX_RESIDUAL_SHARE: Final = 0.5
 #: an effect is not tried where its linear fit leaves more than this share: four steps that take a tenth each leave 0.66
@@ -163,19 +165,25 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
         Where it is not far off already, or no effect takes half of it away, what was given.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
+
+    def further(trial: Fitted, steps: int) -> Fitted:
+        return fit(nominal, noise, trial.forms, start=trial, steps=steps)
+
     while is_far(fitted) and len(fitted.forms) < most_effects:
         if system.fitted is not fitted:
             system = LinearSystem(fitted, nominal, noise, system.forms)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            begun = [
-                fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=_FIRST_STEPS)
-                for form in _worth_trying(system)
+            tried = _worth_trying(system)
+            first = [fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=1) for form, _ in tried]
+            second = [
+                one if _settled(one.chi_square, promised) else further(one, _FIRST_STEPS - 1)
+                for one, (_, promised) in zip(first, tried, strict=True)
             ]
-            least = min((trial.chi_square for trial in begun), default=0.0)
+            least = min((trial.chi_square for trial in second), default=0.0)
             trials = [
-                fit(nominal, noise, trial.forms, start=trial, steps=_TRIAL_STEPS - _FIRST_STEPS)
-                for trial in begun
-                if trial.chi_square <= _HOPELESS * least
+                two if _settled(two.chi_square, one.chi_square) else further(two, _TRIAL_STEPS - _FIRST_STEPS)
+                for one, two in zip(first, second, strict=True)
+                if two.chi_square <= _HOPELESS * least
             ]
         trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
         if not trials:
@@ -184,8 +192,13 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
     return fitted
 
 
-def _worth_trying(system: LinearSystem) -> list[Form]:
-    """Return the forms of further effects that take a share of the squares away in the linear fit.
+def _settled(squares: float, before: float) -> bool:
+    """Return whether a trial's squares are those that the linear fit promised, or those before its last step."""
+    return abs(squares - before) <= _SETTLED_SHARE * squares
+
+
+def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
+    """Return the forms of further effects that take a share of the squares away in the linear fit, and what it leaves.
 
     Each trial re-simulates all runs several times; the linear fit of a form costs a few products of its columns.
     """
@@ -202,8 +215,9 @@ def _worth_trying(system: LinearSystem) -> list[Form]:
         root = np.sqrt(np.diag(normal))
         # columns exactly alike stay solvable
         solved = np.linalg.solve(normal / np.outer(root, root) + 1e-11 * np.eye(len(root)), right / root)
-        if system.gap @ system.gap - solved @ (right / root) <= _MAX_LINEAR_SHARE * fitted.chi_square:
-            tried.append(form)
+        left = float(system.gap @ system.gap - solved @ (right / root))
+        if left <= _MAX_LINEAR_SHARE * fitted.chi_square:
+            tried.append((form, left))
     return tried
 
 

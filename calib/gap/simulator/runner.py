@@ -304,8 +304,10 @@ class SimulatorRunner:
         deadline = time.monotonic() + self.settings.timeout_s
         fault, status = "", None
         while not fault and status is None:
+            # its output ends with it, and is waited for asleep; the wait for a process asks again and again
+            reader.join(LOOK_S)
             with suppress(subprocess.TimeoutExpired):
-                status = process.wait(LOOK_S)
+                status = process.wait(0.0 if reader.is_alive() else LOOK_S)
             if status is None and time.monotonic() > deadline:
                 fault = f"found no end after {self.settings.timeout_s:g} s; expected one, or a larger timeout_s"
             if self._stop.is_set():
