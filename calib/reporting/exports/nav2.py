@@ -58,6 +58,16 @@ class MotionNoise:
     held_out: Fitted  #: observed over predicted standard deviation of runs held out, with intervals
     form: FloatArray  #: the same ratios by the form of AMCL's model alone, shape (3,)
 
+    @property
+    def beyond_form(self) -> bool:
+        """Whether no alphas spread as the runs do."""
+        return bool(np.abs(np.log(self.form)).max() > np.log(1.0 + FORM_TOLERANCE))
+
+    @property
+    def cover(self) -> float:
+        """Factor of the alphas with which the form of the model understates none of the three."""
+        return float(self.form.max() ** 2)
+
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
     """Diagnose a campaign and return the parameters; see `export_from`.
@@ -76,10 +86,11 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
         notes.append(
             f"these runs say nothing of {listed}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
         )
-    if np.abs(np.log(noise.form)).max() > np.log(1.0 + FORM_TOLERANCE):
+    if noise.beyond_form:
         notes.append(
             f"AMCL's model cannot spread as these runs do, observed over predicted is {_listed(noise.form)}: errors "
-            "stay the same during a run and differ between runs; look for their cause with calib diagnose"
+            f"stay the same during a run and differ between runs; look for their cause with calib diagnose, or set all "
+            f"alphas {noise.cover:.2f} times as large, so that none of the three is understated"
         )
     lines = _lines(noise, campaign.name, named, simulated=campaign.simulated)
     return (Artifact("nav2_odometry.yaml", "".join(f"{line}\n" for line in lines).encode(), tuple(notes)),)
@@ -136,6 +147,8 @@ def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool
         ),
         f"# by the form of AMCL's model alone, which has no errors that stay during a run: {_listed(noise.form)}",
     ]
+    if noise.beyond_form:
+        lines.append(f"# beyond what any alphas spread like: {noise.cover:.2f} times as large, they understate none")
     if simulated:
         lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
     lines += [

@@ -241,9 +241,11 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
     found = ratios(variance, residuals)
-    # the mean square has so many degrees of freedom as its own scatter says (Satterthwaite): few with heavy tails
-    off = residuals**2 - found**2 * variance
-    freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.sum(off**2, axis=0)
+    # the mean square has so many degrees of freedom as its own scatter says (Satterthwaite): few with heavy tails, but
+    # never more than with normal ones, which the scatter of few squares hides
+    normal = found**2 * variance
+    scatter = np.sum((residuals**2 - normal) ** 2, axis=0)
+    freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))
     tails = np.array([0.5 + 0.5 * COVERAGE, 0.5 - 0.5 * COVERAGE])
     interval = found[:, None] * np.sqrt(freedom[:, None] / chi2.ppf(tails, freedom[:, None]))
     return Fitted(raised * full, found, interval)

@@ -14,7 +14,10 @@ import yaml
 from calib.cli.main import run
 from calib.errors import RefusedError
 from calib.reporting.exports import export_from
+from calib.reporting.exports.nav2 import MotionNoise, _lines
 from calib.reporting.exports.pose_spread import (
+    ALPHAS,
+    Fitted,
     Spread,
     _updates,
     amcl_components,
@@ -145,6 +148,17 @@ def test_errors_that_stay_during_a_run_are_beyond_the_form_and_said() -> None:
     outcome = spread_study.study(spread_study.NOISES["constant alone"], CAMPAIGNS, seed=1)
     assert outcome.form[2] > 1.0 + WITHIN
     assert outcome.ratios[:, 0].mean(axis=0) == pytest.approx(outcome.form, abs=WITHIN / 2)
+    assert outcome.held.mean() > 0.95 - MISSED
+    fitted = Fitted(np.full(4, 1e-4), np.ones(3), np.tile([0.9, 1.1], (3, 1)))
+    walks = {"along": 1e-6, "heading": 1e-6}
+    noise = MotionNoise(64, 20.0, 6.3, dict.fromkeys(ALPHAS, 1e-4), (), walks, fitted, outcome.form)
+    assert noise.beyond_form
+    said = next(line for line in _lines(noise, "made", "nothing", simulated=True) if "understate none" in line)
+    factor = float(re.findall(r"([\d.]+) times", said)[0])
+    # true over predicted with alphas so many times as large: at most 1, but for the chance of the campaigns
+    assert (outcome.ratios[:, 0].mean(axis=0) / np.sqrt(factor) < 1.0 + WITHIN / 2).all()
+    # and not for want of measure: the worst one is met
+    assert (outcome.ratios[:, 0].mean(axis=0) / np.sqrt(factor)).max() > 1.0 - WITHIN / 2
 
 
 def test_constant_errors_add_up_along_a_straight_way() -> None:
