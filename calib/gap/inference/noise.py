@@ -260,7 +260,7 @@ def _scales(
         part = whole
     best = most_likely_scales(part, begin)
     weight = np.ones(len(gap))
-    weight[grouped.units] = whole.weights(best)
+    weight[whole.grouped.units] = whole.weights(best)
     return best, weight
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -235,7 +236,7 @@ class Trends:
         return np.concatenate([self.before, steps.reshape(*self.before.shape[:2], -1), self.after], axis=2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class GroupTrends:
     """Trends as each group of replicates takes part in them: a group knows the steps of its own sessions only.
 
@@ -281,23 +282,39 @@ class GroupTrends:
             mix[n_shared + wheel : -1 : width, n_shared + wheel :: width] = np.concatenate([away[None], steps - away])
         return GroupTrends(columns, index, mix)
 
+    @cached_property
+    def _places(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Where the products of each group's trends and gap stand: in those of the groups, and in those of the basis.
+
+        One triangle, without what a group has fewer of. The last are the places of all of its trends in the basis.
+        """
+        n_basis = len(self.mix)
+        index = np.concatenate([self.index, np.full((len(self.index), 1), n_basis)], axis=1)
+        known = index != n_basis - 1
+        pairs = known[:, :, None] & known[:, None, :] & np.tri(index.shape[1], dtype=bool)
+        there = np.flatnonzero(pairs)
+        place = index[:, :, None] * (n_basis + 1) + index[:, None, :]
+        return there, place.ravel()[there], self.index[:, :, None] * n_basis + self.index[:, None, :]
+
     def products(self, of_group: FloatArray) -> FloatArray:
         """Return the products of all trends and the gap, (k + 1, k + 1), from those (n_groups, q + 1, q + 1) of groups.
 
         Only what a group knows has products within it.
         """
         n_basis, k = self.mix.shape
-        index = np.concatenate([self.index, np.full((len(of_group), 1), n_basis)], axis=1)
-        place = index[:, :, None] * (n_basis + 1) + index[:, None, :]
-        added = np.bincount(place.ravel(), of_group.ravel(), (n_basis + 1) ** 2).reshape(n_basis + 1, -1)
+        there, place, _ = self._places
+        added = np.bincount(place, of_group.ravel().take(there), (n_basis + 1) ** 2).reshape(n_basis + 1, -1)
+        added = added + added.T - np.diag(np.diag(added))
         mix = np.zeros((n_basis + 1, k + 1))
         mix[:-1, :-1], mix[-1, -1] = self.mix, 1.0
         return np.asarray(mix.T @ added @ mix)
 
-    def solved(self, beta: FloatArray, factor: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each group's part of coefficients (k,) and of F^T F for F (k, k): (n_groups, q), (n_groups, q, q)."""
-        mixed = self.mix @ factor.T
-        return (self.mix @ beta)[self.index], (mixed @ mixed.T)[self.index[:, :, None], self.index[:, None, :]]
+    def solved(self, beta: FloatArray, lower: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return each group's part of coefficients (k,) and of (L L^T)^-1 for L (k, k): (n_groups, q), (.., q, q)."""
+        from scipy.linalg import solve_triangular
+
+        mixed = solve_triangular(lower, self.mix.T, lower=True)
+        return (self.mix @ beta)[self.index], (mixed.T @ mixed).ravel().take(self._places[2])
 
 
 def ambient_trends(path: Path) -> Trends:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -90,21 +91,39 @@ class Replicates:
         total: FloatArray = np.add.reduceat(values, self.first, axis=0)
         return total
 
-    @cached_property
-    def alike(self) -> list[tuple[IntArray, IntArray]]:
-        """Groups of one size together: their numbers (m,), and the places of their units (m, size)."""
+    def by_size(self) -> Replicates:
+        """Return the groups in the order of their sizes: those of one size then stand side by side."""
         sizes = np.diff(self.first, append=len(self.units))
-        numbers = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
-        return [(some, self.first[some][:, None] + np.arange(sizes[some[0]])) for some in numbers]
+        group = np.argsort(np.argsort(sizes, kind="stable"))[self.group]
+        return Replicates(
+            self.units[np.argsort(group, kind="stable")], np.sort(group), np.cumsum([0, *np.sort(sizes)[:-1]])
+        )
+
+    @cached_property
+    def alike(self) -> list[tuple[slice, slice]]:
+        """Groups of one size that stand side by side, and their units."""
+        sizes = np.diff(self.first, append=len(self.units))
+        edges = [0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(sizes)]
+        starts = np.append(self.first, len(self.units))
+        return [(slice(a, b), slice(int(starts[a]), int(starts[b]))) for a, b in pairwise(edges)]
 
     def products(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return the products of columns (n, 6, p) and (n, 6, q) summed over each group, shape (n_groups, p, q)."""
         p, q = left.shape[2], right.shape[2]
         total = np.empty((len(self.first), p, q))
-        for numbers, places in self.alike:
-            m = len(numbers)
-            total[numbers] = left[places].reshape(m, -1, p).transpose(0, 2, 1) @ right[places].reshape(m, -1, q)
+        for groups, units in self.alike:
+            m = groups.stop - groups.start
+            total[groups] = left[units].reshape(m, -1, p).transpose(0, 2, 1) @ right[units].reshape(m, -1, q)
         return total
+
+    def times(self, columns: FloatArray, of_group: FloatArray) -> FloatArray:
+        """Return columns (n, 6, p) times the matrix of each one's group, (n_groups, p, q), shape (n, 6, q)."""
+        p, q = of_group.shape[1:]
+        made = np.empty((*columns.shape[:2], q))
+        for groups, units in self.alike:
+            m = groups.stop - groups.start
+            made[units] = (columns[units].reshape(m, -1, p) @ of_group[groups]).reshape(-1, columns.shape[1], q)
+        return made
 
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
@@ -150,15 +169,16 @@ class ScaleLikelihood:
     def __init__(
         self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trends: Trends | None = None
     ) -> None:
-        units = grouped.units
-        self.grouped, self.shapes = grouped, shapes.select(units)
+        trends, by_size = trends or Trends.of_all(np.zeros((len(path.s), 6, 0))), grouped.by_size()
+        self.known = GroupTrends.of(trends, by_size.units, by_size.group)
+        self.grouped = grouped if self.known is None else by_size
+        units = self.grouped.units
+        self.shapes = shapes.select(units)
         self.active = shapes.active
         self.usable = self.shapes.usable
         design, self.prior = _group_design(path, gap, grouped)
-        trends = trends or Trends.of_all(np.zeros((len(path.s), 6, 0)))
         self.k = trends.n_trends
         self.own = path.calibration[units, :, :3]
-        self.known = GroupTrends.of(trends, units, grouped.group)
         trend = trends.columns()[units] if self.known is None else self.known.columns
         self.columns = np.concatenate([design[units], trend, gap[units, :, None]], axis=2)
 
@@ -179,38 +199,36 @@ class ScaleLikelihood:
 
         `columns` (n, 6, 9 + k + 1) holds the whitened own design of each group, the trend and the gap.
         """
-        k, group = self.k, self.grouped.group
+        k, grouped = self.k, self.grouped
         x, rest = columns[:, :, :_N_GROUP_COLUMNS], columns[:, :, _N_GROUP_COLUMNS:]
         turned = x.transpose(0, 2, 1)
-        gram = self.grouped.summed(turned @ x) + np.diag(self.prior)
-        cross = self.grouped.summed(turned @ rest)
+        gram = grouped.summed(turned @ x) + np.diag(self.prior)
+        cross = grouped.summed(turned @ rest)
         # scaled and solved: where a group's own columns are nearly alike, the rounding of an inverse exceeds a trend
         root = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
         both = root[:, :, None] * root[:, None, :]
         inverse = np.linalg.inv(gram / both) / both
-        scaled = x @ inverse[group]
         own = np.linalg.solve(gram / both, cross / root[:, :, None]) / root[:, :, None]
-        residual = rest - x @ own[group]
+        residual = rest - x @ own[grouped.group]
         dense = self._dense(rest, cross, own)
         middle = float(np.linalg.slogdet(gram)[1].sum())
-        kept = np.eye(6) - scaled @ turned
+        kept = np.eye(6) - (x @ inverse[grouped.group]) @ turned
         g, square = residual[:, :, -1], float(dense[k, k])
         if k:
             inner = dense[:k, :k] + np.eye(k)
             beta = np.linalg.solve(inner, dense[:k, k])
             square -= float(dense[:k, k] @ beta)
             t = residual[:, :, :-1]
-            # (I + T^T T)^-1 = F^T F
-            factor: FloatArray = np.linalg.inv(np.linalg.cholesky(inner))
+            lower: FloatArray = np.linalg.cholesky(inner)
             if self.known is None:
                 g = g - t @ beta
-                # one product of large matrices, not one a unit
-                half = (t.reshape(-1, k) @ factor.T).reshape(t.shape)
+                # one product of large matrices, not one a unit: (I + T^T T)^-1 = F^T F
+                half = (t.reshape(-1, k) @ np.linalg.inv(lower).T).reshape(t.shape)
                 kept = kept - half @ half.transpose(0, 2, 1)
             else:
-                own_beta, inside = self.known.solved(np.asarray(beta), factor)
-                g = g - (t @ own_beta[group][:, :, None])[:, :, 0]
-                kept = kept - t @ inside[group] @ t.transpose(0, 2, 1)
+                own_beta, inside = self.known.solved(np.asarray(beta), lower)
+                g = g - grouped.times(t, own_beta[:, :, None])[:, :, 0]
+                kept = kept - grouped.times(t, inside) @ t.transpose(0, 2, 1)
             middle += float(np.linalg.slogdet(inner)[1])
         return g, kept, middle + square
 
@@ -219,8 +237,7 @@ class ScaleLikelihood:
         if self.known is None:
             flat, width = rest.reshape(-1, rest.shape[2]), rest.shape[2]
             return np.asarray(flat.T @ flat - cross.reshape(-1, width).T @ own.reshape(-1, width))
-        of_group = self.grouped.products(rest, rest) - cross.transpose(0, 2, 1) @ own
-        return self.known.products(of_group)
+        return self.known.products(self.grouped.products(rest, rest) - cross.transpose(0, 2, 1) @ own)
 
     def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
         """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
