@@ -22,10 +22,10 @@ SCALE_CHOICE_COST: Final = float(np.log(4.0))
 _BATCH_SIZE: Final = 400
 #: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
 _BATCH_ENTRIES: Final = 2**19
-#: from so many columns on, half the products save more than a call a matrix costs
-_WIDE: Final = 64
+#: hypotheses of more columns are weighed one by one: half the products save more than a call a matrix costs
+_WIDE: Final = 80
 #: classes of width, in columns
-_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80, 160, 320)
+_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, _WIDE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,23 +110,7 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     """
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
-    return np.asarray(_solved(scaled, (right / size)[..., None])[..., 0] / size)
-
-
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve positive definite matrices (..., p, p) for right sides (..., p, q); of wide ones by one triangle alone."""
-    if matrix.shape[-1] < _WIDE:
-        return np.asarray(np.linalg.solve(matrix, right))
-    from scipy.linalg.lapack import dposv
-
-    solved = np.empty(np.broadcast_shapes(matrix.shape[:-1], right.shape[:-1]) + right.shape[-1:])
-    sides = np.broadcast_to(right, solved.shape)
-    for place in np.ndindex(*matrix.shape[:-2]):
-        # a symmetric matrix is its own transpose, which stands as LAPACK has it
-        _, solved[place], failed = dposv(matrix[place].T, sides[place])
-        if failed:
-            solved[place] = np.linalg.solve(matrix[place], sides[place])
-    return solved
+    return np.asarray(np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size)
 
 
 def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
@@ -212,16 +196,49 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
     group = np.searchsorted(_WIDTH_CLASSES, widths)
     for number in np.unique(group):
         places = np.flatnonzero(group == number)
-        # an effect of every session has hundreds of columns: one such model at a few scales is a batch
         entries = max(int(widths[places].max()), 1) ** 2
         size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
         n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
+        if number == len(_WIDTH_CLASSES):
+            # an effect of every session has hundreds of columns
+            for place in places.tolist():
+                value[:, place] = [_wide(sums.pick(slice(n, n + 1)), columns, models[place]) for n in range(len(value))]
+            continue
         for first in range(0, len(places), size):
             some = places[first : first + size]
             for low in range(0, len(value), n_scales):
                 scales = slice(low, low + n_scales)
                 value[scales, some] = _batch(sums.pick(scales), columns, [models[k] for k in some])
     return value
+
+
+def _wide(sums: Sums, columns: FormPriors, model: tuple[int, ...]) -> float:
+    """Return what `_batch` does of a model of many columns at one scale, in place, each triangle factored once."""
+    from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
+    from scipy.special import log_ndtr
+
+    (index,), _ = columns.index([model])
+    gram, right = sums.gram[0][index[:, None], index], sums.right[0][index][:, None]
+    diagonal = np.diag(gram).copy()
+    # a little added, so that columns exactly alike do no harm
+    np.fill_diagonal(gram, (diagonal + 1e-2) * (1.0 + 1e-10))
+    # a symmetric matrix is its own transpose, which stands as LAPACK has it
+    _, sizes, failed = dposv(gram.T, right, lower=1, overwrite_a=1)
+    count = [int(columns.cuts[form + 1] - columns.cuts[form]) for form in model]
+    mean_square = np.add.reduceat(sizes[:, 0] ** 2, np.cumsum([0, *count[:-1]])) / count
+    variance = np.clip(np.sqrt(np.repeat(mean_square, count)), 0.1, columns.most[index]) ** 2
+    np.fill_diagonal(gram, (diagonal + 1.0 / variance) * (1.0 + 1e-11))
+    upper, failed_too = dpotrf(gram.T, lower=0, clean=0, overwrite_a=1)
+    if failed or failed_too:
+        return float(_batch(sums, columns, [model])[0, 0])
+    signed = np.flatnonzero(columns.sign[index])
+    half = dtrtrs(upper, np.concatenate([right, np.eye(len(index))[:, signed]], axis=1), lower=0, trans=1)[0]
+    square = np.maximum(sums.square - half[:, 0] @ half[:, 0], 1e-9)
+    log_det = sums.log_det + 2 * np.log(np.diag(upper)).sum() + np.log(variance).sum()
+    away = half[:, 1:].T @ half[:, 0] / np.sqrt((half[:, 1:] ** 2).sum(axis=0))
+    held = log_ndtr(columns.sign[index][signed] * away).sum()
+    prior = sums.log_prior[0] + columns.log_prior[list(model)].sum() + columns.by_count[len(model)]
+    return float(prior + log_marginal(square, log_det, sums.n_rows)[0] + held)
 
 
 def _batch(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
@@ -289,9 +306,8 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 
     root = np.sqrt(variance)
     inner, size = _inner(gram, root)
-    # columns with a sign are few among the hundreds that an effect of every session has
     signed = np.flatnonzero((sign != 0).reshape(-1, sign.shape[-1]).any(axis=0))
-    inverse = _solved(inner, np.eye(sign.shape[-1])[:, signed])
+    inverse = np.linalg.solve(inner, np.eye(sign.shape[-1])[:, signed])
     # both times the prior scale over the scaling
     mean = np.einsum("...kc,...k->...c", inverse, root * right / size)
     spread = np.sqrt(inverse[..., signed, np.arange(len(signed))])

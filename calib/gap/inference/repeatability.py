@@ -219,7 +219,7 @@ class ScaleLikelihood:
             beta = np.linalg.solve(inner, dense[:k, k])
             square -= float(dense[:k, k] @ beta)
             t = residual[:, :, :-1]
-            lower: FloatArray = np.linalg.cholesky(inner)
+            lower = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
             if self.known is None:
                 g = g - t @ beta
                 # one product of large matrices, not one a unit: (I + T^T T)^-1 = F^T F

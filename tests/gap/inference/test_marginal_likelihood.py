@@ -12,7 +12,9 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, multivariate_t, norm
 
 from calib.gap.effects.effect import Form
+from calib.gap.inference import marginal_likelihood
 from calib.gap.inference.fit import whitened_rows
+from calib.gap.inference.linear_model import Sums
 from calib.gap.inference.marginal_likelihood import (
     FLOOR_DOF,
     FormPriors,
@@ -20,6 +22,7 @@ from calib.gap.inference.marginal_likelihood import (
     log_evidence_parts,
     log_marginal,
     log_sign_probability,
+    log_weights,
     project,
 )
 from calib.gap.plan.identifiability import noise_at
@@ -178,3 +181,31 @@ def test_a_size_of_one_sign_is_weighed_over_the_half_line(size: float, sign: int
 def test_sizes_of_either_sign_pay_nothing() -> None:
     gram, right = np.diag([4.0, 9.0]), np.array([-3.0, 2.0])
     assert log_sign_probability(gram, right, np.ones(2), np.zeros(2, dtype=np.int64)) == pytest.approx(0.0, abs=0.0)
+
+
+def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One by one with a triangle each, or side by side: with signs, two columns exactly alike, and several forms."""
+    rng = np.random.default_rng(4)
+    rows, sizes = rng.normal(0, 1, (3, 300, 104)), [100, 1, 3]
+    rows[:, :, 7] = rows[:, :, 8]
+    gap = 0.3 * rows[:, :, :90].sum(axis=2) + rng.normal(0, 1, (3, 300))
+    sums = Sums(
+        gram=rows.transpose(0, 2, 1) @ rows,
+        right=np.einsum("srk,sr->sk", rows, gap),
+        square=np.einsum("sr,sr->s", gap, gap),
+        log_det=np.array([0.0, 3.0, 5.0]),
+        log_prior=np.array([0.0, -1.0, -1.0]),
+        kind=np.array([-1, 0, 0]),
+        scale=np.array([0.0, 1.0, 3.0]),
+        n_rows=300,
+    )
+    sign = np.zeros(104, dtype=np.int64)
+    sign[[3, 100]] = 1, -1
+    priors = FormPriors(
+        (), np.cumsum([0, *sizes]), np.full(104, 5.0), sign, np.array([-1.0, -2.0, -3.0]), -np.arange(4.0)
+    )
+    models = [(0,), (0, 1), (2, 0)]
+    one_by_one = log_weights(sums, priors, models)
+    monkeypatch.setattr(marginal_likelihood, "_WIDTH_CLASSES", (400,))
+    np.testing.assert_allclose(one_by_one, log_weights(sums, priors, models), rtol=RTOL)
+    assert np.ptp(one_by_one, axis=0).min() > 1.0
