@@ -96,6 +96,30 @@ def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Pe
     return Perturbation(*summed)
 
 
+def joined_perturbation(s: Observations, parts: list[Perturbation]) -> Perturbation:
+    """Join the perturbations of the `spans` of observations, or that of all; what one of them lacks is zero there."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def joined(pieces: tuple[FloatArray | None, ...]) -> FloatArray | None:
+        known = next((piece for piece in pieces if piece is not None), None)
+        if known is None:
+            return None
+        by_step = any(
+            piece is not None and len(piece) > units.stop - units.start
+            for piece, units in zip(pieces, s.spans, strict=True)
+        )
+        values = np.zeros((len(s.unit) if by_step else len(s), *known.shape[1:]))
+        for piece, units in zip(pieces, s.spans, strict=True):
+            there = slice(int(s.starts[units.start]), int(s.starts[units.stop])) if by_step else units
+            if piece is not None:
+                size = there.stop - there.start
+                values[there] = piece if len(piece) == size else piece[s.unit[there] - units.start]
+        return values
+
+    return Perturbation(*map(joined, zip(*(part.parts() for part in parts), strict=True)))
+
+
 #: what is summed over an observation: displacement of the end point, turn, distance along the guide line, distance
 X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5

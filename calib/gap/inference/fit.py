@@ -14,6 +14,7 @@ from calib.gap.effects.effect import Form, Parameter, Perturbation
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals, signature
+from calib.gap.steps import joined_perturbation, total_perturbation
 from calib.types import BoolArray, FloatArray
 
 #: prior standard deviation of each size in typical sizes; wide, it only keeps the solution finite
@@ -93,13 +94,20 @@ def hypothesis_path(
     about : Path
         Where the perturbations are taken.
     """
-    perturbations = calibration_pushes(s, calibration, about)
-    for form, sizes in zip(forms, theta, strict=True):
-        if np.any(sizes != 0):
-            perturbations += [
-                push.scaled(float(size)) for push, size in zip(form.perturbations(about), sizes, strict=True)
-            ]
-    return predict(s, perturbations)
+    pushes = calibration_pushes(s, calibration, about)
+    acting = [(form, sizes) for form, sizes in zip(forms, theta, strict=True) if np.any(sizes != 0)]
+    whole = [None if form.by_parts else form.perturbations(about) for form, _ in acting]
+
+    def total(units: slice, part: Path) -> Perturbation:
+        added = [push.part(units, s) for push in pushes]
+        for (form, sizes), known in zip(acting, whole, strict=True):
+            own = form.perturbations(part) if known is None else [push.part(units, s) for push in known]
+            added += [push.scaled(float(size)) for push, size in zip(own, sizes, strict=True)]
+        return total_perturbation(part.s, added)
+
+    # the steps of all observations at once are never needed
+    parts = about.parts() if None in whole else [(slice(0, len(s)), about)]
+    return predict(s, [joined_perturbation(s, [total(*part) for part in parts])])
 
 
 def recalibration_columns(path: Path) -> FloatArray:
