@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
-from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, SMALL_SHARE
+from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
@@ -204,6 +204,24 @@ def unexplained_of(evidence: Evidence) -> Unexplained | None:
     signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
     share = 1.0 - evidence.explained_share[0]
     return Unexplained(share=share, signal=signal, where=_places(evidence)) if signal > 0 else None
+
+
+def places_as_unexplained(
+    evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None
+) -> tuple[list[Cause], Unexplained | None]:
+    """Return the places that other causes outweigh, and the unexplained residual with these.
+
+    What is sought at every place follows what the forms of larger causes leave, or an effect that no library has: of
+    21 zones of the floor in development cases that explain less than the other causes together none was at work.
+    """
+    total = sum(cause.share for cause in causes)
+    placed = [cause for cause in causes if evidence.effects[cause.effect].by_place and cause.share <= 0.5 * total]
+    if not placed:
+        return [], unexplained
+    left = unexplained or Unexplained(0.0, 0.0)
+    where = (*(f"{ON_FLOOR}, {cause.form}" for cause in placed), *left.where)
+    signal = float(np.linalg.norm([left.signal, *(cause.signal for cause in placed)]))
+    return placed, Unexplained(min(left.share + sum(cause.share for cause in placed), 1.0), signal, where)
 
 
 def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> list[Cause]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,10 +15,12 @@ from calib.gap.decision.causes import (
     limited_beside,
     limited_to_even,
     negligible,
+    places_as_unexplained,
     unexplained_of,
 )
-from calib.gap.decision.constancy import size_differences
+from calib.gap.decision.constancy import SizeDifference, size_differences
 from calib.gap.decision.diagnosis import (
+    Cause,
     Diagnosis,
     Evidence,
     Group,
@@ -38,6 +40,7 @@ from calib.gap.decision.sentences import (
 )
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: verdicts that name no cause
 NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED})
@@ -52,30 +55,21 @@ def decide(evidence: Evidence) -> Diagnosis:
     unexplained = unexplained_of(evidence)
     stated = confounding.effect_probabilities(evidence, confounded)
     certain = confounding.with_alternatives(evidence, confounded)
-    causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = size_differences(evidence, probable)
+    causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
     causes = limited_to_even(causes, differing)
-    small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
-    small += confounding.form_errors(evidence, [c for c in causes if c.effect in probable.difference(small)])
+    small = _small(evidence, causes, probable)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
+    placed, unexplained = places_as_unexplained(evidence, causes, unexplained)
+    causes = limited_beside(unexplained, [cause for cause in causes if cause not in placed])
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
+    stated |= _rather_unknown(placed, stated["unknown"])
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
     # a calibration parameter that is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    off = float(np.mean(misfit(evidence.fitted.path)))
-    large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
-    kind = kind_of(
-        gap_probability,
-        causes,
-        closure,
-        incomplete=any(map(fails, evidence.trials)) or not large.isdisjoint(differing),
-        unexplained_share=share,
-        tied=any(len(group) > 1 and large.intersection(group) for group in groups),
-        supported=evidence.noise.supported,
-        misfit=off,
-    )
+    kind = _kind(evidence, gap_probability, causes, share, groups, differing)
     if kind in NOTHING_NAMED:
         causes = []
     elif hides_causes(closure, share):
@@ -104,8 +98,48 @@ def decide(evidence: Evidence) -> Diagnosis:
         gap_probability=1.0 if situation.faults else gap_probability,
         evidence=evidence,
     )
+    off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     return replace(diagnosis, sentence=blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis))
+
+
+def _misfit(evidence: Evidence) -> float:
+    """Return how far runs end off with the causes corrected, as a share of their length, on average."""
+    return float(np.mean(misfit(evidence.fitted.path)))
+
+
+def _kind(
+    evidence: Evidence,
+    gap_probability: float,
+    causes: Sequence[Cause],
+    unexplained_share: float | None,
+    groups: Sequence[Sequence[str]],
+    differing: Mapping[str, SizeDifference],
+) -> VerdictKind:
+    large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
+    return kind_of(
+        gap_probability,
+        causes,
+        evidence.held_out.closure,
+        incomplete=any(map(fails, evidence.trials)) or not large.isdisjoint(differing),
+        unexplained_share=unexplained_share,
+        tied=any(len(group) > 1 and large.intersection(group) for group in groups),
+        supported=evidence.noise.supported,
+        misfit=_misfit(evidence),
+    )
+
+
+def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:
+    """Return the effects that are negligible, and those that an error of a larger cause's form looks like."""
+    small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
+    others = [cause for cause in causes if cause.effect in probable.difference(small)]
+    return small + confounding.form_errors(evidence, others)
+
+
+def _rather_unknown(placed: Sequence[Cause], unknown: float) -> dict[str, float]:
+    """Return the probabilities of places that are stated as unexplained, and of an unknown cause."""
+    stated = {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
+    return {**stated, "unknown": max([unknown, *(cause.probability for cause in placed)])}
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:

@@ -40,6 +40,8 @@ NAMED_PROBABILITY: Final = 0.1
 CERTAIN_PROBABILITY: Final = 0.9
 #: beside a larger unexplained residual a cause of a fix needs so many times its signal: half of a weaker one may be it
 SIGNAL_OVER_UNEXPLAINED: Final = 2.0
+#: how the place of an unexplained residual begins that lies on the floor
+ON_FLOOR: Final = "on the floor"
 #: runs that confound more effects than this do not identify the cause: the verdict lists no more
 LARGEST_GROUP: Final = 6
 
@@ -177,7 +179,9 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         if diagnosis.closure.ci95 is not None and diagnosis.closure.ci95[1] < FULL_CLOSURE:
             return "part of the gap remains on held-out runs"
         return "part of it may have another cause"
-    return f"an unexplained residual remains{_located(diagnosis.where.rest)}"
+    placed = next((place for place in diagnosis.unexplained.where if place.startswith(ON_FLOOR)), "")
+    where = _located(diagnosis.where.rest) or (placed and f", most {placed}")
+    return f"an unexplained residual remains{where}"
 
 
 def advice(diagnosis: Diagnosis) -> str:

@@ -161,6 +161,8 @@ class Effect(ABC):
     not_transferable: ClassVar[str] = ""
     #: whether it has parameters for each session, so that it says nothing of a session omitted
     per_session: ClassVar[bool] = False
+    #: whether it is sought at every place of the floor, so that it follows what the forms of other causes leave
+    by_place: ClassVar[bool] = False
     #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
     #: odometry
     of_rear_wheels: ClassVar[bool] = False

@@ -99,6 +99,7 @@ class FloorZone(Effect):
     not_transferable = (
         "what lies at a place of the floor is mended there; a vehicle's correction correlates with it everywhere"
     )
+    by_place = True
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.

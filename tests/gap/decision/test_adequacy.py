@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
-from calib.gap.decision.causes import limited_beside
-from calib.gap.decision.diagnosis import Cause, Unexplained, VerdictKind
+from calib.gap.decision.causes import limited_beside, places_as_unexplained
+from calib.gap.decision.diagnosis import Cause, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure
 from calib.gap.decision.sentences import fails, kind_of
 from calib.gap.decision.trials import Trial
@@ -141,3 +143,17 @@ def test_even_odds_raise_no_probability() -> None:
 
 def test_without_an_unexplained_residual_the_causes_stay_as_they_are() -> None:
     assert limited_beside(None, [cause()]) == [cause()]
+
+
+def test_a_place_of_the_floor_that_other_causes_outweigh_is_unexplained() -> None:
+    """It follows what their forms leave; one that explains more than half by itself stays a cause."""
+    effects = {"load_radius": SimpleNamespace(by_place=False), "floor_zone": SimpleNamespace(by_place=True)}
+    evidence = cast(Evidence, SimpleNamespace(effects=effects))
+    zone = Cause("floor_zone", "", "x 4 m", 0.96, share=0.1, signal=8.0, parameters={})
+    placed, left = places_as_unexplained(
+        evidence, [replace(cause(), share=0.8), zone], Unexplained(0.1, 6.0, ("heading",))
+    )
+    assert placed == [zone]
+    assert left == Unexplained(0.2, pytest.approx(10.0), ("on the floor, x 4 m", "heading"))
+    larger = replace(zone, share=0.9)
+    assert places_as_unexplained(evidence, [replace(cause(), share=0.1), larger], None) == ([], None)

@@ -46,6 +46,17 @@ def test_what_does_not_help_enough_is_no_fix(improvement: Improvement | None, wo
     assert words in why
 
 
+def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_for_certain() -> None:
+    small = Unexplained(share=0.03, signal=28.0)
+    barely = Improvement(11.2, 2.2, (0.04, 11.2), (0.01, 1.93))
+    assert reasons([cause(signal=156.0)], {"load_radius": 0.95}, barely) == []
+    (why,) = reasons([cause(signal=156.0)], {"load_radius": 0.95}, barely, unexplained=small)
+    assert "closes 1 to 193 % of the gap, where 50 % are to be certain" in why
+    assert (
+        reasons([cause(signal=156.0)], {"load_radius": 0.95}, replace(barely, closed_ci95=(0.64, 1.3)), (), small) == []
+    )
+
+
 def test_a_size_whose_interval_holds_zero_is_no_fix() -> None:
     """One parameter of several may hold zero: a lever arm ahead has no part to the side."""
     (why,) = reasons([cause("wear", -1.0, 2.0)], {"wear": 0.9}, CLOSES)

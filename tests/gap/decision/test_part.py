@@ -10,8 +10,10 @@ import pytest
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import _parted
+from calib.gap.decision.fix import _parted, needed
+from calib.gap.decision.held_out import Improvement
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.inference.local_search import EVEN_PROBABILITY
 from tests.real import recordings
 from tests.real.manipulations import POSES
 from tests.real.plants import calibrated
@@ -32,18 +34,25 @@ def cause(name: str, low: float = 1.0, signal: float = 60.0, share: float = 0.5)
     ],
 )
 def test_what_is_not_sure_is_dropped_with_its_reason(weak: Cause, certain: float, words: str) -> None:
-    kept, dropped = _parted([cause("load_radius"), weak], {"load_radius": 0.95, "wear": certain}, LEFT)
+    kept, dropped, by_odds = _parted([cause("load_radius"), weak], {"load_radius": 0.95, "wear": certain}, LEFT)
+    assert by_odds is (certain < EVEN_PROBABILITY)
     assert [one.effect for one in kept] == ["load_radius"]
     assert words in dropped["wear"]
 
 
-def test_doubtful_causes_leave_the_nearly_certain_ones_alone() -> None:
-    """Together below two thirds, a fix keeps what is nearly certain; which of the others to drop would be chance."""
-    certain = {"a": 0.95, "b": 0.72, "c": 0.71}
-    kept, dropped = _parted([cause(name) for name in certain], certain, None)
-    assert [one.effect for one in kept] == ["a"]
-    assert set(dropped) == {"b", "c"}
-    assert _parted([cause("a"), cause("b")], certain, None)[1] == {}
+def test_the_least_probable_causes_are_dropped_until_the_rest_is_probable_enough() -> None:
+    """0.95 x 0.9 x 0.6 is 0.51, less than a fix needs; 0.95 x 0.9 alone is 0.86."""
+    certain = {"a": 0.95, "b": 0.6, "c": 0.9}
+    kept, dropped, by_odds = _parted([cause(name) for name in certain], certain, None)
+    assert [one.effect for one in kept] == ["a", "c"] and set(dropped) == {"b"} and by_odds
+    assert _parted([cause("a"), cause("c")], certain, None)[1:] == ({}, False)
+
+
+def test_what_odds_alone_leave_out_was_needed_where_the_rest_of_the_gap_certainly_stays() -> None:
+    """The interval of what the probable causes close ends below the whole gap: one that was dropped is at work."""
+    (why,) = needed(Improvement(1.08, 1.05, (0.004, 0.067), (0.05, 0.81)))
+    assert "close 5 to 81 % of the gap" in why
+    assert list(needed(Improvement(1.07, 1.01, (0.009, 0.116), (0.12, 1.53)))) == []
 
 
 def test_swapped_counters_alone_are_corrected(project_root: Path) -> None:
