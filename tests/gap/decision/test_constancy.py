@@ -126,7 +126,7 @@ def test_what_a_second_form_of_the_cause_explains_is_no_second_cause(
     project_root: Path, case: str, cause: str, imitation: str
 ) -> None:
     """Counts lost with the square of the speed, a form that is not offered: the rest of its law is no radius."""
-    seeds = read_seeds(project_root / "calib" / "challenge" / "seeds" / "scoring15.toml")
+    seeds = read_seeds(project_root / "tests" / "challenge" / "seeds" / "scoring15.toml")
     recipe = next(recipe for recipe in recipes(seeds) if recipe.case == case)
     campaign, _ = campaigns_of(truth_of(recipe, seeds.seed, 160))
     diagnosis = diagnose_in_full(campaign, plan=False)
@@ -136,7 +136,7 @@ def test_what_a_second_form_of_the_cause_explains_is_no_second_cause(
 
 def test_in_a_crowd_with_an_outside_effect_a_zone_of_the_floor_is_no_cause(project_root: Path) -> None:
     """Three effects and one that no library has: what acts on one speed alone is followed by a place of the floor."""
-    seeds = read_seeds(project_root / "calib" / "challenge" / "seeds" / "scoring15.toml")
+    seeds = read_seeds(project_root / "tests" / "challenge" / "seeds" / "scoring15.toml")
     recipe = next(recipe for recipe in recipes(seeds) if recipe.case == "c0034")
     campaign, _ = campaigns_of(truth_of(recipe, seeds.seed, 160))
     diagnosis = diagnose_in_full(campaign, plan=False)
