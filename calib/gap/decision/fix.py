@@ -12,6 +12,7 @@ from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement, improvement_of
 from calib.gap.decision.sentences import (
+    CERTAIN_PROBABILITY,
     HALF_CLOSURE,
     SIGNAL_OVER_UNEXPLAINED,
     SMALL_SHARE,
@@ -350,10 +351,10 @@ def sure_part(
 
 
 def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
-    """Return whether a cause stays named beside the fix of a part: one that is rather not at work does not."""
+    """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
     if fix.corrects is None or cause.effect in fix.corrects:
         return True
-    return certain.get(cause.effect, cause.probability) >= EVEN_PROBABILITY
+    return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
 
 
 def _parted(
@@ -364,6 +365,14 @@ def _parted(
 ) -> tuple[list[Cause], dict[str, str], bool]:
     """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
+    # what differs between groups of runs acts as something else: a weaker cause may be a part of that
+    other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
+    for cause in causes:
+        if other is not None and cause.effect not in dropped and cause.signal < other.signal:
+            dropped[cause.effect] = (
+                f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
+                "whose size differs between runs: it may be a part of that"
+            )
     kept = [cause for cause in causes if cause.effect not in dropped]
     by_odds = False
     for cause in sorted(kept, key=lambda each: certain.get(each.effect, each.probability)):

@@ -57,6 +57,7 @@ def error_form(
     *,
     tries: int = 1,
     settings: dict[str, float] | None = None,
+    exact_at: float = 0.0,
 ) -> Form:
     """Return a form by which the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
@@ -78,11 +79,19 @@ def error_form(
         How many forms were searched over.
     settings : dict of str to float, optional
         Quantities of the form that are not fitted.
+    exact_at : float
+        Size at which sine and cosine are taken of the whole error; their slopes by default.
     """
-    shift_m, sine, cosine = front_travel_m(observations) * error_rad, observations.steer_sin, observations.steer_cos
-    # where the way is counted behind the steering, the curvature is tan(delta) / L
-    ahead, share = (np.zeros_like(shift_m), 1.0 + sine**2) if observations.by_shaft else (-shift_m * sine, cosine)
-    perturbations = [excess(observations, ahead, shift_m * share / observations.vehicle.wheelbase_m)]
+    travel_m, sine, cosine = front_travel_m(observations), observations.steer_sin, observations.steer_cos
+    if observations.by_shaft:
+        # where the way is counted behind the steering, the curvature is tan(delta) / L
+        ahead, turn = np.zeros_like(travel_m), error_rad * (1.0 + sine**2)
+    elif exact_at:
+        less, aside = np.cos(exact_at * error_rad) - 1.0, np.sin(exact_at * error_rad)
+        ahead, turn = (-(cosine * less + sine * aside) / exact_at, (cosine * aside - sine * less) / exact_at)
+    else:
+        ahead, turn = -error_rad * sine, error_rad * cosine
+    perturbations = [excess(observations, travel_m * ahead, travel_m * turn / observations.vehicle.wheelbase_m)]
     return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
 
 
@@ -234,8 +243,13 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))
 
 
+#: delays whose moves are tried beside those of a short one, which are along the tangent: on the ramps of a corner, of
+#: half a second and more, the shape of 0.27 s scaled to 0.3 s is off by a tenth, its tangent by half
+DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
+
+
 class SteeringDelay(Effect):
-    """The logged angle is tau old, so short of the true one by tau d(delta)/dt.
+    """The logged angle is tau old, so short of the true one by delta(t + tau) - delta(t), nearly tau d(delta)/dt.
 
     On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
     """
@@ -248,12 +262,42 @@ class SteeringDelay(Effect):
     separates = "runs that end in a turn"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where the steering does not move or the log has no times."""
-        rate = rate_per_s(observations, steer_rad(observations), 1)
+        """Return a form for each delay; none where the steering does not move or the log has no times."""
+        angle = steer_rad(observations)
+        rate = rate_per_s(observations, angle, 1)
         if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
             return []
         parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
-        return [error_form(observations, self.id, "", parameter, -rate)]
+        tries = 1 + len(DELAYS_S)
+        short = error_form(observations, self.id, "", parameter, -rate, tries=tries)
+        return [
+            short,
+            *(
+                error_form(
+                    observations,
+                    self.id,
+                    f"about {delay:g} s",
+                    parameter,
+                    -_moves_within(observations, angle, rate, delay) / delay,
+                    tries=tries,
+                    settings={"shift_s": delay},
+                    exact_at=delay,
+                )
+                for delay in DELAYS_S
+            ),
+        ]
+
+
+def _moves_within(observations: Observations, values: FloatArray, rate: FloatArray, delay_s: float) -> FloatArray:
+    """Return by how much a step quantity moves within a delay, past a run's end at its last rate, shape (n_steps,)."""
+    middle = observations.time_s - 0.5 * observations.duration_s
+    if not np.isfinite(middle).all():
+        return np.asarray(rate * delay_s)
+    end = (observations.starts[1:] - 1)[observations.unit]
+    # runs one after the other, further apart than any delay
+    apart = observations.unit * (np.ptp(middle) + 1.0)
+    inside = np.interp(np.minimum(middle + delay_s, middle[end]) + apart, middle + apart, values)
+    return np.asarray(inside - values + rate[end] * np.maximum(middle + delay_s - middle[end], 0.0))
 
 
 def rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:

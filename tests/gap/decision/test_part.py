@@ -9,8 +9,9 @@ import pytest
 
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
-from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import _parted, needed
+from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
+from calib.gap.decision.fix import _parted, is_named_beside, needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -46,6 +47,22 @@ def test_the_least_probable_causes_are_dropped_until_the_rest_is_probable_enough
     kept, dropped, by_odds = _parted([cause(name) for name in certain], certain, None)
     assert [one.effect for one in kept] == ["a", "c"] and set(dropped) == {"b"} and by_odds
     assert _parted([cause("a"), cause("c")], certain, None)[1:] == ({}, False)
+
+
+def test_a_cause_weaker_than_one_whose_size_differs_may_be_a_part_of_that() -> None:
+    """What differs between groups of runs acts as another effect, and that leaves traces elsewhere."""
+    differing = {"floor_zone": SizeDifference("floor_zone", "session", "a", "b", 0.1, 0.2, 1e-4)}
+    zone = cause("floor_zone", signal=27.0)
+    kept, dropped, _ = _parted([zone, cause("wear", signal=9.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    assert kept == [] and "wear has a signal of 9 beside floor_zone with 27" in dropped["wear"]
+    kept, _, _ = _parted([zone, cause("wear", signal=34.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    assert [one.effect for one in kept] == ["wear"]
+
+
+def test_beside_the_fix_of_a_part_only_a_nearly_certain_cause_stays_named() -> None:
+    fix = Fix(recommended=True, corrects=("a",))
+    named = [one.effect for one in map(cause, "abc") if is_named_beside(one, fix, {"a": 0.7, "b": 0.95, "c": 0.7})]
+    assert named == ["a", "b"]
 
 
 def test_what_odds_alone_leave_out_was_needed_where_the_rest_of_the_gap_certainly_stays() -> None:
