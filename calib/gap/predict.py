@@ -124,7 +124,8 @@ class Path:
         s = self.s
         with np.errstate(invalid="ignore"):
             bent = np.abs(s.measured[:, Channel.HEADING]) > GUIDED_TURN_RAD
-        straight: BoolArray = (s.total(np.abs(s.turn_rad)) < GUIDED_TURN_RAD) & ~bent
+        turned = np.concatenate([part.total(np.abs(part.turn_rad)) for part in s.parts()])
+        straight: BoolArray = (turned < GUIDED_TURN_RAD) & ~bent
         return straight | s.guided
 
 

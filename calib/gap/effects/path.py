@@ -33,7 +33,7 @@ class PathWeave(Effect):
         if weaves.any():
             noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
-        logged = np.where(outside, _weave_of_logs(observations), 0.0)
+        logged = np.where(outside, _weave_of_logs(observations), 0.0) if outside.any() else np.zeros(len(observations))
         # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
         guided = weaves & observations.guided
         swing = np.zeros(len(observations))
@@ -80,7 +80,7 @@ def _weave_of_logs(observations: Observations) -> FloatArray:
     """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_obs,)."""
     path = predict(observations)
     with np.errstate(divide="ignore", invalid="ignore"):
-        excess = observations.total(np.abs(path.steps.ds_m)) / np.abs(path.line_m) - 1.0
+        excess = path.of_parts(lambda part: part.s.total(np.abs(part.steps.ds_m))) / np.abs(path.line_m) - 1.0
     return np.where((np.abs(path.end[:, 2]) < STRAIGHT_RAD) & np.isfinite(excess), excess, 0.0)
 
 

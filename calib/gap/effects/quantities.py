@@ -106,7 +106,7 @@ def path_curvature_per_m(path: Path) -> FloatArray:
 
 def shows_curves(observations: Observations) -> bool:
     """Return whether any observation turns by more than a tenth of a radian in all."""
-    return bool((observations.total(np.abs(curvature_per_m(observations) * observations.path_m)) > 0.1).any())
+    return any((s.total(np.abs(curvature_per_m(s) * s.path_m)) > 0.1).any() for s in observations.parts())
 
 
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,6 +149,8 @@ def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> t
     known = observations.from_log & np.isfinite(way)
     set_speed = np.nan_to_num(observations.number("speed_mps")) * np.sign(observations.total(observations.path_m))
     speed = np.where(known, np.where(stands, 0.0, way), set_speed)
+    if known.all():
+        return speed, np.where(stands, 0.0, turn)
     return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(observations)[edge])
 
 

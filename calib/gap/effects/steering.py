@@ -175,17 +175,20 @@ class SteeringBacklash(Effect):
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
         rough = _noise_rad(observations, wheel)
-        forms: list[tuple[str, FloatArray, dict[str, float]]] = []
+        forms: list[Form] = []
+
+        def offer(label: str, error: FloatArray, settings: dict[str, float]) -> None:
+            tries = 2 * len(PLAYS_RAD) + 1
+            forms.append(error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings))
+
         for play in PLAYS_RAD:
+            label = f"through {1e3 * play:g} mrad"
             ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
+            offer(f"by the moves of the motor, {label}", ahead, {"play_rad": play})
             behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
-            for whose, error in (("motor", ahead), ("wheel", behind)):
-                forms.append((f"by the moves of the {whose}, through {1e3 * play:g} mrad", error, {"play_rad": play}))
-        forms.append(("by the side of the turn", 0.5 * by_side, {}))
-        return [
-            error_form(observations, self.id, label, parameter, error, tries=len(forms), settings=settings)
-            for label, error, settings in forms
-        ]
+            offer(f"by the moves of the wheel, {label}", behind, {"play_rad": play})
+        offer("by the side of the turn", 0.5 * by_side, {})
+        return forms
 
 
 def _noise_rad(observations: Observations, angle: FloatArray) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
@@ -178,6 +178,10 @@ class Observations:
             most = self.starts[edges[-1]] + STEPS_AT_ONCE
             edges.append(max(int(np.searchsorted(self.starts, most, side="right")) - 1, edges[-1] + 1))
         return tuple(slice(first, behind) for first, behind in pairwise(edges))
+
+    def parts(self) -> Iterator[Observations]:
+        """Yield some observations at a time, those of `spans`; itself where steps are few."""
+        yield from (self,) if len(self.spans) == 1 else map(self.part, self.spans)
 
     def part(self, units: slice) -> Observations:
         """Return some observations alone; arrays are views of these. Parts are kept with what is derived from them."""
