@@ -365,10 +365,11 @@ def _parted(
 ) -> tuple[list[Cause], dict[str, str], bool]:
     """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
-    # what differs between groups of runs acts as something else: a weaker cause may be a part of that
+    # what differs between groups of runs acts as something else: a weaker cause may be a part of that, unlike radii and
+    # track, which every hypothesis fits anew
     other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
     for cause in causes:
-        if other is not None and cause.effect not in dropped and cause.signal < other.signal:
+        if other is not None and cause.effect not in (*NAMES, *dropped) and cause.signal < other.signal:
             dropped[cause.effect] = (
                 f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
                 "whose size differs between runs: it may be a part of that"
