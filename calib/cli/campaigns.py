@@ -26,13 +26,12 @@ def init(
     Example: calib init hall3
     """
     from calib.campaign.ingest.describe import write_blank
-    from calib.reporting.next_step import after_init
 
     written = write_blank(folder, force=terminal.forced())
     terminal.emit_json({"campaign": str(folder), "written": [str(path) for path in written]})
     if not terminal.wants_stdout():
         terminal.wrote(written)
-        terminal.then(after_init(folder))
+        terminal.then("init", c=folder)
 
 
 def ingest(
@@ -68,7 +67,6 @@ def ingest(
         )
     from calib.campaign.ingest import build
     from calib.documents import plain
-    from calib.reporting.next_step import after_ingest
 
     with terminal.progress("reading") as tick:
         ingested = build.ingest(sources, into, mapping=mapping, force=terminal.forced(), dry_run=dry_run, progress=tick)
@@ -90,12 +88,11 @@ def ingest(
     _say_cuts(ingested)
     end = "; nothing was written" if dry_run else ""
     terminal.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
-    terminal.then(after_ingest(ingested.folder, written=not dry_run))
+    terminal.then("ingest --dry-run" if dry_run else "ingest", c=ingested.folder)
 
 
 def _describe(sources: list[Path]) -> None:
     from calib.campaign.ingest.describe import describe
-    from calib.reporting.next_step import after_files
 
     with terminal.waiting("looking"):
         description = describe(sources)
@@ -103,7 +100,7 @@ def _describe(sources: list[Path]) -> None:
     if not terminal.wants_stdout():
         terminal.emit_text(description.to_toml())
         # standard output is the mapping alone
-        terminal.then(after_files(sources), aside=True)
+        terminal.then("ingest --describe", aside=True, sources=sources)
 
 
 def _say_cuts(ingested: Ingested) -> None:
@@ -131,7 +128,6 @@ def check(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
-    from calib.reporting.next_step import after_check
     from calib.reporting.topics.checks import check_content
 
     with terminal.progress("checking") as tick:
@@ -145,5 +141,6 @@ def check(
         **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
     }
     terminal.answer(document, check_content(report))
-    terminal.then(after_check(report.verdict, campaign, distances=report.found.distance_m is not None))
+    measured = "check" if report.found.distance_m is not None else "check without distances"
+    terminal.then("check wrong" if report.verdict == "wrong" else measured, c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0

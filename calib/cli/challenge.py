@@ -29,7 +29,6 @@ def make(
     Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
     """
     from calib.challenge.seal import make
-    from calib.reporting.next_step import after_challenge
 
     with terminal.progress("making") as tick:
         sealed_set = make(
@@ -49,7 +48,7 @@ def make(
         "sha256": sealed_set.sha256,
         "cases": sealed_set.cases,
     }
-    terminal.then(after_challenge("make", into))
+    terminal.then("challenge make", c=into)
     terminal.emit_json(document)
 
 
@@ -64,7 +63,6 @@ def run(
     Example: calib challenge run blind
     """
     from calib.challenge.run import run as run_set
-    from calib.reporting.next_step import after_challenge
 
     terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
     with terminal.progress("diagnosing") as tick:
@@ -72,7 +70,7 @@ def run(
             folder, workers=workers, seed=seed, limit=cases, tick=lambda done, total: tick(done, total, "cases")
         )
     terminal.say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error")
-    terminal.then(after_challenge("run", folder))
+    terminal.then("challenge run", c=folder)
     terminal.emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed})
 
 
@@ -88,7 +86,6 @@ def score(
     Example: calib challenge score blind --plot blind.png --json blind-score.json
     """
     from calib.challenge.score import score as score_set
-    from calib.reporting.next_step import after_challenge
     from calib.reporting.topics.challenge import score_content
 
     beside = None if plot is None else plot.parent / f"{plot.stem}-confusion{plot.suffix}"
@@ -101,7 +98,7 @@ def score(
         save(board_figure(scored), plot, force=terminal.forced())
         save(confusion_figure(scored), beside, force=terminal.forced())
         terminal.wrote([plot, beside])
-    terminal.then(after_challenge("score", folder))
+    terminal.then("challenge score", c=folder)
     terminal.emit_json(scored.to_dict())
     return 1 if any(scored.meets(line) is False for line in scored.board) else 0
 
@@ -128,7 +125,6 @@ def own(
     from calib.campaign.read import read_campaign
     from calib.challenge.own.plants import parse_sizes
     from calib.challenge.own.run import Asked, challenge_own
-    from calib.reporting.next_step import after_challenge
     from calib.reporting.topics.challenge import own_content
 
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
@@ -143,6 +139,6 @@ def own(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"
         )
     terminal.show(own_content(own_score))
-    terminal.then(after_challenge("own", folder))
+    terminal.then("challenge own", c=folder)
     terminal.emit_json(own_score.to_dict())
     return 0 if own_score.trusted else 1

@@ -47,7 +47,6 @@ def run(
     Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
     """
     from calib.radius import deviation as table
-    from calib.reporting.next_step import after_deviation
     from calib.reporting.topics.checks import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):
@@ -69,7 +68,7 @@ def run(
             "passed": judged.passed,
         }
     terminal.answer(document, content)
-    terminal.then(after_deviation(campaign))
+    terminal.then("deviation CAMPAIGN" if campaign else "deviation", c=campaign or "")
     return 0 if judged is None or judged.passed else 1
 
 

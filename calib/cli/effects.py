@@ -41,7 +41,6 @@ def run(
         nominal, entries, runs = _catalogued(effect, campaign)
     drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
     terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
-    from calib.reporting.next_step import after_effects
     from calib.reporting.topics.effects import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
@@ -50,7 +49,7 @@ def run(
 
         shown = {_file_name(one): one.signature for one in entries if one.signature is not None}
         terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in shown.items()}, figures)
-    terminal.then(after_effects(effect, campaign))
+    terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
 

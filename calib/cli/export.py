@@ -82,7 +82,6 @@ def run(
     """
     from calib.coefficients.export import coefficients_of, export, parse_loads
     from calib.coefficients.formats import ExportOptions
-    from calib.reporting.next_step import after_export
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
@@ -112,7 +111,7 @@ def run(
     files = _written(artifacts, output)
     if output is not None:
         # where the files went to standard output, nothing is added to them
-        terminal.then(after_export(to, source, output))
+        terminal.then(f"export {to}", c=source, file=output)
     terminal.emit_json({**head, "files": files, "notes": notes})
 
 

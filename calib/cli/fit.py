@@ -52,7 +52,6 @@ def run(
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
-    from calib.reporting.next_step import after_fit
     from calib.reporting.topics.fit import FIT_PICTURES, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
@@ -74,7 +73,7 @@ def run(
     if figures is not None:
         terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
     terminal.emit_json(document)
-    terminal.then(after_fit(fitted.passed, campaign))
+    terminal.then("fit" if fitted.passed else "fit failed", c=campaign)
     return 0 if fitted.passed else 1
 
 

@@ -30,7 +30,6 @@ def run(
     refuse_workers(workers)
     from calib.fleet.store import any_simulated
     from calib.reporting.files import Heads, write_fleet, write_survey
-    from calib.reporting.next_step import after_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content, survey_content
 
@@ -56,7 +55,10 @@ def run(
     terminal.answer(document, blocks)
     terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
-    terminal.then(after_fleet(folder, failed, what))
+    campaigns = [vehicle for vehicle in failed if vehicle.is_dir()]
+    step = "fleet vehicle failed" if campaigns else "fleet file failed" if failed else "fleet"
+    other = "diagnose" if what in {"fit", "geometry"} else "fit"
+    terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1])
     return int(bool(failed))
 
 
@@ -90,7 +92,6 @@ def simulate(
     from numpy.random import default_rng
 
     from calib.plant.fleet import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
-    from calib.reporting.next_step import after_fleet_simulation
 
     # a folder that is there may be added to
     terminal.refuse_outputs(None if terminal.forced() and into.is_dir() else into)
@@ -103,5 +104,5 @@ def simulate(
             size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
             truth = make_fleet(into, default_rng(seed), size)
     terminal.wrote([into])
-    terminal.then(after_fleet_simulation(into, poses=poses))
+    terminal.then("fleet simulate --poses" if poses else "fleet simulate", c=into)
     terminal.emit_json(asdict(truth))

@@ -66,7 +66,7 @@ def run(
         from calib.coefficients.build import from_geometry
 
         terminal.save(output, from_geometry(estimated, read, accept=accept_implausible.strip()).to_bytes())
-    terminal.then(after_geometry(estimated, campaign, output))
+    terminal.then(after_geometry(estimated, output), c=campaign, file=output or "")
     return 0 if estimated.passed else 1
 
 

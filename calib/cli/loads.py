@@ -51,7 +51,6 @@ def run(
     from dataclasses import asdict
 
     from calib.odometry.law_journey import sweep_loads, vehicle_of
-    from calib.reporting.next_step import after_loads
     from calib.reporting.topics.simulation import loads_content, weighed_content
     from calib.vehicle import payload_from_wheel_loads
 
@@ -69,7 +68,7 @@ def run(
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
         document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
         terminal.answer(document, weighed_content(known, known=sigma > 0))
-        terminal.then(after_loads())
+        terminal.then("loads")
         return
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
         near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
@@ -81,7 +80,7 @@ def run(
     written = [] if figures is None else _drawn(stem, swept, figures)
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
-    terminal.then(after_loads())
+    terminal.then("loads")
 
 
 def _drawn(stem: str, swept: LoadSweep, folder: Path) -> list[Path]:

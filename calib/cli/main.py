@@ -2,19 +2,202 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import re
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, Final
 
 import typer
 
-from calib.cli.commands import build, with_default
-from calib.cli.failures import EXIT_FINE, failed, overflow_noted, pipe_closed
-from calib.cli.failures import interrupted as interruption
-from calib.cli.terminal import INTERRUPTED, KEPT, note
+from calib.cli.commands import COMMANDS, build, command_called, options_of, with_default
+from calib.cli.terminal import INTERRUPTED, KEPT, nearest, note, visible
+from calib.documents import to_json
+from calib.errors import CalibError, ImplausibleError
+
+EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+EXIT_BAD_INPUT: Final = 2
+EXIT_BUG: Final = 3
+EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
+EXIT_PIPE_CLOSED: Final = 141
+#: characters of the one line about an error; a message that quotes data may hold much of it
+LONGEST_LINE: Final = 2000
+
+
+def interruption(kept: list[str]) -> int:
+    """Print what an interrupted command has kept, and return the exit status for it."""
+    held = f"kept: {'; '.join(kept)}" if kept else "nothing was written"
+    return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
+
+
+def failed(error: Exception, given: list[str]) -> int:
+    """Print in one line what went wrong, and return the exit status for it.
+
+    Where standard output belongs to JSON, it gets the same as ``{"error": ..., "exit_status": ...}``.
+    """
+    if isinstance(error, BrokenPipeError):
+        return pipe_closed()
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stderr.write(_message(error) + "\n")
+        return EXIT_BAD_INPUT
+    message, status = _explained(error, given)
+    if _wants_json(given):
+        with suppress(OSError, ValueError):
+            sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
+            sys.stdout.flush()
+    return _complain(message, status)
+
+
+def _wants_json(given: Sequence[str]) -> bool:
+    return "--json=-" in given or ("--json", "-") in pairwise(given)
+
+
+def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
+    """Return what went wrong in one line, and the exit status for it."""
+    if isinstance(error, ImplausibleError):
+        return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
+    if isinstance(error, CalibError):
+        return as_typed(str(error), _options_given(given)) + _nearest_path(str(error), given), EXIT_BAD_INPUT
+    if isinstance(error, typer.TyperException):
+        return _usage(error), EXIT_BAD_INPUT
+    if os.environ.get("CALIB_TRACEBACK"):
+        raise error
+    refused = _machine_refused(error)
+    if refused:
+        return refused, EXIT_BAD_INPUT
+    return f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)", EXIT_BUG
+
+
+def _nearest_path(message: str, given: list[str]) -> str:
+    """Return ``; did you mean 'x'?`` where the message speaks of a path that is not there and one beside it is near."""
+    for word in given:
+        path = Path(word)
+        with suppress(OSError, ValueError):
+            if path.name and message.startswith(f"{path}: found no") and path.parent.is_dir() and not path.exists():
+                if path.is_symlink():
+                    return "; this is a symbolic link that leads nowhere"
+                return nearest(path.name, (beside.name for beside in path.parent.iterdir()))
+    return ""
+
+
+def _machine_refused(error: Exception) -> str:
+    """Return what the machine or the size of a number refused; empty for anything else, which is a bug."""
+    if isinstance(error, UnicodeEncodeError):
+        lacking = f"found characters that the encoding {error.encoding} lacks"
+        return f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1"
+    if isinstance(error, OverflowError | RecursionError):
+        beyond = f"found a number or a nesting beyond all bounds ({error})"
+        return f"{beyond}; expected numbers of ordinary size; correct the input"
+    if type(error).__name__ == "LinAlgError":
+        beyond = f"found numbers that differ too much in size to compute with ({error})"
+        return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
+    if isinstance(error, OSError) and error.errno != errno.ENOMEM:
+        # what a library writes on the way has no name here
+        where = (
+            os.fsdecode(error.filename)
+            if isinstance(error.filename, str | bytes)
+            else "standard output, or a temporary file"
+        )
+        return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"
+    if isinstance(error, MemoryError | OSError):
+        return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
+    if isinstance(error, ImportError) and _NO_ROOM.search(str(error)):
+        # numpy puts pages of advice around the loader's words
+        why = str(error).rpartition("Original error was: ")[2].strip().partition("\n")[0]
+        return f"out of memory; found no room for a library ({why}); allow more address space (ulimit -v)"
+    return ""
+
+
+def _options_given(arguments: Sequence[str]) -> set[str]:
+    """Return the options of the command that was called."""
+    name = command_called(with_default(arguments))
+    return set() if name is None else options_of(name)
+
+
+def _usage(error: Exception) -> str:
+    """Return what is wrong with the words typed, and which command of the same group would take them."""
+    message, context = _message(error), getattr(error, "ctx", None)
+    if context is None:
+        return message
+    words = context.command_path.split()
+    option = getattr(error, "option_name", "")
+    others = [
+        name for name in COMMANDS if len(words) == 3 and name.split()[0] == words[1] and name.split()[1] != words[2]
+    ]
+    takers = [f"'calib {name}'" for name in others if option and option in options_of(name)]
+    message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
+    return f"{message} (see '{context.command_path} --help')"
+
+
+def pipe_closed() -> int:
+    """Drop what is still buffered, since nobody reads it, and return the exit status for it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return EXIT_PIPE_CLOSED
+
+
+def _message(error: Exception) -> str:
+    formatted = getattr(error, "format_message", None)
+    return str(formatted()) if formatted else str(error)
+
+
+def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
+    text = visible("calib: " + " ".join(message.split()))
+    if len(text) > LONGEST_LINE:
+        text = f"{text[: LONGEST_LINE - 4]} ..."
+    with suppress(OSError, AttributeError):
+        # a closed or full standard error has nobody to tell
+        encoding = sys.stderr.encoding or "utf-8"
+        sys.stderr.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    return status
+
+
+#: what a loader says where address space is short
+_NO_ROOM: Final = re.compile(r"failed to map segment|[Cc]annot allocate memory|cannot apply additional memory")
+_LEADING = re.compile(r"^([a-z][a-z_]*)(?=: )")
+_FLAG = re.compile(r"\bforce=True\b")
+
+
+def as_typed(message: str, options: Collection[str]) -> str:
+    """Return a message whose argument names are the options that were typed.
+
+    `message`: of the library: ``draws: found 0; expected 100 or more``; `options`: options of the command, ``--draws``
+    and so on; other names stay as they are.
+    """
+    named = _LEADING.match(message)
+    if named and f"--{named[1].replace('_', '-')}" in options:
+        message = f"--{named[1].replace('_', '-')}{message[named.end() :]}"
+    return _FLAG.sub("--force", message)
+
+
+@contextmanager
+def overflow_noted() -> Iterator[None]:
+    """Print one note on numeric overflow, in place of the warnings of a library about its code."""
+    overflows: list[str] = []
+    with warnings.catch_warnings():
+        before = warnings.showwarning
+
+        def kept(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RuntimeWarning):
+                overflows.append(str(message))
+            else:
+                before(message, category, *where, **more)
+
+        warnings.showwarning = kept
+        yield
+    if overflows:
+        what = ", ".join(dict.fromkeys(text.partition(" encountered")[0] for text in overflows))
+        sys.stderr.write(
+            f"calib: note: some numbers are too large, too small or missing to compute with ({what:.100})\n"
+        )
+
 
 #: where the shell asks for completions, and the words typed so far
 _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_WORDS")

@@ -55,7 +55,6 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs
     from calib.gap.plan.plan_file import read_candidates
-    from calib.reporting.next_step import after_plan
     from calib.reporting.topics.effects import next_runs_table
 
     with terminal.progress("planning") as tick:
@@ -71,7 +70,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
         ]
     terminal.say(f"{diagnosis.campaign}: {diagnosis.sentence}")
     terminal.show([next_runs_table(runs)])
-    terminal.then(after_plan(campaign, len(runs)))
+    terminal.then("plan" if runs else "plan nothing", c=campaign)
     document = {
         "verdict": diagnosis.kind.value,
         "indistinguishable": [list(group.effects) for group in diagnosis.groups],
@@ -84,7 +83,6 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
 def _judge(source: Path, figures: Path | None) -> int:
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.reporting.next_step import after_plan_file
     from calib.reporting.topics.effects import outlook_content
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
@@ -96,6 +94,6 @@ def _judge(source: Path, figures: Path | None) -> int:
         from calib.reporting.figures.effects import plan_matrix
 
         terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
-    terminal.then(after_plan_file())
+    terminal.then("plan --from")
     terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()})
     return 0

@@ -53,7 +53,7 @@ def run(
     from calib.io import write_bytes, write_text
     from calib.reporting.content import place_of
     from calib.reporting.figures.style import write_figures
-    from calib.reporting.next_step import after_diagnosis, after_geometry, after_report
+    from calib.reporting.next_step import after_diagnosis, after_geometry
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date
 
@@ -73,12 +73,12 @@ def run(
         write_text(html, page, force=terminal.forced())
     _tell(content, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
     if content.diagnosis is not None:
-        following = after_diagnosis(content.diagnosis, source)
+        step = after_diagnosis(content.diagnosis)
     elif content.geometry is not None:
-        following = after_geometry(content.geometry, source, None)
+        step = after_geometry(content.geometry, None)
     else:
-        following = after_report(report.passed, source)
-    terminal.then(following)
+        step = "report" if report.passed else "report failed"
+    terminal.then(step, c=source)
     document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     terminal.emit_json(document)
     return 0 if report.passed else 1

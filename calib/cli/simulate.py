@@ -61,7 +61,6 @@ def finish(
     """
     from calib.reporting.blocks import items
     from calib.reporting.files import simulation_trajectories, write_simulation
-    from calib.reporting.next_step import after_simulation
     from calib.reporting.topics.simulation import simulation_content
 
     written: list[Path] = []
@@ -78,7 +77,7 @@ def finish(
     if not terminal.wants_stdout():
         terminal.show([*simulation_content(simulation), *items(every_note)])
         terminal.wrote(written)
-    terminal.then(after_simulation(law))
+    terminal.then("simulate --law" if law else "simulate", c=law or "")
 
 
 def route(
@@ -270,7 +269,6 @@ def replay(
     from calib.odometry.replay import replay as replay_runs
     from calib.reporting.blocks import items
     from calib.reporting.files import replay_trajectories, write_replay
-    from calib.reporting.next_step import after_replay
     from calib.reporting.topics.simulation import replay_content
 
     terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
@@ -297,4 +295,4 @@ def replay(
     if not terminal.wants_stdout():
         terminal.show([*replay_content(replayed), *items(notes)])
         terminal.wrote(written)
-    terminal.then(after_replay(campaign))
+    terminal.then("simulate replay", c=campaign)

@@ -143,12 +143,15 @@ def say(text: str) -> None:
     show([Text(text)] if text else [])
 
 
-def then(text: str, *, aside: bool = False) -> None:
+def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[Path]) -> None:
     """Print what to do now as one line, never wrapped, so that its command can be copied.
 
-    `aside`: on standard error, also where no JSON takes standard output.
+    `step`, `names`: see `calib.reporting.next_step`; `aside`: on standard error, also where no JSON takes standard
+    output.
     """
-    _write(sys.stderr if aside or wants_stdout() else sys.stdout, text)
+    from calib.reporting.next_step import next_step
+
+    _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))
 
 
 def note(text: str) -> None:

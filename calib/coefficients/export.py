@@ -131,23 +131,23 @@ def export(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
         )
-    name = formats.FORMATS[to]
-    if name is None:
+    if to == "json":
         return (Artifact("coefficients.json", file.to_bytes()),)
-    module = importlib.import_module(f"{formats.__name__}.{name}")
-    if chosen.has_model and not getattr(module, "PATCHES_MODEL", False):
+    if chosen.has_model and to not in formats.PATCHING:
         raise BadInputError(
             f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
         )
     together = file.joint_geometry
-    if getattr(module, "AXLE_ONLY", False) and together is not None and together.source != "rear":
+    if to in formats.AXLE_ONLY and together is not None and together.source != "rear":
         wheels = SOURCE_NAMES[together.source]
         raise RefusedError(
             f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has; "
             "export to ros2 or json"
         )
     chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
-    artifacts: tuple[Artifact, ...] = module.render(file, chosen)
+    module, _, function = formats.FORMATS[to].partition(".")
+    render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
+    artifacts: tuple[Artifact, ...] = render(file, chosen)
     return artifacts
 
 

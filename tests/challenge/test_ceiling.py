@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.challenge.ceiling import ceiling_of, ceiling_of_truth
+from calib.challenge.cases import ceiling_of, ceiling_of_truth
 
 #: standard error of a share over 4,000 draws is at most 0.008; three of them
 DRAWN = 0.025

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.failures import EXIT_BAD_INPUT, failed
-from calib.cli.main import run
+from calib.cli.main import EXIT_BAD_INPUT, failed, run
 
 ROOT = Path(__file__).resolve().parents[2]
 

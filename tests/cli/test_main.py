@@ -11,8 +11,7 @@ import pytest
 
 from calib import __version__
 from calib.cli.commands import COMMANDS
-from calib.cli.failures import as_typed
-from calib.cli.main import run
+from calib.cli.main import as_typed, run
 
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])

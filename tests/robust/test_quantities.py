@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from calib import limits
-from calib.cli.failures import overflow_noted
-from calib.cli.main import run
+from calib.cli.main import overflow_noted, run
 from calib.gap.observations.from_campaign import edges_along
 from calib.gap.plan import identifiability
 from calib.gap.plan.identifiability import outlook_of

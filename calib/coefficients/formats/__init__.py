@@ -14,19 +14,21 @@ if TYPE_CHECKING:
 
     from calib.coefficients.file import CoefficientFile
 
-#: name of the format -> module of this package, None for the coefficient file itself; each has
-#: ``render(file, options)``, which returns its files, and states ``AXLE_ONLY = True`` where it knows two wheels on one
-#: axle alone, ``PATCHES_MODEL = True`` where it changes a copy of the user's model
-FORMATS: Final[dict[str, str | None]] = {
-    "json": None,
-    "ros2": "ros2",
-    "c": "c_header",
-    "c_effects": "c_effects",
-    "csv": "csv_table",
-    "mjcf": "mjcf",
-    "urdf": "urdf",
-    "sdf": "sdf",
+#: name of the format -> module and function of this package, which takes file and options and returns its files; empty
+#: for the coefficient file itself
+FORMATS: Final = {
+    "json": "",
+    "ros2": "ros2.render",
+    "c": "c_header.render",
+    "c_effects": "c_effects.render",
+    "csv": "csv_table.render",
+    "mjcf": "simulator_models.mjcf",
+    "urdf": "simulator_models.urdf",
+    "sdf": "simulator_models.sdf",
 }
+#: formats that change a copy of the user's model, and those that know two wheels on one axle alone
+PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
+AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
 #: of a name of the user in a comment
 COMMENT_LENGTH: Final = 120
 

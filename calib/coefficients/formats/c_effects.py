@@ -15,9 +15,6 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, accepted_lines, c_number, rendered, templates
 from calib.coefficients.sections import EffectSection
 
-#: see `calib.coefficients.formats`
-AXLE_ONLY: Final = True
-
 FILE_NAME: Final = "calib_effects.h"
 #: forms that act through what a single run does not know, as in `calib.runtime.effects`
 OTHER_FORMS: Final = ("change of load", "per session", "along the corridor alone", "other routes", "distance")

@@ -14,9 +14,6 @@ from calib.coefficients.sections import WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT
 
-#: see `calib.coefficients.formats`
-AXLE_ONLY: Final = True
-
 INT32_MAX: Final = 2**31 - 1
 #: bound of every intermediate of the integer form; half the range of int64_t, so that rounding cannot overflow it
 INT64_HALF: Final = 2**62

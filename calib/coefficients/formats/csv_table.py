@@ -12,9 +12,6 @@ from calib.documents import csv_text
 from calib.errors import RefusedError
 from calib.radius.law import WheelLaw
 
-#: see `calib.coefficients.formats`
-AXLE_ONLY: Final = True
-
 #: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
 COLUMNS: Final = ("radius_{}_m", "radius_{}_std_m", "radius_{}_mean_u95_m", "radius_{}_prediction_u95_m")
 #: significant digits of each: a radius to less than a nanometre, its uncertainties to a part in a million

@@ -3,12 +3,23 @@
 The controllers read their geometry once, when they are configured, so a file holds for one load. Each is an overlay:
 give it after the vehicle's own parameter file, which names the joints. A controller is a name in `CONTROLLERS` and a
 branch of ``ros2.yaml.j2``.
+
+They hold constant diagonals of the covariance. Pose: after `PATH_M` straight ahead and `TURN_RAD` of turning, the
+mean of left and right turns. An error of the mean radius stretches the path; one that turns the vehicle steadily (the
+radii's difference, a steering zero) bends it: heading L, across L^2 / 2. A random walk of heading with variance h^2 a
+metre adds L h^2 to heading and L^3 h^2 / 3 across. Each encoder is read once at either end; the quantisation of the
+first reading turns all that follows. Twist: at `SPEED_MPS` and `TURN_RATE_RADPS`, taken over `WINDOW_S`.
 """
 
 from __future__ import annotations
 
+import math
 import re
+import sys
+from dataclasses import dataclass, replace
 from typing import Final
+
+import numpy as np
 
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import (
@@ -19,10 +30,11 @@ from calib.coefficients.formats import (
     left_out_lines,
     radii_m,
     rendered,
-    ros2_variances,
     within_N,
 )
 from calib.errors import BadInputError, RefusedError
+from calib.kinematics.drives import STEERING_SCALE
+from calib.types import FloatArray
 
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
@@ -69,7 +81,7 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
         "calibrated": together is not None and any(entry.first in TRACKS for entry in together.covariance),
         "known": file.together,
         "left_out": left_out_lines(file, "file"),
-        "at": ros2_variances,
+        "at": sys.modules[__name__],
     }
     artifacts: dict[str, Artifact] = {}
     for pair in options.loads or default_loads(file):
@@ -88,3 +100,145 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
 def _name(pair: LoadPair) -> str:
     text = f"{pair.left_N:.6g}N" if pair.left_N == pair.right_N else f"L{pair.left_N:.6g}N_R{pair.right_N:.6g}N"
     return f"controllers_{re.sub('[^0-9A-Za-z_.]', '_', text)}.yaml"
+
+
+#: path and turning after which the variances of the pose are stated: an aisle and the corner at its end
+PATH_M: Final = 10.0
+TURN_RAD: Final = math.pi / 2.0
+#: motion at which the variances of the twist are stated, and the window: ten samples at 100 Hz, the controllers' own
+SPEED_MPS: Final = 1.0
+TURN_RATE_RADPS: Final = 1.0
+WINDOW_S: Final = 0.1
+#: variances of height, roll and pitch, which odometry in the plane does not measure
+UNSEEN: Final = (1e6, 1e6, 1e6)
+#: standard uncertainties where nothing was calibrated: a length (relative), the steering's zero (one degree), its scale
+LENGTH_STD: Final = 0.01
+STEERING_ZERO_STD_RAD: Final = math.radians(1.0)
+STEERING_SCALE_STD: Final = 0.01
+#: steering angle of the turns
+STEERING_RAD: Final = math.pi / 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Diagonals:
+    """Variances of x, y, z, roll, pitch and yaw."""
+
+    #: in m^2 and rad^2, and in (m/s)^2 and (rad/s)^2
+    pose: tuple[float, ...]
+    twist: tuple[float, ...]
+    #: parameters that were not calibrated: their uncertainty is assumed
+    assumed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """Variances that reading each encoder once adds: to the path in m^2, to the heading in rad^2."""
+
+    path: float = 0.0
+    heading: float = 0.0
+
+
+def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
+    """Return the diagonals of odometry from two wheels on an axle, at a load point.
+
+    `file`: laws, track and random walks; `pair`: loads of the wheels; beyond the valid range its end counts, as for the
+    radius.
+    """
+    from scipy.linalg import block_diag
+
+    law, track = file.law, file.vehicle.track.value
+    loads = within_N(file, pair)
+    radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
+    joint = law.joint
+    if joint is None:
+        joint = block_diag(law.left.covariance, law.right.covariance, file.vehicle.track_std.value**2)
+    at_load = np.zeros((3, 5))
+    at_load[0, :2] = 1.0, loads[0] - law.left.reference_load_N
+    at_load[1, 2:4] = 1.0, loads[1] - law.right.reference_load_N
+    at_load[2, 4] = 1.0
+    left, right = 1.0 / radius
+    # change of path per metre, of heading per metre, and of heading per radian, by radii and track
+    rates = np.array(
+        [[0.5 * left, 0.5 * right, 0.0], [-left / track, right / track, 0.0], [0.5 * left, 0.5 * right, -1.0 / track]]
+    )
+    per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
+    count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
+    reading = _Reading(path=0.25 * float(count.sum()), heading=float(count.sum()) / track**2)
+    return _diagonals(file, rates, at_load @ joint @ at_load.T, reading)
+
+
+def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
+    """Return the diagonals of odometry from the speed of the traction wheels and the steering angle.
+
+    `file`: with the steering, where the geometry was estimated with it; else it is assumed; `pair`: loads of the rear
+    wheels; `traction` ({"front", "rear", "shaft"}): whether the front wheel's turning is measured, that of the rear
+    wheels, or that of the drive shaft behind.
+    """
+    shaft = traction == "shaft"
+    names = ("rear_radius_m" if shaft else "front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
+    wheelbase = file.vehicle.wheelbase.value
+    front = file.wheels.left.radius_ref.value if shaft else file.geometry.front_radius_m
+    usual = (LENGTH_STD * front, LENGTH_STD * wheelbase, STEERING_ZERO_STD_RAD, STEERING_SCALE_STD)
+    covariance, assumed = _known(file, names, usual)
+    travel = 0.0 if traction == "rear" else 1.0 / front
+    # turn in proportion to tan(angle) behind, to sin(angle) of the front wheel's own way
+    by_angle = (math.tan(STEERING_RAD) + 1.0 / math.tan(STEERING_RAD)) if shaft else 1.0 / math.tan(STEERING_RAD)
+    if traction == "rear":
+        assumed = tuple(name for name in assumed if name != names[0])
+    rates = np.array(
+        [
+            [travel, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0 / wheelbase, 0.0],
+            [travel, -1.0 / wheelbase, by_angle, STEERING_RAD * by_angle],
+        ]
+    )
+    steered = _diagonals(file, rates, covariance, _Reading())
+    if traction != "rear":
+        return replace(steered, assumed=assumed)
+    # path by the rear wheels, heading by the steering
+    rear = rear_diagonals(file, pair)
+    return Diagonals((rear.pose[0], *steered.pose[1:]), (rear.twist[0], *steered.twist[1:]), assumed)
+
+
+def mecanum_diagonals(file: CoefficientFile) -> Diagonals:
+    """Return the diagonals of odometry from four wheels with rollers."""
+    arm, radius = 0.5 * file.vehicle.track.value, file.wheels.left.radius_ref.value
+    names = ("wheel_radius_m", "half_length_plus_half_width_m")
+    covariance, assumed = _known(file, names, (LENGTH_STD * radius, LENGTH_STD * arm))
+    rates = np.array([[1.0 / radius, 0.0], [0.0, 0.0], [1.0 / radius, -1.0 / arm]])
+    return replace(_diagonals(file, rates, covariance, _Reading()), assumed=assumed)
+
+
+def _diagonals(file: CoefficientFile, rates: FloatArray, covariance: FloatArray, reading: _Reading) -> Diagonals:
+    """Return the diagonals from the change of path and heading by each parameter; see the head of this file."""
+    stretch, bend, turn = (float(variance) for variance in np.einsum("ij,jk,ik->i", rates, covariance, rates))
+    along, heading = file.noise.along.value**2, file.noise.heading.value**2
+    pose = (
+        PATH_M**2 * stretch + PATH_M * along + 2.0 * reading.path,
+        0.25 * PATH_M**4 * bend + PATH_M**3 / 3.0 * heading + PATH_M**2 * reading.heading,
+        *UNSEEN,
+        PATH_M**2 * bend + TURN_RAD**2 * turn + PATH_M * heading + 2.0 * reading.heading,
+    )
+    walked = SPEED_MPS / WINDOW_S
+    twist = (
+        SPEED_MPS**2 * stretch + walked * along + 2.0 * reading.path / WINDOW_S**2,
+        # the odometry takes the lateral speed as zero; its random walk is taken to be that of the path
+        walked * along,
+        *UNSEEN,
+        SPEED_MPS**2 * bend + TURN_RATE_RADPS**2 * turn + walked * heading + 2.0 * reading.heading / WINDOW_S**2,
+    )
+    return Diagonals(pose, twist)
+
+
+def _known(
+    file: CoefficientFile, names: tuple[str, ...], assumed_std: tuple[float, ...]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the covariance of geometry parameters, assumed where not determined, and the names of those assumed."""
+    covariance = np.diag(np.square(assumed_std))
+    together = file.joint_geometry
+    entries = [] if together is None else [e for e in together.covariance if e.first in names and e.second in names]
+    determined = {entry.first for entry in entries if entry.first == entry.second}
+    for entry in entries:
+        row, column = names.index(entry.first), names.index(entry.second)
+        covariance[row, column] = covariance[column, row] = entry.covariance.value
+    return covariance, tuple(name for name in names if name not in determined)

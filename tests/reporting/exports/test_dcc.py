@@ -14,7 +14,7 @@ import calib
 from calib.errors import BadInputError, RefusedError
 from calib.radius.result import write_result
 from calib.reporting.exports import export_from
-from calib.reporting.exports.certificate import certificate_of
+from calib.reporting.exports.dcc import certificate_of
 
 SAMPLES = Path(__file__).parents[3] / "sample_runs"
 DOCUMENTATION = (Path(__file__).parents[3] / "docs" / "exports.md").read_text(encoding="utf-8")

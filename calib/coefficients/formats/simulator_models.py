@@ -1,0 +1,283 @@
+"""Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins.
+
+Of each format there is what finds a wheel by its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Final
+
+from calib.coefficients.formats.model_file import (
+    ModelFile,
+    Node,
+    Slot,
+    Wheel,
+    attribute_slot,
+    named,
+    numbers,
+    patched,
+    text_slot,
+    written,
+)
+from calib.errors import RefusedError
+
+#: elements that have a radius; of a geom of MJCF it is the first size
+ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
+#: attributes that turn a frame
+TURNS: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+
+
+def plugin_parameters(model: ModelFile) -> Iterator[tuple[str, Node]]:
+    """Yield name and element of the parameters of plugins and of ros2_control."""
+    for node in model.root.walk():
+        if node.children or not any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
+            continue
+        yield (node.attributes.get("name", "") if node.tag == "param" else node.tag), node
+
+
+def link_radii(
+    model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
+) -> tuple[float, tuple[Slot, ...]]:
+    """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
+
+    `radius`: the number of a round shape; None where it states none. Raises RefusedError where the link has no radius.
+    """
+    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
+    for part in () if link is None else link.children:
+        if part.tag in found:
+            found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
+    contact = found["collision"] or found["visual"]
+    if not contact:
+        raise RefusedError(
+            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; "
+            "a mesh has none: add a collision cylinder"
+        )
+    largest = max(slot.values[0] for slot in contact)
+    return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
+
+
+def off_zero(place: str) -> bool:
+    """Return whether a place, three numbers first, is another than zero."""
+    return any(part.strip("-+0.") for part in place.split()[:3])
+
+
+def sits_off(link: Node | None) -> bool:
+    """Return whether the collision of a URDF's or SDF's link is placed off the link's frame."""
+    for part in () if link is None else link.children:
+        place = part.child("origin") or part.child("pose") if part.tag == "collision" else None
+        if place is not None and off_zero(place.attributes.get("xyz", place.text)):
+            return True
+    return False
+
+
+def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
+    joints = [node for node in model.root.children if node.tag == "joint"]
+    candidates: dict[str, list[Node]] = {}
+    for node in joints:
+        for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
+            candidates.setdefault(known, []).append(node)
+    joint = named(candidates, name, model.path, option)
+    link = next((part for part in model.root.children if _is_link(part, _link(joint, "child"))), None)
+
+    def stated(shape: Node) -> Slot | None:
+        return attribute_slot(model, shape, "radius", f"radius of {name!r}") if "radius" in shape.attributes else None
+
+    radius, slots = link_radii(model, link, name, stated)
+    tilted = _tilted(model, joints, _link(joint, "parent"))
+    assert link is not None
+    if tilted:
+        return Wheel(name, link, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
+    origin = joint.child("origin")
+    text = "0 0 0" if origin is None else origin.attributes.get("xyz", "0 0 0")
+    place = numbers(text, f"{model.path}, origin of {name!r}", 3)
+
+    def write(values: tuple[float, ...]) -> None:
+        if origin is None:
+            model.insert_child(joint, f'<origin xyz="{written(values)}"/>')
+        else:
+            model.set_attribute(origin, "xyz", written(values))
+
+    frame = _link(joint, "parent")
+    return Wheel(name, link, radius, slots, Slot(place, write), frame=frame, beside=sits_off(link))
+
+
+def _link(joint: Node, tag: str) -> str:
+    node = joint.child(tag)
+    return "" if node is None else node.attributes.get("link", "")
+
+
+def _is_link(node: Node, name: str) -> bool:
+    return node.tag == "link" and node.attributes.get("name") == name
+
+
+def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
+    """Return the name of a joint above a link whose frame is rolled or pitched; empty where there is none."""
+    for _ in range(len(joints) + 1):
+        above = next((joint for joint in joints if _link(joint, "child") == link), None)
+        if above is None:
+            return ""
+        origin, name = above.child("origin"), above.attributes.get("name", "")
+        text = "0 0 0" if origin is None else origin.attributes.get("rpy", "0 0 0")
+        roll, pitch, _yaw = numbers(text, f"{model.path}, origin of {name!r}", 3)
+        if roll != 0.0 or pitch != 0.0:
+            return name
+        link = _link(above, "parent")
+    raise RefusedError(f"{model.path}: found joints that form a loop above {link!r}; expected a tree; correct the file")
+
+
+def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
+    candidates: dict[str, list[Node]] = {}
+    for node in model.root.walk():
+        if node.tag in ("link", "joint") and node.parent is not None and node.parent.tag == "model":
+            link = node if node.tag == "link" else _child_link(node)
+            if link is not None and "name" in node.attributes:
+                links = candidates.setdefault(node.attributes["name"], [])
+                links += [] if link in links else [link]
+    link = named(candidates, name, model.path, option)
+
+    def stated(shape: Node) -> Slot | None:
+        radius = shape.child("radius")
+        return None if radius is None else text_slot(model, radius, f"radius of {name!r}", 1)
+
+    radius, slots = link_radii(model, link, name, stated)
+    pose, why = _pose(link)
+    if pose is None:
+        inside = _inside(model, link, name) if link.child("pose") is None else None
+        return Wheel(name, link, radius, slots, inside, frame=(link.parent, ""), why_fixed=why)
+    placed = text_slot(model, pose, f"pose of {name!r}")
+    frame = pose.attributes.get("relative_to", "")
+    position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
+    return Wheel(name, link, radius, slots, position, frame=(link.parent, frame), beside=sits_off(link))
+
+
+def _child_link(joint: Node) -> Node | None:
+    child = joint.child("child")
+    links = () if joint.parent is None else joint.parent.children
+    name = "" if child is None else child.text.strip()
+    return next((node for node in links if node.tag == "link" and node.attributes.get("name") == name), None)
+
+
+def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
+    """Return the place of a wheel whose link states none: that of its collision; all poses inside and its joint move.
+
+    None where a shape has no pose of its own, or a pose is relative to another frame.
+    """
+    shapes = [part for part in link.children if part.tag in ("collision", "visual", "inertial")]
+    siblings = [] if link.parent is None else link.parent.children
+    joints = [node for node in siblings if node.tag == "joint" and _child_link(node) is link and node.child("pose")]
+    stated = [pose for part in (*shapes, *joints) if (pose := part.child("pose")) is not None]
+    if (
+        not shapes
+        or len(stated) < len(shapes) + len(joints)
+        or any("relative_to" in pose.attributes for pose in stated)
+    ):
+        return None
+    poses = [text_slot(model, pose, f"pose of {name!r}", 6) for pose in stated]
+    tags = [part.tag for part in shapes]
+    old = poses[tags.index("collision") if "collision" in tags else tags.index("visual")].values[:3]
+
+    def move(new: tuple[float, ...]) -> None:
+        by = [after - before for after, before in zip(new, old, strict=True)]
+        for pose in poses:
+            pose.write((*(at + off for at, off in zip(pose.values, by, strict=False)), *pose.values[3:]))
+
+    return Slot(old, move)
+
+
+def _pose(link: Node) -> tuple[Node | None, str]:
+    """Return the element that places a wheel's link, that of its joint where the link sits on it; else why not."""
+    siblings = [] if link.parent is None else link.parent.children
+    pose = link.child("pose")
+    if pose is None:
+        return None, "since its link has no pose"
+    frame = pose.attributes.get("relative_to", "")
+    joint = next((node for node in siblings if node.tag == "joint" and node.attributes.get("name") == frame), None)
+    if frame and joint is not None:
+        pose = joint.child("pose")
+        if pose is None or not pose.attributes.get("relative_to"):
+            return None, f"since joint {frame!r}, on which it sits, has no pose in another frame"
+        frame = pose.attributes["relative_to"]
+    bases = [node for node in siblings if node.attributes.get("name") == frame] if frame else []
+    for node in (*bases, *link.ancestors()):
+        stated = node.child("pose")
+        turned = () if stated is None else stated.text.split()[3:5]
+        if any(part.strip("-+0.") for part in turned):
+            return None, f"since the frame of {node.attributes.get('name', node.tag)!r} is tilted"
+    return pose, ""
+
+
+def _of_mjcf(model: ModelFile, name: str, option: str) -> Wheel:
+    body = _body(model, name, option)
+    rounds = [(geom, _shape(model, geom)) for geom in body.children if geom.tag == "geom"]
+    sizes = [(geom, shape) for geom, shape in rounds if shape is not None]
+    if not sizes:
+        included = any(node.tag == "include" for node in model.root.walk())
+        hint = "give the included file that holds it" if included else "give a wheel of a sphere, capsule or cylinder"
+        raise RefusedError(f"{model.path}: found no round geom in the body of {name!r}; expected one; {hint}")
+    radius = max(shape[0] for _, shape in sizes)
+
+    def slot(geom: Node, shape: tuple[float, ...]) -> Slot:
+        return Slot(shape, lambda values: model.set_attribute(geom, "size", written(values)))
+
+    slots = tuple(slot(geom, shape) for geom, shape in sizes if shape[0] == radius)
+    turned = next(
+        (node.attributes.get("name", node.tag) for node in body.ancestors() if set(TURNS) & set(node.attributes)), None
+    )
+    if turned is not None:
+        return Wheel(name, body, radius, slots, None, why_fixed=f"since the frame of {turned!r} is turned")
+    place = numbers(body.attributes.get("pos", "0 0 0"), f"{model.path}, pos of {name!r}", 3)
+    position = Slot(place, lambda values: model.set_attribute(body, "pos", written(values)))
+    off = any(off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
+    return Wheel(name, body, radius, slots, position, frame=body.parent, beside=off)
+
+
+def _body(model: ModelFile, name: str, option: str) -> Node:
+    """Return the body that a joint, a geom or the body itself of that name belongs to."""
+    candidates: dict[str, list[Node]] = {}
+    world = model.root.child("worldbody")
+    for node in () if world is None else world.walk():
+        body = node if node.tag == "body" else node.parent
+        known = node.attributes.get("name")
+        if known is None or body is None or body.tag != "body" or node.tag not in ("body", "joint", "geom"):
+            continue
+        bodies = candidates.setdefault(known, [])
+        if body not in bodies:
+            bodies.append(body)
+    return named(candidates, name, model.path, option)
+
+
+def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:
+    """Return the size of a round geom, its own or that of its default class; None of another geom."""
+    if _inherited(model, geom, "type") not in ROUND:
+        return None
+    size = _inherited(model, geom, "size")
+    return None if size is None else numbers(size, f"{model.path}, size of geom {geom.attributes.get('name', '')!r}")
+
+
+def _inherited(model: ModelFile, geom: Node, attribute: str) -> str | None:
+    """Return an attribute as MuJoCo reads it: the geom's own, its class's, the nearest childclass's, the defaults'."""
+    if attribute in geom.attributes:
+        return geom.attributes[attribute]
+    children = (node.attributes["childclass"] for node in geom.ancestors() if "childclass" in node.attributes)
+    name = geom.attributes.get("class") or next(children, None)
+    level = next((node for node in model.root.walk() if node.tag == "default" and _is_class(node, name)), None)
+    while level is not None and level.tag == "default":
+        stated = level.child("geom")
+        if stated is not None and attribute in stated.attributes:
+            return stated.attributes[attribute]
+        level = level.parent
+    return "sphere" if attribute == "type" else None
+
+
+def _is_class(node: Node, name: str | None) -> bool:
+    """Return whether a default element is that class; without a name, whether it is the outermost one."""
+    if name is None or name == "main":
+        return node.parent is not None and node.parent.tag != "default"
+    return node.attributes.get("class") == name
+
+
+urdf: Final = partial(patched, root_tag="robot", wheel=_of_urdf, plugins=plugin_parameters)
+sdf: Final = partial(patched, root_tag="sdf", wheel=_of_sdf, plugins=plugin_parameters)
+mjcf: Final = partial(patched, root_tag="mujoco", wheel=_of_mjcf)
