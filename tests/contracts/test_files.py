@@ -85,8 +85,13 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
     for name in (
         "py.typed",
         "campaign/ingest/blank.toml",
+        "campaign/ingest/names.toml",
         "coefficients/coefficients.schema.json",
+        "coefficients/formats/c_header.h.j2",
         "coefficients/formats/c_runtime.h",
+        "coefficients/formats/ros2.yaml.j2",
+        "reporting/exports/dcc.xml.j2",
+        "reporting/figures/calib.mplstyle",
         "reporting/page.typ",
         "reporting/page.html.j2",
         "reporting/panels.js",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import tomllib
+from functools import cache
+from importlib import resources
 from typing import Final
 from unicodedata import combining, normalize
 
@@ -16,91 +18,6 @@ from calib.campaign.settings import recognise, spelled
 from calib.types import FloatArray
 from calib.units import split_suffix
 
-_COUNTS: Final = (
-    r"(impuls|count|enc|geber|tick|inkrement|increment|zaehl|pulse|wheel|rad_|joint|drehgeber|quad|q|odo|motor|raw"
-    r"|codeu?r|codificador|compteur|contador|contatore|roue|rueda|ruota)"
-)
-#: sides of a vehicle, short and long
-_LEFT: Final = r"(l|li|links|left|gauche|izq|izquierd[ao]|sx|sinistr[ao])"
-_RIGHT: Final = r"(r|re|rechts|right|droite?|der|derech[ao]|dx|destr[ao])"
-#: what a force on a wheel is called, and what stands between it and the side
-_FORCE: Final = r"(last|load|force|effort|charge|poids|fuerza|carga|forza|carico|kraft|f)"
-_ON_WHEEL: Final = r"((normal|vertical|on|at|the|de|sur|en|la|sulla|della|sul)e?_)*((rad|wheel|roue|rueda|ruota)_)?"
-_PLACE: Final = r"(hallen|hall|boden|floor|luft|air|raum|room|ambient|umgebungs?|aussen|reifen|tyre|tire)"
-
-#: column of the run table -> what its name may look like, letters lower and umlauts spelt out
-_TABLE: Final[Mapping[str, str]] = {
-    "run_id": (
-        r"(run|lauf|fahrt|messung|messfahrt|versuch|trial|test|drive)(_?(id|no|nr|nummer|number|name|#))?\.?|nr\.?|id|#"
-        r"|(lfd|lauf)_nr|((n|no|num|numero)_)?(essai|mesure|passage|ensayo|prueba|corsa|prova|misura)|num|numero"
-    ),
-    "session": (
-        r"(sitzung|session|schicht|serie|messtag|tag|day)(_?(id|nr|no))?|datum|date|messdatum"
-        r"|jour|seance|fecha|sesion|data|giorno"
-    ),
-    "direction": r".*(richtung|direction|heading_of_run)|way|dir|sens|sentido|direccion|senso|verso|direzione",
-    "kind": r"(art|route|kurs|course|kind|type|typ|streckenart|manoever|path)",
-    "load_left_N": (
-        r"(rad|wheel|waage|scale)?_?(last|load)?_?(links|left)|((rad|wheel)_?)?(last|load)_?(li|l)|f_?(left|l)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_LEFT}|g)|{_LEFT}_{_ON_WHEEL}{_FORCE}"
-    ),
-    "load_right_N": (
-        r"(rad|wheel|waage|scale)?_?(last|load)?_?(rechts|right)|((rad|wheel)_?)?(last|load)_?(re|r)|f_?(right|r)"
-        rf"|{_FORCE}_{_ON_WHEEL}({_RIGHT}|d)|{_RIGHT}_{_ON_WHEEL}{_FORCE}"
-    ),
-    "payload_x_m": (
-        r"(payload|last|zuladung|ladung|nutzlast)_?(x|vorn.*|laengs)|(abstand|lage)_?(vorn.*|x|laengs)|x_(of_)?(the_)?(payload|load)"
-        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?x"
-    ),
-    "payload_y_m": (
-        r"(payload|last|zuladung|ladung|nutzlast)_?(y|quer)|(versatz|quer|lage_?y).*|y_(of_)?(the_)?(payload|load)"
-        r"|(pos(ition|icion|izione)?_)?((of|the|de|la|del)_)*(payload|load|charge|carga|carico)_(utile?_)?y"
-    ),
-    "payload_kg": (
-        r"(zuladung|nutzlast|beladung|ladung|payload|masse|mass|gewicht|weight|load|last|massa)"
-        r"|(charge|carga|carico)(_(utile|util))?"
-        r"|(mass|masse|gewicht|weight|load|masa|massa)_(on|auf|in|sur|en|su)_.*"
-        r"|(mass|masse|gewicht|weight)_(of_)?(the_)?(zuladung|nutzlast|ladung|payload|load|last)"
-        r"|(zuladung|nutzlast|ladung|payload|load|last)s?_?(masse|mass|gewicht|weight)"
-    ),
-    "speed_mps": r"((soll|set|mean)_?)?(geschw.*|speed.*|velocity|tempo|v_?soll|v|vitesse.*|velocidad.*|velocita.*)",
-    "temperature_C": rf"({_PLACE}_?)?temp(eratur[ea]?)?(_.*)?",
-    "minutes_under_load": r"(standzeit|minutes?_under_load|dwell.*)",
-    "distance_m": (
-        r"((laser|mess|fahr|gemessene|measured|travelled|true|ref|reference|wahre)_?)?(strecke|distanz|distance|dist|weg|laenge|length|s_?o|longueur|trajet|distancia|recorrido|distanza|percorso)"
-        r"(_.*)?|travel(led)?"
-    ),
-    "counts_left": rf"{_COUNTS}.*(_?{_LEFT}|_g)",
-    "counts_right": rf"{_COUNTS}.*(_?{_RIGHT}|_d)",
-    "ref_x_m": r"(ref|mocap|tracker|end|ziel|final)_?x",
-    "ref_y_m": r"(ref|mocap|tracker|end|ziel|final)_?y",
-    "ref_theta_rad": (
-        r"(ref|mocap|tracker|end|ziel|final)_?(theta|yaw|heading|winkel|kurs|kurswinkel)|theta|yaw|heading|kurswinkel"
-    ),
-    "excluded": r"(excluded|ungueltig|ausschluss|ausgeschlossen)",
-}
-#: what measures poses from outside, and what a speed is called
-_TRACKER: Final = r"(ref|mocap|pose|pos|tracker|vicon|optitrack|qualisys|motive)"
-_SPEED: Final = r"(vel|velocity|speed|geschwindigkeit)"
-_LOG: Final[Mapping[str, str]] = {
-    "t_s": (
-        r"(t|time|zeit|timestamp|zeitstempel|stamp|uhrzeit|datum_?zeit|epoch|unix(_?time)?|horodatage|temps|tiempo|tempo)(_.*)?"
-    ),
-    "counts_front_left": r".*(front_?(l|left)|v_?l|vorn.*links)",
-    "counts_front_right": r".*(front_?(r|right)|v_?r|vorn.*rechts)",
-    "counts_rear_left": r".*((rear|back)_?(l|left)|h_?l|hinten.*links)",
-    "counts_rear_right": r".*((rear|back)_?(r|right)|h_?r|hinten.*rechts)",
-    "counts_front": _COUNTS + r".*_?(front|vorn|vorne|v)",
-    "counts_left": rf"({_COUNTS}.*_?)?{_LEFT}|{_COUNTS}.*_g",
-    "counts_right": rf"({_COUNTS}.*_?)?{_RIGHT}|{_COUNTS}.*_d",
-    "steer_rad": r".*(steer|lenk|braquage|sterzo).*",
-    "speed_rear_mps": rf"{_SPEED}_?(encoder|enc|rear|shaft|drive|antrieb)|(encoder|rear|shaft|drive)_?{_SPEED}",
-    "range_m": r".*(laser|range|abstand|entfernung|distan[cz]|weg|strecke|telemetr[eo]).*",
-    "ref_x_m": rf"({_TRACKER}_?)?x(_?true)?",
-    "ref_y_m": rf"({_TRACKER}_?)?y",
-    "gyro_z_radps": r".*(angular_velocity_?z|gyro(_?z)?|yaw_?rate|gierrate|drehrate)",
-    "ref_theta_rad": rf"({_TRACKER}_?)?(theta|yaw|heading|gier.*)",
-}
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
@@ -124,6 +41,20 @@ _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"}
 _UNIT: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
+@cache
+def _names() -> dict[str, dict[str, str]]:
+    """Return ``names.toml``: calib's columns of run table and log -> what their names may look like, parts put in."""
+    document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
+    parts = document.pop("parts")
+    columns = {
+        section: {
+            name: re.sub(r"<(\w+)>", lambda part: str(parts[part[1]]), "|".join(forms)) for name, forms in of.items()
+        }
+        for section, of in document.items()
+    }
+    return columns | {"parts": parts}
+
+
 def plain_text(text: str) -> str:
     """Return a text in lower case with umlauts spelt out and without accents."""
     spelt = text.strip().lower().translate(_UMLAUTS).replace("°", "")
@@ -144,7 +75,8 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     stem, unit = split_suffix(spelled(in_words))
     if unit is None and (bracket := _UNIT.fullmatch(in_words)):
         # a side, a unit that is not known, or one of a counter
-        is_side = re.fullmatch(rf"{_LEFT}|{_RIGHT}", plain_text(bracket[2]))
+        parts = _names()["parts"]
+        is_side = re.fullmatch(f"{parts['left']}|{parts['right']}", plain_text(bracket[2]))
         stem = f"{bracket[1]}_{bracket[2]}" if is_side else bracket[1]
     return plain_text(re.sub(r"[.\s\-]+", "_", stem)).strip("_"), unit
 
@@ -159,7 +91,7 @@ def count_unit(name: str) -> str | None:
 def guessed_table_column(name: str) -> str | None:
     """Return the column of the run table that a name may mean, or None."""
     exact = recognise(name, TABLE_COLUMNS).name
-    return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), _TABLE)
+    return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), "table")
 
 
 def guessed_log_column(name: str) -> str | None:
@@ -180,16 +112,17 @@ def _guessed_in_log(name: str) -> str | None:
     short = _BEHIND.sub("", stem)
     if corner := _AXLE_FIRST.search(short):
         return f"counts_{_AXLES[corner[1][0]]}_{'left' if corner[1][1] == 'l' else 'right'}"
-    wheel = _matching(short, None, _LOG) if short != stem else None
+    wheel = _matching(short, None, "log") if short != stem else None
     # only wheels: pose_x_raw is none
-    return wheel if wheel and wheel.startswith("counts_") else _matching(stem, unit, _LOG)
+    return wheel if wheel and wheel.startswith("counts_") else _matching(stem, unit, "log")
 
 
-def _matching(stem: str, unit: str | None, words: Mapping[str, str]) -> str | None:
-    for target, pattern in words.items():
+def _matching(stem: str, unit: str | None, section: str) -> str | None:
+    force = _names()["parts"]["force"]
+    for target, pattern in _names()[section].items():
         if not re.fullmatch(pattern, stem):
             continue
-        if target.startswith("load_") and unit is None and not re.search(rf"las|loa|^f|(^|_){_FORCE}(_|$)", stem):
+        if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
             continue
         if unit is None or target.startswith("counts_") or unit in units_for(target):

@@ -40,47 +40,6 @@ LEGEND_GAP: Final = 6
 #: characters of a group's name in a legend
 LABEL_LIMIT: Final = 18
 
-_STYLE: Final = {
-    "font.family": ["DejaVu Sans"],
-    "font.size": 7.0,
-    "axes.titlesize": 7.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelsize": 7.0,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#666666",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.unicode_minus": True,
-    "axes.formatter.useoffset": False,
-    "grid.color": "#E3E3E3",
-    "grid.linewidth": 0.5,
-    "xtick.labelsize": 6.5,
-    "ytick.labelsize": 6.5,
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.fontsize": 6.5,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "lines.markersize": 3.5,
-    "figure.facecolor": "white",
-    "figure.titlesize": 8.0,
-    "figure.titleweight": "bold",
-    "figure.constrained_layout.h_pad": 0.04,
-    "figure.constrained_layout.w_pad": 0.04,
-    "text.parse_math": False,
-    "text.usetex": False,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "calib",
-    "pdf.fonttype": 42,
-    "savefig.dpi": PNG_DPI,
-}
-
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make `draw` use the report's style, for any user's matplotlib settings are."""
@@ -93,8 +52,13 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return inner
 
 
+@cache
+def _style() -> Any:
+    return mpl.rc_params_from_file(Path(__file__).with_name("calib.mplstyle"), use_default_template=False)
+
+
 def _rc() -> Any:
-    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_STYLE}
+    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_style()}
 
 
 def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
