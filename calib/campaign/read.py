@@ -171,11 +171,7 @@ def _last(logs: Logs, name: str) -> FloatArray:
 
 
 def read_or_ingest(
-    path: Path,
-    *,
-    mapping: Path | None = None,
-    lenient: bool = False,
-    progress: Progress = silent,
+    path: Path, *, mapping: Path | None = None, lenient: bool = False, progress: Progress = silent
 ) -> Campaign:
     """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
 

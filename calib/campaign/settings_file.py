@@ -15,15 +15,7 @@ from pydantic import BaseModel, Field, StrictBool, TypeAdapter, ValidationError
 
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
-from calib.campaign.settings import (
-    SPEED_COUNT_M,
-    Encoder,
-    Odometry,
-    OdometryModel,
-    Rangefinder,
-    Reference,
-    recognise,
-)
+from calib.campaign.settings import SPEED_COUNT_M, Encoder, Odometry, OdometryModel, Rangefinder, Reference, recognise
 from calib.errors import BadFileError
 from calib.limits import LABEL_CHARACTERS, SETTINGS_BYTES, refuse_beyond, refuse_hostile_document, refuse_hostile_keys
 from calib.vehicle import Vehicle

@@ -136,10 +136,7 @@ def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, 
     path = Path(truth_file) if truth_file else truth_path(folder)
     if not path.is_file():
         raise BadFileError(
-            path,
-            found="no such file",
-            expected="the sealed truth",
-            remedy="give truth_file, or make the set anew",
+            path, found="no such file", expected="the sealed truth", remedy="give truth_file, or make the set anew"
         )
     digest = sha256_file(path)
     if digest != public["truth_sha256"]:

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 _LISTED_RUNS = 8
 
 
-def init(
-    folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")],
-) -> None:
+def init(folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")]) -> None:
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
     What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.

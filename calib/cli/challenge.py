@@ -52,12 +52,7 @@ def make(
     terminal.emit_json(document)
 
 
-def run(
-    folder: Folder,
-    cases: Cases = None,
-    workers: terminal.Workers = 2,
-    seed: terminal.Seed = 0,
-) -> None:
+def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed: terminal.Seed = 0) -> None:
     """Diagnose every case that has no verdict yet; the truth is not opened.
 
     Example: calib challenge run blind

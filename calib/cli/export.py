@@ -40,8 +40,7 @@ OpenLoop = Annotated[
 ]
 
 Output = Annotated[
-    Path | None,
-    typer.Option(help="File, or folder where several files are made; without it, or '-': standard output."),
+    Path | None, typer.Option(help="File, or folder where several files are made; without it, or '-': standard output.")
 ]
 Outside = Annotated[
     str | None, typer.Option(metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp.")

@@ -159,8 +159,7 @@ def journey(
         ),
     ] = None,
     reference: Annotated[
-        str,
-        typer.Option("--reference-load", metavar="L,R", help="Loads whose radii the uncorrected odometry uses, N."),
+        str, typer.Option("--reference-load", metavar="L,R", help="Loads whose radii the uncorrected odometry uses, N.")
     ] = "300,300",
     track: Track = None,
     draws: Draws = DRAWS,

@@ -68,11 +68,7 @@ UNITS: Final = {
 
 
 def from_fit(
-    fit: Fit,
-    *,
-    outside: Outside = "refuse",
-    created: str | None = None,
-    inputs: Mapping[str, str] | None = None,
+    fit: Fit, *, outside: Outside = "refuse", created: str | None = None, inputs: Mapping[str, str] | None = None
 ) -> CoefficientFile:
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
@@ -226,12 +222,7 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
 
 
 def from_geometry(
-    geometry: Geometry,
-    campaign: Campaign,
-    *,
-    outside: Outside = "refuse",
-    created: str | None = None,
-    accept: str = "",
+    geometry: Geometry, campaign: Campaign, *, outside: Outside = "refuse", created: str | None = None, accept: str = ""
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry.
 

@@ -132,12 +132,7 @@ class Fleet:
 
 
 def fit_fleet(
-    folder: Path,
-    into: Path,
-    *,
-    workers: int = 1,
-    scheduler: str = "",
-    progress: Progress | None = None,
+    folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress | None = None
 ) -> Fleet:
     """Fit every vehicle of a fleet.
 

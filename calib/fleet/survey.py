@@ -50,13 +50,7 @@ class Survey:
 
 
 def survey_fleet(
-    folder: Path,
-    into: Path,
-    what: str,
-    *,
-    workers: int = 1,
-    scheduler: str = "",
-    progress: Progress | None = None,
+    folder: Path, into: Path, what: str, *, workers: int = 1, scheduler: str = "", progress: Progress | None = None
 ) -> Survey:
     """Do a task for every vehicle.
 

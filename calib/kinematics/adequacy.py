@@ -13,9 +13,8 @@ import numpy as np
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import SENSOR, nominal_values
 from calib.kinematics.joint_fit import Fitted
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments
 from calib.kinematics.per_recording import STEERING_ZERO, with_own_zeros
-from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray

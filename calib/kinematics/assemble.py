@@ -13,10 +13,9 @@ from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments, end_pose_segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual
-from calib.kinematics.segments import Segments, end_pose_segments
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.umbmark import Umbmark, umbmark
 from calib.kinematics.uncertainty import ENOUGH_RUNS

@@ -16,18 +16,11 @@ import numpy as np
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import (
-    STEERING_SCALE,
-    Drive,
-    Parameters,
-    first_scales,
-    parameters_of,
-)
+from calib.kinematics.drives import STEERING_SCALE, Drive, Parameters, first_scales, parameters_of
 from calib.kinematics.joint_fit import drive_of
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import Change, Reading, readings, unchanged
 from calib.kinematics.recording import Recording
-from calib.kinematics.segments import Segments
 from calib.kinematics.solve import solve
 from calib.types import FloatArray
 

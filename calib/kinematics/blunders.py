@@ -12,9 +12,8 @@ import numpy as np
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, nominal_values
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.segments import Segments
 from calib.types import FloatArray
 
 #: how far a ratio may be from a factor and still be taken for it, relative

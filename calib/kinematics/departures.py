@@ -18,9 +18,8 @@ import numpy as np
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import moved_between
 from calib.kinematics.joint_fit import Fitted
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.segments import Segments
 from calib.kinematics.uncertainty import whitened
 
 #: standard deviations by which a size must stand out: a few departures are tried, with the scatter of few groups

@@ -19,11 +19,10 @@ from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.departures import find_departure
 from calib.kinematics.drives import SENSOR, nominal_values, parameters_of
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
-from calib.kinematics.model import Model
+from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
 from calib.kinematics.per_recording import Delay, own_delays, sought_delays, with_own_zeros
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunTrace, Transfer
-from calib.kinematics.segments import Segments, end_pose_segments, window_segments
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, IntArray, Progress, silent, stepped
 

@@ -21,9 +21,8 @@ from calib.kinematics.drives import (
     first_scales,
     parameters_of,
 )
-from calib.kinematics.model import Model, rear_shaft
+from calib.kinematics.model import Model, Segments, rear_shaft
 from calib.kinematics.recording import Recording
-from calib.kinematics.segments import Segments
 from calib.kinematics.solve import Solution, solve
 from calib.kinematics.uncertainty import Clustering, clustered, whitened
 from calib.types import FloatArray

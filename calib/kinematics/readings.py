@@ -134,11 +134,7 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         ("axes_turned", "the axes are turned by 90 degrees: x is ahead", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
         ("axes_turned", "the axes are turned by -90 degrees: x is ahead", [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
         ("axes_turned", "the axes are turned by 180 degrees: x is ahead", [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]),
-        (
-            "mirrored",
-            "y and heading are mirrored, or the wheels exchanged",
-            [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-        ),
+        ("mirrored", "y and heading are mirrored, or the wheels exchanged", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
     ):
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
 

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.kinematics.drives import SENSOR, Parameters, Path
-from calib.kinematics.model import Model, Prediction
-from calib.kinematics.segments import Segments
+from calib.kinematics.model import Model, Prediction, Segments
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),

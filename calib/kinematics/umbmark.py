@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.kinematics.model import Prediction
-from calib.kinematics.segments import Segments
+from calib.kinematics.model import Prediction, Segments
 from calib.types import BoolArray, FloatArray
 
 #: how far from a side's direction a piece of the way may point and still belong to it
@@ -100,16 +99,7 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
         std = np.sqrt(np.diag(slopes.T @ spread @ slopes))
     E_d, E_b = ratios
     return Umbmark(
-        True,
-        E_d,
-        E_b,
-        2.0 / (E_d + 1.0),
-        2.0 / (1.0 / E_d + 1.0),
-        float(std[0]),
-        float(std[1]),
-        side_m,
-        n_cw,
-        n_ccw,
+        True, E_d, E_b, 2.0 / (E_d + 1.0), 2.0 / (1.0 / E_d + 1.0), float(std[0]), float(std[1]), side_m, n_cw, n_ccw
     )
 
 

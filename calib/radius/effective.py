@@ -129,10 +129,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             counts["left"] * counts["right"] < 0,
             "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
         ),
-        (
-            need_load & ~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])),
-            "has no wheel load and no payload",
-        ),
+        (need_load & ~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])), "has no wheel load and no payload"),
         (
             ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(turn - usual) > STRAIGHT_TURN_RAD))
             | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),

@@ -121,13 +121,7 @@ class LineEstimate:
 
     @staticmethod
     def one_stratum(
-        design: str,
-        coefficients: FloatArray,
-        covariance: FloatArray,
-        dof: float,
-        variance: float,
-        *,
-        hc3: bool = False,
+        design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> LineEstimate:
         """Return an estimate in which every run counts as independent.
 

@@ -24,10 +24,9 @@ from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
-from calib.kinematics.model import RearShaft, rear_shaft
+from calib.kinematics.model import RearShaft, rear_shaft, window_segments
 from calib.kinematics.per_recording import steering_zero_spread_rad
 from calib.kinematics.recording import recording_of
-from calib.kinematics.segments import window_segments
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
 from tests.real.recordings import available
 

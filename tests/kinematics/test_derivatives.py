@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, Steps, integrate_motion
-from calib.kinematics.model import Model, RearShaft
+from calib.kinematics.model import Model, RearShaft, window_segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.segments import window_segments
 
 #: relative step of the finite differences, and how well they can agree with the derivative
 STEP, AGREE = 1e-6, 2e-6

@@ -8,8 +8,8 @@ import pytest
 from calib.errors import RefusedError
 from calib.kinematics.blunders import WHEELS, factor_faults, refuse_heading_unit, wheels_faults
 from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.model import end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.segments import end_pose_segments
 from tests.kinematics.campaigns import mecanum
 
 

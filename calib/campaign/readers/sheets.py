@@ -14,15 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import (
-    EMPTY,
-    Layout,
-    RawTable,
-    Wanted,
-    filled_cells,
-    is_number,
-    to_numbers,
-)
+from calib.campaign.readers.table import EMPTY, Layout, RawTable, Wanted, filled_cells, is_number, to_numbers
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, unit_named
 

@@ -29,7 +29,6 @@ GREY: Final = "#8A8A8A"
 #: width of the text on the page
 WIDTH_CM: Final = 17.0
 CM_PER_INCH: Final = 2.54
-PNG_DPI: Final = 200
 #: characters of a legend that fit the width, and those that handle and gap take
 LINE_CHARACTERS: Final = 118
 #: groups that still get a legend entry each
