@@ -13,7 +13,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import ExportOptions
-from calib.coefficients.formats.c_effects import FILE_NAME, OTHER_FORMS, known_effects, render
+from calib.coefficients.formats.c_headers import EFFECTS_NAME, OTHER_FORMS, effects_header, known_effects
 from calib.coefficients.sections import EffectSection
 from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import every_effect
@@ -55,8 +55,8 @@ def driven() -> tuple[Campaign, Observations]:
 
 def moved(file: CoefficientFile, run: Run, steps: np.ndarray, folder: Path) -> np.ndarray:
     """Return what the compiled header makes of steps (n_steps, 3), shape (n_steps, 5)."""
-    [header] = render(file, ExportOptions())
-    (folder / FILE_NAME).write_bytes(header.data)
+    [header] = effects_header(file, ExportOptions())
+    (folder / EFFECTS_NAME).write_bytes(header.data)
     covariate = '    if (scanf("%lf", &run.covariate[0]) != 1) return 1;' if b"covariate[1]" in header.data else ""
     (folder / "probe.c").write_text(PROBE.replace("COVARIATE", covariate), encoding="utf-8")
     command = ["cc", *STRICT, "-O2", "-o", str(folder / "probe"), str(folder / "probe.c"), "-lm"]
@@ -125,6 +125,6 @@ def test_effects_that_do_not_act_on_motion_are_named(
 ) -> None:
     made, s = driven
     yaw = section_of(every_effect(s)["reference_yaw"].forms(s)[0], np.array([0.01]))
-    [header] = render(coefficient_file(made, s, [yaw, sections_of("track_width", s)[0]]), ExportOptions())
+    [header] = effects_header(coefficient_file(made, s, [yaw, sections_of("track_width", s)[0]]), ExportOptions())
     assert b"NOT in this header: reference_yaw" in header.data
     assert header.notes == ("not in the header: reference_yaw",)

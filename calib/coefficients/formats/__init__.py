@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 FORMATS: Final = {
     "json": "",
     "ros2": "ros2.render",
-    "c": "c_header.render",
-    "c_effects": "c_effects.render",
+    "c": "c_headers.coefficients_header",
+    "c_effects": "c_headers.effects_header",
     "csv": "csv_table.render",
     "mjcf": "simulator_models.mjcf",
     "urdf": "simulator_models.urdf",
