@@ -1,4 +1,4 @@
-"""Diagnosis of a gap: verdict, pictures, the page with linked panels; the catalogue of effects, and what a plan tells."""
+"""Diagnosis of a gap: verdict, pictures, page of linked panels; the catalogue of effects, and what a plan tells."""
 
 from __future__ import annotations
 
