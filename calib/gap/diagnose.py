@@ -31,7 +31,7 @@ from calib.gap.inference.model_search import search
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.recalibration import judge_recalibration
 from calib.gap.localise.locate import locate
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.next_runs import next_runs
@@ -50,6 +50,11 @@ NOISE_PASSES: Final = 3
 NOISE_CHANGE: Final = 1.25
 #: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
 LONGEST_RUN_M: Final = 1e6
+#: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
+#: turns by so much, are the odometry's own: a whole count is some 0.1 mrad, and no instrument meets it to rounding
+COPIED_SHARE: Final = 1e-6
+FEWEST_COPIED: Final = 4
+LEAST_TURN_RAD: Final = 1e-2
 
 
 def diagnose_in_full(
@@ -106,10 +111,12 @@ def diagnose_in_full(
     settings = settings or SearchSettings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    situation = _situation(campaign, model, applied, exclude, observations)
+    planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
+    if planted is None and simulator is None:
+        _check_copied(campaign, nominal)
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
@@ -196,6 +203,25 @@ def _check_distances(campaign: Campaign, observations: Observations) -> None:
             )
 
 
+def _check_copied(campaign: Campaign, nominal: Path) -> None:
+    """Refuse headings that are the odometry's own by any radii and track: linear in the ways of both wheels."""
+    observations = nominal.s
+    measured = observations.usable[:, Channel.HEADING]
+    turned_rad = nominal.end[measured, 2] + residuals(nominal, nominal)[measured, Channel.HEADING]
+    if measured.sum() < FEWEST_COPIED or np.abs(turned_rad).max() < LEAST_TURN_RAD:
+        return
+    travels_m = (observations.travel_left_m, observations.travel_right_m)
+    ways_m = np.stack([np.bincount(observations.unit, one, len(observations))[measured] for one in travels_m], axis=1)
+    off_rad = float(np.abs(turned_rad - ways_m @ np.linalg.lstsq(ways_m, turned_rad)[0]).max())
+    stated_rad = float(np.min(observations.sigma_theta_rad[measured]))
+    if off_rad < COPIED_SHARE * stated_rad:
+        raise BadInputError(
+            f"{campaign.name}: column ref_theta_rad: found headings that agree with the counts within {off_rad:.1g} "
+            f"rad on all {measured.sum()} runs, where their standard uncertainty is {1e3 * stated_rad:.2g} mrad; "
+            "expected those of an instrument of its own: these were computed from the counts"
+        )
+
+
 def _searched(
     nominal: Path, effects: Sequence[Effect], settings: SearchSettings, progress: Progress
 ) -> tuple[Noise, Fitted, SearchResult]:
@@ -218,7 +244,7 @@ def _searched(
         again = estimate_noise(best.path, best.left) if best.forms else noise
         change = np.abs(np.log(np.median(noise.floor / again.floor, axis=0)))
         # where the runs end far off under any effect, the verdict is a blunder at any noise level
-        if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path)) >= BLUNDER_MISFIT:
+        if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path, nominal)) >= BLUNDER_MISFIT:
             break
         noise, base = again, fit(nominal, again, start=base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)

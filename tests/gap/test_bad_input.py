@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.read import read_campaign
 from calib.documents import to_json
-from calib.errors import CalibError, RefusedError
+from calib.errors import BadInputError, CalibError, RefusedError
 from calib.gap.diagnose import diagnose_in_full
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
+from tests.blunders import plant
+from tests.blunders.blunders import DIFFERENTIAL
 
 RUNS = 24
 
@@ -108,3 +112,15 @@ def test_one_load_never_names_the_load() -> None:
     assert len(same.runs) >= 3
     verdict = diagnose_in_full(same)
     assert "load_radius" not in {cause.effect for cause in verdict.causes}
+
+
+@pytest.mark.parametrize("radius_error", [0.0, 0.02])
+def test_headings_computed_from_the_counts_are_refused(tmp_path: Path, radius_error: float) -> None:
+    """By any radii: "no gap" of a vehicle that was never measured is an all-clear too many."""
+    recording = plant.differential(np.random.default_rng(1))
+    DIFFERENTIAL["reference by the vehicle's own odometry"](recording)
+    for run in recording.runs:
+        run.end[2] *= 1.0 + radius_error
+    campaign = read_campaign(plant.write(recording, tmp_path / "own", along=False))
+    with pytest.raises(BadInputError, match=r"on all 18 runs.*computed from the counts"):
+        diagnose_in_full(campaign, plan=False)

@@ -27,7 +27,7 @@ from calib.gap.decision.diagnosis import (
     NoiseSummary,
     VerdictKind,
 )
-from calib.gap.decision.fix import fix_of, is_named_beside, sure_part
+from calib.gap.decision.fix import beyond_vehicles, fix_of, is_named_beside, sure_part
 from calib.gap.decision.sentences import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,
@@ -105,7 +105,7 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 def _misfit(evidence: Evidence) -> float:
     """Return how far runs end off with the causes corrected, as a share of their length, on average."""
-    return float(np.mean(misfit(evidence.fitted.path)))
+    return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
 
 
 def _kind(
@@ -121,7 +121,9 @@ def _kind(
         gap_probability,
         causes,
         evidence.held_out.closure,
-        incomplete=any(map(fails, evidence.trials)) or not large.isdisjoint(differing),
+        incomplete=any(map(fails, evidence.trials))
+        or not large.isdisjoint(differing)
+        or any(True for cause in causes for _ in beyond_vehicles(cause)),
         unexplained_share=unexplained_share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
         supported=evidence.noise.supported,

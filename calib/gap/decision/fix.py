@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import prod
@@ -21,7 +22,7 @@ from calib.gap.decision.sentences import (
 from calib.gap.decision.trials import FALSE_ALARM, Trial, trials
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.effect import Family
-from calib.gap.effects.library import why_not_transferable
+from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -133,6 +134,7 @@ def doubts(
 
     Its size may be zero or differs between groups of runs, or it may be a part of the unexplained residual.
     """
+    yield from beyond_vehicles(cause)
     if holds_zero(cause):
         yield _sizeless(cause)
     if differing and cause.effect in differing:
@@ -143,6 +145,18 @@ def doubts(
         yield (
             f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
             f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
+        )
+
+
+def beyond_vehicles(cause: Cause) -> Iterator[str]:
+    """Yield that a length is further from nominal than any vehicle's is: the bounds are those of `calib geometry`."""
+    kind = effect_class(cause.effect)
+    largest = math.inf if kind is None else kind.wrong_beyond
+    if any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
+        sizes = ", ".join(f"{100 * quantity.value:+.3g} %" for quantity in cause.parameters.values())
+        yield (
+            f"{cause.effect} of {sizes} is beyond any vehicle's ({100 * largest:.0f} %): check the units of the "
+            "reference, counts_per_rev, the gear ratio and the nominal lengths, then diagnose again"
         )
 
 
@@ -219,7 +233,8 @@ def harm(trials: Sequence[Trial]) -> Iterator[str]:
     """Yield where a correction harms beyond noise when that is held out."""
     for trial in harmed(trials):
         sizes = ""
-        if trial.before_rms_m is not None and trial.after_rms_m is not None:
+        # the end may come nearer where heading or distance, weighed by their noise, get worse
+        if trial.before_rms_m is not None and trial.after_rms_m is not None and trial.after_rms_m > trial.before_rms_m:
             sizes = f" from {1e3 * trial.before_rms_m:.3g} to {1e3 * trial.after_rms_m:.3g} mm"
         yield (
             f"held out, {trial.left_out} {trial.value} gets worse{sizes}, {trial.growth_sd:.1f} standard deviations "

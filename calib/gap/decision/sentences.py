@@ -159,7 +159,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return f"{lead}{cause}{_nearest(diagnosis)} Add columns of suspected quantities to runs.csv."
     if kind is VerdictKind.PARTLY_EXPLAINED:
         causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
-        return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}."
+        return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
     explained = f"The gap is explained by {_listed(diagnosis.causes)}"
     words = _ambiguous(diagnosis) if kind is VerdictKind.AMBIGUOUS else explained
     return f"{lead}{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"

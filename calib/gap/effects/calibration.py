@@ -34,6 +34,7 @@ class RadiusScale(_Calibration):
     calibration_direction = (1.0, 1.0, 0.0, 0.0)
     acts_on = "both"
     parameter = Parameter("relative", "1", typical=3e-3, largest=3e-2)
+    wrong_beyond = 0.15
 
 
 class UnequalRadii(_Calibration):
@@ -49,6 +50,7 @@ class UnequalRadii(_Calibration):
     calibration_direction = (-0.5, 0.5, 0.0, 0.0)
     acts_on = "difference"
     parameter = Parameter("relative", "1", typical=2e-3, largest=2e-2)
+    wrong_beyond = 0.15
 
 
 class TrackWidth(_Calibration):
@@ -64,6 +66,8 @@ class TrackWidth(_Calibration):
     calibration_direction = (0.0, 0.0, 1.0, 0.0)
     acts_on = "track"
     parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
+    # a track may be an effective one, of two tyres that scrub or of a wide tread
+    wrong_beyond = 0.3
 
 
 _OWN: Final = (RadiusScale, UnequalRadii, TrackWidth)

@@ -163,6 +163,8 @@ class Effect(ABC):
     per_session: ClassVar[bool] = False
     #: whether it is sought at every place of the floor, so that it follows what the forms of other causes leave
     by_place: ClassVar[bool] = False
+    #: relative size beyond which it is a wrong unit, count or setting of no vehicle
+    wrong_beyond: ClassVar[float] = float("inf")
     #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
     #: odometry
     of_rear_wheels: ClassVar[bool] = False

@@ -201,14 +201,16 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
     )
 
 
-def misfit(path: Path) -> FloatArray:
+def misfit(path: Path, nominal: Path | None = None) -> FloatArray:
     """Return how far each observation is off, as a share of its length and per radian, 1 at most, shape (n_obs,).
 
     A straight run is judged by its length and by how far its wheels differ: over a long one a radius that is half a
-    per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside.
+    per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside. Of a campaign
+    with simulated motion of its own, the change from the `nominal` path counts.
     """
     observations = path.s
-    gap = np.where(observations.usable, np.abs(residuals(path, path)), 0.0)
+    about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal
+    gap = np.where(observations.usable, np.abs(residuals(path, about)), 0.0)
     length = np.maximum(
         np.hypot(observations.measured[:, 1], observations.measured[:, 2]), np.nan_to_num(observations.measured[:, 0])
     )

@@ -57,6 +57,17 @@ def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_fo
     )
 
 
+@pytest.mark.parametrize(
+    ("effect", "value", "kept_back"),
+    [("radius_scale", 2.3, 1), ("radius_scale", 0.1, 0), ("track_width", 0.2, 0), ("track_width", -0.4, 1)],
+)
+def test_a_length_that_no_vehicle_is_off_by_is_no_fix(effect: str, value: float, kept_back: int) -> None:
+    """Feet read as metres make radii 3.3 times their nominal value; `calib geometry` calls 15 % (track 30 %) wrong."""
+    size = {"relative": Quantity(value, (0.99 * value, 1.01 * value), "1")}
+    why = reasons([replace(cause(effect), parameters=size, family="calibration")], {effect: 0.96}, CLOSES)
+    assert len(why) == kept_back and all("beyond any vehicle's" in text for text in why)
+
+
 def test_a_size_whose_interval_holds_zero_is_no_fix() -> None:
     """One parameter of several may hold zero: a lever arm ahead has no part to the side."""
     (why,) = reasons([cause("wear", -1.0, 2.0)], {"wear": 0.9}, CLOSES)
