@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli import terminal
-from calib.errors import BadInputError
+from calib.errors import BadInputError, CalibError
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.kinematics.assemble import Promise
 
 #: the picture of --figures
 MATRIX = "plan-matrix"
@@ -31,7 +36,8 @@ def run(
 ) -> int:
     """List the runs to drive next, best first, with what each tells apart.
 
-    With --from, say which effects a plan could see at which size, and which it could never tell apart. A plan has
+    With --from, say which effects a plan could see at which size, and which it could never tell apart. Either way, what
+    intervals of radii, track and the like the end poses promise. A plan has
     format = "calib-plan/1", the sections of campaign.toml, [measured] with distance, poses, front, log, gyro (true or
     false) and corridor_m, and [[runs]], each with kind, count, direction, session, payload_kg, payload_x_m,
     payload_y_m, speed_mps, temperature_C, minutes_under_load, stops, read_rolling, or a further numeric column.
@@ -53,28 +59,29 @@ def run(
 def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.plan.next_runs import next_runs
+    from calib.gap.plan.next_runs import next_runs, with_next
     from calib.gap.plan.plan_file import read_candidates
-    from calib.reporting.topics.diagnosis import next_runs_table
+    from calib.reporting.topics.diagnosis import next_runs_table, promise_table
 
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
         diagnosis = diagnose_in_full(read, seed=seed, plan=False, progress=tick)
         ties = [group.effects for group in diagnosis.groups]
-        runs = [
-            run.to_dict()
-            for run in next_runs(
-                read, diagnosis.effects, diagnosis.noise, ties, diagnosis.fitted, candidates=offered, most=most
-            )
-        ]
+        planned = next_runs(
+            read, diagnosis.effects, diagnosis.noise, ties, diagnosis.fitted, candidates=offered, most=most
+        )
+        runs = [run.to_dict() for run in planned]
+        now = _promised(read.included(), read)
+        then = _promised(with_next(read, planned), read) if planned else None
     terminal.say(f"{diagnosis.campaign}: {diagnosis.sentence}")
-    terminal.show([next_runs_table(runs)])
+    terminal.show([next_runs_table(runs), *([promise_table(now, then)] if then else [])])
     terminal.then("plan" if runs else "plan nothing", c=campaign)
     document = {
         "verdict": diagnosis.kind.value,
         "indistinguishable": [list(group.effects) for group in diagnosis.groups],
         "next_runs": runs,
+        "geometry": {"now": now and now.to_dict(), "then": then and then.to_dict()},
     }
     terminal.emit_json(document)
     return 0
@@ -83,17 +90,29 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
 def _judge(source: Path, figures: Path | None) -> int:
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.reporting.topics.diagnosis import outlook_content
+    from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
     with terminal.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
-    terminal.show(outlook_content(planned.name, len(planned.runs), outlook))
+        promise = _promised(planned)
+    content = outlook_content(planned.name, len(planned.runs), outlook)
+    terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
     if figures is not None:
         from calib.reporting.figures.effects import plan_matrix
 
         terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
     terminal.then("plan --from")
-    terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict()})
+    geometry = promise and promise.to_dict()
+    terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})
     return 0
+
+
+def _promised(campaign: Campaign, driven: Campaign | None = None) -> Promise | None:
+    """Return the intervals that the end poses of runs promise; None where they determine nothing."""
+    from calib.kinematics.assemble import promised
+
+    with suppress(CalibError):
+        return promised(campaign, driven=driven)
+    return None

@@ -1,20 +1,22 @@
-"""From a fit to the result: residuals by route, intervals and notes."""
+"""From a fit to the result: residuals by route, intervals and notes; intervals that planned runs promise."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.campaign.references import GYRO_SIGMA
+from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
-from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld
-from calib.kinematics.joint_fit import NOMINAL_STD, Fitted
+from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
+from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments
-from calib.kinematics.recording import Recording
+from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.umbmark import Umbmark, umbmark
@@ -93,7 +95,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         covariance=covariance,
         # where one radius stands for two, directions of the free parameters say nothing of both
         freedom=None if isinstance(model.drive, MeanHeld) else fitted.clustering.uncertainty.freedom,
-        undetermined=(*fitted.dropped, *(("mean_radius_m",) if isinstance(model.drive, MeanHeld) else ())),
+        undetermined=_undetermined(fitted),
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
         clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
@@ -145,6 +147,10 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
         for name, before, value, sd, wide, own in rows
     )
     return estimates, np.asarray(covariance)
+
+
+def _undetermined(fitted: Fitted) -> tuple[str, ...]:
+    return (*fitted.dropped, *(("mean_radius_m",) if isinstance(fitted.model.drive, MeanHeld) else ()))
 
 
 def _gyro_alone(fitted: Fitted) -> bool:
@@ -202,3 +208,52 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
         first = recording.left_out[0]
         notes.append(f"Held out: {len(recording.left_out)} runs; the first, {first[0]}: {first[1]}.")
     return tuple(notes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Promise:
+    """What `calib geometry` will state of some runs, if the noise is as assumed: the information of their design."""
+
+    estimates: tuple[Estimate, ...]  #: at the nominal values
+    undetermined: tuple[str, ...]  #: parameters that the runs leave open
+    scales: FloatArray  #: variances of the noise's components, shape (4,)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return standard deviation and half width of the 95 % interval of each parameter, as plain JSON values."""
+        parameters = {each.name: {"sd": each.std, "half_width95": each.half_width} for each in self.estimates}
+        return {"parameters": parameters, "undetermined": list(self.undetermined)}
+
+
+def promised(campaign: Campaign, scales: FloatArray | None = None, driven: Campaign | None = None) -> Promise:
+    """Return what the end poses of planned runs will tell of the geometry (Fisher information).
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs driven as the model says; driven ones may be among them.
+    scales : array of float, shape (4,), optional
+        Variances of the noise's components; by default the stated sigmas and small random walks.
+    driven : Campaign, optional
+        Runs that show the random walks.
+
+    Raises
+    ------
+    RefusedError
+        Where no run has wheels and a reference, or nothing can be determined.
+    """
+    if scales is None:
+        scales = first_scales(campaign.reference)
+        sigma = campaign.runs.number(GYRO_SIGMA)
+        if np.isfinite(sigma).any():
+            scales[1] = np.nanmedian(sigma) ** 2
+        if driven is not None:
+            scales[2:] = _of_end_poses(driven).solution.scales[2:]
+    fitted = _of_end_poses(campaign, scales)
+    return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
+
+
+def _of_end_poses(campaign: Campaign, known: FloatArray | None = None) -> Fitted:
+    source = odometry_source(campaign)
+    recording = recording_of(campaign, source)
+    drive, segments = drive_of(campaign, source, recording), end_pose_segments(recording)
+    return fit_parameters(campaign, drive, recording, segments, sensor=False, known=known)

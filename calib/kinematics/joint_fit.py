@@ -23,8 +23,8 @@ from calib.kinematics.drives import (
 )
 from calib.kinematics.model import Model, Segments, rear_shaft
 from calib.kinematics.recording import Recording
-from calib.kinematics.solve import Solution, solve
-from calib.kinematics.uncertainty import Clustering, clustered, whitened
+from calib.kinematics.solve import Solution, planned, solve
+from calib.kinematics.uncertainty import Clustering, clustered, expected, whitened
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -164,10 +164,12 @@ def fit_parameters(
     segments: Segments,
     sensor: bool,
     start: Fitted | None = None,
+    known: FloatArray | None = None,
 ) -> Fitted:
     """Estimate, and leave out what the data cannot determine, one parameter at a time; see `Fitted`.
 
-    `sensor`: estimate the pose of the reference's sensor and its delay, too; `start`: a fit to begin from.
+    `sensor`: estimate the pose of the reference's sensor and its delay, too; `start`: a fit to begin from;
+    `known`: variances of the noise, shape (4,), for runs that are not driven yet.
     """
     free = [item.name for item in drive.parameters]
     dropped: list[str] = []
@@ -189,17 +191,25 @@ def fit_parameters(
                 f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
                 "straights and a reference of their end poses; drive squares both ways"
             )
-        solution = solve(model, parameters, values, first_scales(campaign.reference))
+        solution = (
+            solve(model, parameters, values, first_scales(campaign.reference))
+            if known is None
+            else planned(model, values, known)
+        )
         loose = weakest(solution, parameters)
         wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
         if loose is not None and wheels is not None and scale_is_weakest(solution, parameters):
-            return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor)
+            return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
         if loose is None:
-            clustering = clustered(solution, parameters, recording, segments)
+            clustering = (
+                clustered(solution, parameters, recording, segments)
+                if known is None
+                else Clustering("run", expected(solution, parameters.free, segments.run))
+            )
             loose = loosest(clustering.uncertainty.std, parameters)
             covariance = clustering.uncertainty.covariance[:3, :3]
             if wheels is not None and scale_is_open(covariance, solution.values[:3]):
-                return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor)
+                return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
             if loose is None:
                 return Fitted(model, parameters, solution, clustering, tuple(dropped))
         dropped.append(loose)

@@ -45,6 +45,11 @@ class Estimate:
     ci95: tuple[float, float]
     dof: float
 
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval."""
+        return 0.5 * (self.ci95[1] - self.ci95[0])
+
 
 @dataclass(frozen=True, slots=True)
 class RouteResidual:

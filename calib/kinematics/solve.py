@@ -209,6 +209,14 @@ def solve(
     return Solution(values, prediction, scales, whitener, weights, _centred(squares, size), converged)
 
 
+def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
+    """Return the solution that runs will have which are not driven yet, at known variances of the noise, shape (4,)."""
+    prediction, seen = model.predict(values), model.segments.seen
+    whitener = _inverse(_kernel(model, prediction, values), scales, seen)[1]
+    n = len(seen)
+    return Solution(values, prediction, scales, whitener, np.ones(n), np.zeros(n), True)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
     """The problem made linear: residuals, derivatives by parameters in units of their spread, what was measured."""

@@ -267,6 +267,14 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: f
     return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares)), len(pull), apart)
 
 
+def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
+    """Return the covariance by the information that runs hold, and the degrees of freedom that `sandwich` will have."""
+    jacobian = whitened(solution, free)[0].reshape(-1, int(free.sum()))
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
+    apart = np.sqrt(np.diag(covariance))
+    return replace(sandwich(solution, free, cluster, power=OF_RUNS), covariance=covariance, apart=apart)
+
+
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
     """Return Bell and McCaffrey's degrees of freedom of each parameter's variance."""
     degrees = []

@@ -129,6 +129,14 @@ def next_runs(
     return chosen
 
 
+def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
+    """Return the runs driven and, as their model says, those of `next_runs`, the repeat of a corridor before them."""
+    driven = campaign.included()
+    reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
+    planned = [reference, *(run for run in runs for _ in range(run.count))]
+    return joined(driven, drive(driven, planned, _measured(driven), _corridor_m(driven)))
+
+
 class _Task:
     """What the next runs have to separate: pairs of confounded effects, else every effect from all others."""
 

@@ -20,8 +20,14 @@ from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
-from calib.gap.simulator.difference import Differences, differences_of
-from calib.gap.simulator.fix import fixed, iterated, named_parameters, without_parameter
+from calib.gap.simulator.fix import (
+    Differences,
+    differences_of,
+    fixed,
+    iterated,
+    named_parameters,
+    without_parameter,
+)
 from calib.gap.simulator.runner import RunCount, SimulatorRunner, run_cache
 from calib.gap.simulator.settings import SimulatorSettings
 from calib.types import FloatArray, Progress, silent

@@ -13,6 +13,7 @@ from calib.gap.effects.effect import Parameter
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
+from calib.kinematics.assemble import Promise
 from calib.reporting.blocks import (
     Block,
     Facts,
@@ -149,6 +150,25 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
         "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
         ("<Run", "Payload (kg)", "~at x, y (m)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
         [_row(number, run) for number, run in enumerate(runs, start=1)],
+    )
+
+
+def promise_table(now: Promise | None, then: Promise) -> Table:
+    """Return the half widths of the intervals that `calib geometry` will give, beside those of the runs driven."""
+    before = {} if now is None else {each.name: each.half_width for each in now.estimates}
+    rows = []
+    for each in then.estimates:
+        last = each.name.rpartition("_")[2]
+        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(last, "1")
+        known = size_text(before[each.name], unit) if each.name in before else MISSING
+        rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
+    walk = 1e3 * float(np.sqrt(then.scales[2]))
+    left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
+    return table(
+        f"Half widths of the 95 % intervals that 'calib geometry' will give, by end poses; the heading wanders by "
+        f"{walk:.2g} mrad a root metre.{left}",
+        ("<Parameter", *([] if now is None else ["Runs driven"]), "These" if now is None else "With the next"),
+        rows,
     )
 
 

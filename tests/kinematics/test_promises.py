@@ -1,0 +1,70 @@
+"""Intervals promised before runs are driven are those that come out, for references without motion capture."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calib.campaign.read import read_campaign
+from calib.cli.main import run
+from calib.gap.plan.next_runs import with_next
+from calib.gap.plan.planned_runs import Measured, PlannedRun
+from calib.kinematics.assemble import promised
+from tests.kinematics.promises import LABS, NOTHING, SIGMA, Lab, kept, promise
+
+CAMPAIGNS = 12
+#: the squares of so many errors over the promised variance leave these bounds by chance once in a thousand times
+BOUNDS = np.sqrt(chi2.ppf([5e-4, 1.0 - 5e-4], CAMPAIGNS) / CAMPAIGNS)
+#: a standard deviation from four taped runs is itself known to a third, and the median of twelve to a tenth; in 100
+#: campaigns the median widths are 0.98 to 1.15 of those promised
+WIDTH = 0.35
+
+
+@pytest.mark.parametrize("lab", ["gyro and tape", "closed loops and tape", "headings", "positions"])
+def test_errors_scatter_as_promised(lab: str) -> None:
+    """Vehicle, noise and motion of the campaigns are simulated by no code of calib's."""
+    done = kept(LABS[lab], CAMPAIGNS)
+    assert {"radius_left_m", "radius_right_m", "track_m"} == set(done.error)
+    assert all(BOUNDS[0] < error < BOUNDS[1] for error in done.error.values()), done.error
+    assert all(abs(width - 1.0) < WIDTH for width in done.width.values()), done.width
+    # what is left open was said, and nothing else is
+    assert done.as_said > 0.8
+
+
+def test_what_a_reference_leaves_open_is_said() -> None:
+    """A gyro alone its scale, loops and headings the common scale, a tape alone all but the mean radius."""
+    assert promise(LABS["gyro and tape"]).undetermined == ("gyro_scale",)
+    assert promise(LABS["closed loops"]).undetermined == ("mean_radius_m",)
+    assert promise(LABS["headings"]).undetermined == ("mean_radius_m",)
+    assert promise(LABS["closed loops and tape"]).undetermined == ()
+    assert "track_m" in promise(Lab([PlannedRun("corridor", tape=True)] * 8, NOTHING, SIGMA)).undetermined
+
+
+def test_four_times_the_runs_halve_the_standard_deviation() -> None:
+    lab = Lab([PlannedRun("square_ccw"), PlannedRun("route_left")] * 4, Measured(distance=False), SIGMA)
+    once, often = (
+        {each.name: each.std for each in promise(Lab(list(lab.runs) * times, lab.measured, lab.sigma)).estimates}
+        for times in (1, 4)
+    )
+    assert {name: once[name] / often[name] for name in once} == pytest.approx(dict.fromkeys(once, 2.0), rel=0.01)
+
+
+def test_further_runs_promise_narrower_intervals_of_a_driven_campaign() -> None:
+    driven = read_campaign("sample_runs/corridor")
+    more = with_next(driven, [PlannedRun("square_cw", count=3), PlannedRun("square_ccw", count=3)])
+    assert len(more.runs) == len(driven.included().runs) + 7
+    now, then = promised(driven.included(), driven=driven), promised(more, driven=driven)
+    track = [next(each.half_width for each in one.estimates if each.name == "track_m") for one in (now, then)]
+    assert track[1] < 0.1 * track[0]
+
+
+def test_the_commands_state_the_promise(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "--from", "sample_runs/plan.toml", "--json", "-"]) == 0
+    geometry = json.loads(capsys.readouterr().out)["geometry"]
+    assert geometry["undetermined"] == []
+    track = geometry["parameters"]["track_m"]
+    # a t quantile: wider than the normal one, and few degrees of freedom at the worst
+    assert 1.96 < track["half_width95"] / track["sd"] < 5.0
