@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from unittest import mock
 
-from calib.cli import commands, failures, main
+from calib.cli import commands, main
 
 ALLOWED = {0, 1, 2, 130}
 LONGEST_S = 10.0
@@ -50,7 +50,7 @@ def _command(words: tuple[str, ...]) -> object:
     return _UNCACHED(list(words))
 
 
-_UNCACHED, _OPTIONS = main.command_of, functools.cache(failures.options_of)
+_UNCACHED, _OPTIONS = main.command_of, functools.cache(main.options_of)
 
 
 @contextlib.contextmanager
@@ -61,7 +61,7 @@ def built_once() -> Iterator[None]:
         name = commands.command_called(arguments)
         return _command(tuple((name or " ".join(arguments[:1])).split()))
 
-    with mock.patch.object(main, "command_of", command), mock.patch.object(failures, "options_of", _OPTIONS):
+    with mock.patch.object(main, "command_of", command), mock.patch.object(main, "options_of", _OPTIONS):
         yield
 
 

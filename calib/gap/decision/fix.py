@@ -196,18 +196,18 @@ def remaining(improvement: Improvement | None, unexplained: Unexplained | None) 
     large = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
     wanted = ADEQUATE_CLOSURE if large else HALF_CLOSURE if unexplained is not None else 0.0
     if wanted and improvement.closed_ci95[0] <= wanted:
-        closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
+        low, high = (100 * share for share in improvement.closed_ci95)
         yield (
-            f"on held-out runs it closes {closed[0]} to {closed[1]} % of the gap, where {100 * wanted:.0f} % "
-            f"are to be certain ({_errors(improvement)}): the rest has a cause of its own; look where the residual lies"
+            f"on held-out runs it closes {low:.0f} to {high:.0f} % of the gap, where {100 * wanted:.0f} % are to be "
+            f"certain ({_errors(improvement)}): the rest has a cause of its own; look where the residual lies"
         )
 
 
 def needed(improvement: Improvement | None) -> Iterator[str]:
     """Yield that a cause dropped for its odds alone was needed, where the others certainly leave part of the gap."""
     if improvement is not None and improvement.leaves_some:
-        closed = [f"{100 * share:.0f}" for share in improvement.closed_ci95]
-        yield f"its probable causes alone close {closed[0]} to {closed[1]} % of the gap on held-out runs; {PLAN}"
+        low, high = (100 * share for share in improvement.closed_ci95)
+        yield f"its probable causes alone close {low:.0f} to {high:.0f} % of the gap on held-out runs; {PLAN}"
 
 
 def _errors(improvement: Improvement) -> str:
@@ -380,8 +380,7 @@ def _parted(
 ) -> tuple[list[Cause], dict[str, str], bool]:
     """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
-    # what differs between groups of runs acts as something else: a weaker cause may be a part of that, unlike radii and
-    # track, which every hypothesis fits anew
+    # what differs between runs acts as something else: a weaker cause but radii and track may be a part of that
     other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
     for cause in causes:
         if other is not None and cause.effect not in (*NAMES, *dropped) and cause.signal < other.signal:
