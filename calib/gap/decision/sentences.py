@@ -190,14 +190,19 @@ def advice(diagnosis: Diagnosis) -> str:
         return ""
     if diagnosis.recommended and diagnosis.fix.corrects is not None:
         part = _joined((cause.effect for cause in diagnosis.corrected_causes), "and")
-        left = "".join(f" {text[0].upper()}{text[1:]}." for text in diagnosis.fix.leaves)
+        left = "".join(f" {_capital(text)}." for text in diagnosis.fix.leaves)
         return f"Recommended: the correction of {part} alone, which holds on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
         groups = _joined((_joined(group.effects, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
     if diagnosis.recommended:
         return "Recommended: the fix holds on held-out runs."
-    return f"Not recommended: {'. '.join(f'{reason[0].upper()}{reason[1:]}' for reason in diagnosis.fix.why)}."
+    return f"Not recommended: {'. '.join(map(_capital, diagnosis.fix.why))}."
+
+
+def _capital(text: str) -> str:
+    """Return a sentence with a capital; an id of several words stays as it is."""
+    return text if "_" in text.partition(" ")[0] else f"{text[:1].upper()}{text[1:]}"
 
 
 def _confounded(diagnosis: Diagnosis) -> int:

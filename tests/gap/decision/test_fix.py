@@ -12,6 +12,9 @@ from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.trials import Trial
+from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.library import effect_class
+from calib.kinematics.adequacy import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain
 CLOSES = Improvement(5.0, 1.2, (3.5, 4.1), (0.9, 1.0))
@@ -66,6 +69,11 @@ def test_a_length_that_no_vehicle_is_off_by_is_no_fix(effect: str, value: float,
     size = {"relative": Quantity(value, (0.99 * value, 1.01 * value), "1")}
     why = reasons([replace(cause(effect), parameters=size, family="calibration")], {effect: 0.96}, CLOSES)
     assert len(why) == kept_back and all("beyond any vehicle's" in text for text in why)
+
+
+def test_the_bounds_of_lengths_are_those_of_the_geometry() -> None:
+    bounds = {name: kind.wrong_beyond for name in NAMES if (kind := effect_class(name))}
+    assert bounds == {**dict.fromkeys(NAMES, PLAUSIBLE_CHANGE), "track_width": PLAUSIBLE_TRACK_CHANGE}
 
 
 def test_a_size_whose_interval_holds_zero_is_no_fix() -> None:

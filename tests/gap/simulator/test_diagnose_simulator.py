@@ -17,6 +17,7 @@ from calib.campaign.read import read_campaign
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.decision.held_out import RERUN
+from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.simulator.diagnose import SimulatorDiagnosis, diagnose_simulator
 from calib.gap.simulator.settings import read_settings
 from tests.gap.simulator.made import NOMINAL, NUMPY, numpy_campaign, numpy_settings
@@ -59,6 +60,16 @@ def test_the_parameter_is_named_with_what_to_set(small_wheel: tuple[Path, Simula
     assert abs(quantity.value - (0.09944 - 0.1)) < SPREAD * sd
     assert full.fix.parameters == pytest.approx({"wheel_radius_left": 0.1 + quantity.value}, rel=1e-12)
     assert full.recommended
+
+
+def test_a_gap_of_a_tenth_of_the_way_is_judged_after_the_fit(tmp_path: Path) -> None:
+    """What a parameter closes is no blunder of units or axes, however large the gap was before."""
+    done = diagnosed(tmp_path, {"wheel_radius_left": 0.098})
+    evidence = done.diagnosis.evidence
+    assert evidence is not None
+    assert np.mean(misfit(evidence.nominal, evidence.nominal)) > BLUNDER_MISFIT
+    assert done.diagnosis.kind is VerdictKind.EXPLAINED
+    assert [cause.effect for cause in done.diagnosis.causes] == ["simulator:wheel_radius_left"]
 
 
 def test_closure_is_what_the_simulator_shows_with_the_fix(small_wheel: tuple[Path, SimulatorDiagnosis]) -> None:
@@ -280,7 +291,11 @@ def test_an_interrupted_diagnosis_says_which_runs_are_kept(
         f'import time; p["track"] = given["track"]; {held}',
         '[[parameter]]\nname = "track"\nnominal = 0.7\nstep = 0.01\nlargest = 0.05\n',
     )
-    call = [sys.executable, "-m", "calib", "diagnose", str(small_wheel[0] / "campaign"), "--simulator", str(sim)]
+    # a shell's background job ignores the signal; here it is heeded wherever the tests run
+    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    command = f"{heeding}from calib.cli.main import main; main()"
+    arguments = ["diagnose", str(small_wheel[0] / "campaign"), "--simulator", str(sim)]
+    call = [sys.executable, "-c", command, *arguments]
     environment = os.environ | {"CALIB_CACHE": str(tmp_path / "cache")}
     process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True, env=environment)
     deadline = time.monotonic() + 60.0
