@@ -19,7 +19,7 @@ from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import with_effects
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import BLUNDER_MISFIT, Blunder, EncoderBlunder, corrected, find_blunder, misfit
+from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.inference.fit import Fitted, fit
@@ -111,7 +111,7 @@ def diagnose_in_full(
     settings = settings or SearchSettings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
+    given, planted, situation = campaign, observations, _situation(campaign, model, applied, exclude, observations)
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
@@ -119,6 +119,11 @@ def diagnose_in_full(
         _check_copied(campaign, nominal)
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     noise, base, searched = _searched(nominal, effects, settings, progress)
+    refined = _refined(situation, searched.fitted)
+    if refined is not None:
+        situation = _corrected(given, model, applied, exclude, refined)
+        campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
+        noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
     held_out = _held_out(situation, nominal, noise, searched, effects, left_out, rng)
@@ -155,21 +160,53 @@ def _situation(
     observations: Observations | None,
 ) -> Situation:
     """Return what was driven with blunders of counts and reference mounting corrected; see `diagnose_in_full`."""
-    faults: list[Blunder | TurnedReference] = []
-    notes: tuple[str, ...] = ()
-    if observations is None:
-        observations, notes = _observed(campaign, model, applied)
-        turned = None if ReferenceYaw.id in exclude else find_turned(predict(observations))
-        if turned is not None:
-            faults.append(turned)
-            campaign = turned.correct(campaign)
-            observations, notes = _observed(campaign, model, applied)
+    if observations is not None:
+        return _counts_corrected(campaign, observations, (), (), exclude)
+    observations, notes = _observed(campaign, model, applied)
+    turned = None if ReferenceYaw.id in exclude else find_turned(predict(observations))
+    if turned is None:
+        return _counts_corrected(campaign, observations, notes, (), exclude)
+    return _corrected(campaign, model, applied, exclude, turned)
+
+
+def _corrected(
+    campaign: Campaign,
+    model: OdometryModel | None,
+    applied: Sequence[EffectSection],
+    exclude: tuple[str, ...],
+    turned: TurnedReference,
+) -> Situation:
+    """Return what was driven with the reference's mounting corrected."""
+    campaign = turned.correct(campaign)
+    return _counts_corrected(campaign, *_observed(campaign, model, applied), (turned,), exclude)
+
+
+def _counts_corrected(
+    campaign: Campaign,
+    observations: Observations,
+    notes: tuple[str, ...],
+    faults: tuple[TurnedReference, ...],
+    exclude: tuple[str, ...],
+) -> Situation:
+    """Return what was driven with a blunder of the counts, if there is one, corrected."""
     nominal = predict(observations)
     fault = None if EncoderBlunder.id in exclude else find_blunder(observations, nominal)
     if fault is None:
-        return Situation(campaign, observations, notes, tuple(faults))
+        return Situation(campaign, observations, notes, faults)
     as_counted = residuals(nominal, nominal)
     return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
+
+
+def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
+    """Return a turned mounting with what the search found left of its angle; None where nothing is."""
+    place = len(fitted.calibration)
+    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+        if form.effect == ReferenceYaw.id and form.label == ReferenceYaw.OF_POSITION:
+            sd_rad = float(np.sqrt(fitted.covariance[place, place]))
+            turned = (fault for fault in situation.faults if isinstance(fault, TurnedReference))
+            return next((fault.refined(float(theta[0]), sd_rad) for fault in turned), None)
+        place += len(theta)
+    return None
 
 
 def _observed(

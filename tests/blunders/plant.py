@@ -28,6 +28,8 @@ SIGMA_THETA_RAD: Final = 0.001
 SIGMA_RADIUS: Final = 2e-4
 RATE_HZ: Final = 20.0
 SPEED_MPS: Final = 0.4
+#: a steering angle is logged at the beginning of the step that it is driven with: half a step before its middle
+STEERING_DELAY_S: Final = -0.5 / RATE_HZ
 
 
 @dataclass

@@ -39,8 +39,12 @@ TRUTH: Final = {
 #: what a diagnosis may name with exit status 0: the calibration of the plant, or the blunder itself
 RIGHT: Final = {
     *("radius_scale", "unequal_radii", "track_width", "encoder_gross", "reference_latency", "reference_yaw"),
-    *("steering_scale", "steering_zero", "drive_slip"),
+    *("steering_scale", "steering_zero", "steering_backlash", "steering_delay", "drive_slip"),
 }
+#: effect that the plant has beside each blunder -> its size
+SIZES: Final = {"steering_delay": plant.STEERING_DELAY_S}
+#: a size is right within twice its 95 % interval: beyond four standard uncertainties it is none of chance
+INTERVALS: Final = 2.0
 #: blunder -> what geometry may name; of the others nothing is named, or what is wrong is said in an error
 NAMES: Final = {
     **{f"axes turned by {degrees} degrees": {"axes_turned"} for degrees in (30, 10, 2, 90, 180)},
@@ -175,8 +179,16 @@ class Row:
 
 def _right(document: dict[str, Any]) -> bool:
     """Return whether a diagnosis names the calibration of the plant, or the blunder, and nothing else."""
-    named = {cause["effect"] for cause in document.get("causes", ())}
-    return bool(named) and named <= RIGHT
+    causes = document.get("causes", ())
+    return bool(causes) and all(cause["effect"] in RIGHT and _size_right(cause) for cause in causes)
+
+
+def _size_right(cause: dict[str, Any]) -> bool:
+    """Return whether the size of a cause that the plant has is that of the plant."""
+    if cause["effect"] not in SIZES:
+        return True
+    ((value, (low, high)),) = ((size["value"], size["ci95"]) for size in cause["parameters"].values())
+    return bool(abs(value - SIZES[cause["effect"]]) <= INTERVALS * 0.5 * (high - low))
 
 
 REFERENCES: Final = {"end poses": False, "along": True}

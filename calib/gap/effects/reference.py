@@ -144,6 +144,8 @@ class ReferenceYaw(Effect):
     family = Family.REFERENCE
     needs = "end positions"
     separates = "straight runs of several lengths"
+    #: label of the form that leaves the heading as it is
+    OF_POSITION: ClassVar[str] = "position alone"
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return two forms: the position alone is turned, or position and heading; none without end poses."""
@@ -154,7 +156,7 @@ class ReferenceYaw(Effect):
         position = Perturbation(turned_rad=np.ones(len(observations)))
         heading = replace(position, reading=Perturbation.on_readings(observations, heading=1.0).reading)
         return [
-            Form(self.id, "position alone", (parameter,), lambda _: [position], tries=2),
+            Form(self.id, self.OF_POSITION, (parameter,), lambda _: [position], tries=2),
             Form(self.id, "position and heading", (parameter,), lambda _: [heading], tries=2),
         ]
 
@@ -235,6 +237,10 @@ class TurnedReference:
         """Value, 95 % interval and unit of its parameter."""
         half = COVERAGE_FACTOR * self.sd_rad
         return {"yaw": (self.yaw_rad, (self.yaw_rad - half, self.yaw_rad + half), "rad")}
+
+    def refined(self, turned_rad: float, sd_rad: float) -> TurnedReference:
+        """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
+        return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
 
     def correct(self, campaign: Campaign) -> Campaign:
         """Return the campaign with the sensor's yaw stated."""

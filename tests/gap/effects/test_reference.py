@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.reference import TurnedReference, find_turned
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
+from tests.blunders import plant
+from tests.blunders.blunders import axes_turned
 from tests.gap.effects.making import STRAIGHT, Run, campaign, rich_runs
 from tests.real.recordings import optiodom_differential
 
@@ -83,3 +86,16 @@ def test_a_real_robot_with_its_markers_turned_a_quarter_is_diagnosed_as_before(s
     # the robot's own radii bend its paths: a hundredth of a radian on these routes
     assert low - 0.01 < np.pi / 2 < high + 0.01
     assert {"track_width", "unequal_radii"} <= causes.keys()
+
+
+def test_the_angle_is_the_one_beside_the_other_causes(tmp_path: Path) -> None:
+    """Odometry that bends the path turns its end: the angle first found is 0.3 degrees off, the one stated is not."""
+    recording = plant.tricycle(np.random.default_rng(1))
+    axes_turned(30.0)(recording)
+    causes = diagnose_in_full(
+        read_campaign(plant.write(recording, tmp_path / "turned", along=False)), plan=False
+    ).causes
+    assert [cause.effect for cause in causes] == ["reference_yaw", "radius_scale", "steering_delay"]
+    size = causes[0].parameters["yaw"]
+    assert size.value == pytest.approx(-np.radians(30.0), abs=1e-3)  # two and a half of its standard uncertainty
+    assert size.ci95[0] <= -np.radians(30.0) <= size.ci95[1]
