@@ -41,7 +41,7 @@ def run(
         nominal, entries, runs = _catalogued(effect, campaign)
     drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
     terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
-    from calib.reporting.topics.diagnosis import effect_content, effects_content
+    from calib.reporting.topics.effects import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
     if figures is not None:

@@ -61,7 +61,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs, with_next
     from calib.gap.plan.plan_file import read_candidates
-    from calib.reporting.topics.diagnosis import next_runs_table, promise_table
+    from calib.reporting.topics.effects import next_runs_table, promise_table
 
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
@@ -90,7 +90,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
 def _judge(source: Path, figures: Path | None) -> int:
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.reporting.topics.diagnosis import outlook_content, promise_table
+    from calib.reporting.topics.effects import outlook_content, promise_table
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
     with terminal.progress("judging the plan") as tick:

@@ -1,35 +1,28 @@
-"""Diagnosis of a gap: verdict, pictures, page of linked panels; the catalogue of effects, and what a plan tells."""
+"""Diagnosis of a gap: verdict, pictures and page of linked panels."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.gap.effects.effect import Parameter
-from calib.gap.effects.library import LIBRARY, Entry
-from calib.gap.observations.arrays import Channel
-from calib.gap.plan.identifiability import Outlook
-from calib.kinematics.assemble import Promise
 from calib.reporting.blocks import (
     Block,
-    Facts,
     Heading,
     Notice,
     Picture,
     Section,
-    Table,
     Text,
     items,
     picture,
     simulated_notice,
-    table,
 )
-from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
+from calib.reporting.formatting import length, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
+from calib.reporting.topics.effects import next_runs_table
 from calib.reporting.topics.gap import (
     cause_blocks,
     closure_blocks,
@@ -42,174 +35,6 @@ from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from calib.reporting.figures.gap import GapArrays
-
-#: below this (m or rad) a channel counts as unchanged: no instrument resolves a micrometre
-UNCHANGED: Final = 1e-6
-#: unit of an effect -> (factor, printed unit) from the largest to the smallest
-PRINTED_UNITS: Final = {
-    "m": ((1.0, "m"), (1e3, "mm"), (1e6, "µm")),
-    "rad": ((1.0, "rad"), (1e3, "mrad"), (1e6, "µrad")),
-    "1": ((1e2, "%"), (1e6, "ppm")),
-}
-
-
-def size_text(value: float, unit: str) -> str:
-    """Return a size with a printed unit: ``1e-6`` of ``m/N`` as ``1 µm/N``, ``3e-3`` of ``1`` as ``0.3 %``."""
-    above, slash, below = unit.partition(" per " if " per " in unit else "/")
-    for factor, name in PRINTED_UNITS.get(above, ((1.0, above),)):
-        shown = factor * abs(value)
-        if shown >= 0.095 or name in {"µm", "µrad", "ppm"}:
-            return f"{factor * value:.3g} {name}{slash}{below}"
-    return f"{value:.3g} {unit}"
-
-
-def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
-    """Return the catalogue as a table."""
-    catalogue = table(
-        f"{plural(len(entries), 'effect')}; typical size of the form that shows most on {runs}.",
-        ("<Effect", "*What it is", "<Family", "<Typical size"),
-        [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
-    )
-    silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
-    elsewhere = items(f"{entry.effect.id}: from {entry.origin}" for entry in entries if entry.origin != LIBRARY)
-    blocks: list[Block] = [catalogue]
-    blocks += [Text(f"Without a form on {runs}:"), *silent] if silent else []
-    blocks += [Text("Not from the library:"), *elsewhere] if elsewhere else []
-    return tuple(blocks)
-
-
-def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return one effect in full: description, sizes, and its signature by kind of run."""
-    effect = entry.effect
-    facts = {
-        "From": entry.origin,
-        "Family": f"{effect.family}: {effect.family.words}",
-        "Needs": effect.needs,
-        "Separated from others by": effect.separates,
-        "Beyond plausible, suspect": effect.implausible,
-        "Shifts": ", ".join(effect.shifts),
-    }
-    known = Facts(tuple((name, value) for name, value in facts.items() if value))
-    doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
-    blocks: list[Block] = [Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
-    if entry.signature is None:
-        return (*blocks, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
-    form = entry.signature.form
-    rows = [(one.name.replace("_", " "), _signed(one), size_text(one.largest, one.unit)) for one in form.parameters]
-    label = f" ({form.label})" if form.label else ""
-    sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
-    return (*blocks, sizes, *_signature(entry, runs))
-
-
-def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return the change of each channel that moves, by kind of run."""
-    moved = [c for c in Channel if any(np.nan_to_num(rms[c]) > UNCHANGED for rms in entry.changes.values())]
-    if not moved:
-        return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
-    heads = ("<Kind of run", *(f"{channel.label} (m{channel.unit})" for channel in moved))
-    rows = [(kind, *(_milli(float(rms[c])) for c in moved)) for kind, rms in entry.changes.items()]
-    return (table(f"Signature: root mean square change at the typical size on {runs}.", heads, rows),)
-
-
-def _milli(value: float) -> str:
-    if not np.isfinite(value):
-        return MISSING
-    return "0" if value < UNCHANGED else three_digits(1e3 * value)
-
-
-def _signed(parameter: Parameter) -> str:
-    return {-1: "- ", 0: "± ", 1: ""}[parameter.sign] + size_text(parameter.typical, parameter.unit)
-
-
-def _typical(entry: Entry) -> str:
-    """Return the typical sizes of the form's parameters, each once."""
-    if entry.signature is None:
-        return MISSING
-    sizes = dict.fromkeys(
-        size_text(one.typical, one.unit).replace(f" per {getattr(entry.effect, 'column', '')}", " a unit")
-        for one in entry.signature.form.parameters
-    )
-    return ", ".join(sizes)
-
-
-def _why_no_form(entry: Entry) -> str:
-    if entry.effect.found_before_search:
-        return "found by trial, before the search"
-    return f"needs {entry.effect.needs}" if entry.effect.needs else "shows on other runs only"
-
-
-#: effects named in one cell
-MAX_NAMED: Final = 4
-
-
-def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
-    """Return the runs to drive next, best first, each with the effects that it separates."""
-    if not runs:
-        return Text("No run of the list would separate more effects than the runs driven.")
-    return table(
-        "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
-        ("<Run", "Payload (kg)", "~at x, y (m)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
-        [_row(number, run) for number, run in enumerate(runs, start=1)],
-    )
-
-
-def promise_table(now: Promise | None, then: Promise) -> Table:
-    """Return the half widths of the intervals that `calib geometry` will give, beside those of the runs driven."""
-    before = {} if now is None else {each.name: each.half_width for each in now.estimates}
-    rows = []
-    for each in then.estimates:
-        last = each.name.rpartition("_")[2]
-        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(last, "1")
-        known = size_text(before[each.name], unit) if each.name in before else MISSING
-        rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
-    walk = 1e3 * float(np.sqrt(then.scales[2]))
-    left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
-    return table(
-        f"Half widths of the 95 % intervals that 'calib geometry' will give, by end poses; the heading wanders by "
-        f"{walk:.2g} mrad a root metre.{left}",
-        ("<Parameter", *([] if now is None else ["Runs driven"]), "These" if now is None else "With the next"),
-        rows,
-    )
-
-
-def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
-    extra = [f"{run['stops']} stops"] if run.get("stops") else []
-    extra += ["closed loop"] if run.get("loop") else []
-    extra += ["by tape"] if run.get("tape") else []
-    extra += [f"{run['count']} times"] if run.get("count") else []
-    extra += ["read while rolling"] if run.get("read_rolling") else []
-    route = f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip()
-    what = ", ".join([route, *extra])
-
-    def shown(key: str) -> str:
-        return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING
-
-    place = f"{run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g}" if run.get("payload_kg") else MISSING
-    numbers = (shown("payload_kg"), place, shown("speed_mps"), shown("temperature_C"), shown("minutes_under_load"))
-    return (f"{number}. {what}", *numbers, prose(str(run["why"])))
-
-
-def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ...]:
-    """Return the detectability of each effect by a plan of runs."""
-    document = outlook.to_dict()
-    told_apart = set(document["told_apart"])
-    rows = []
-    for number, effect in enumerate(outlook.effects):
-        others = document["confused"].get(effect, [])
-        words = ", ".join(others[:MAX_NAMED]) or "not seen at its typical size"
-        if len(others) > MAX_NAMED:
-            words += f" and {len(others) - MAX_NAMED} more"
-        words = "yes" if effect in told_apart else words
-        rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
-    told = table(
-        f"{name}, {n_runs} runs: {len(told_apart)} of {len(outlook.effects) + len(outlook.absent)} effects told apart. "
-        "The signal is that at the effect's typical size, in standard deviations.",
-        ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with"),
-        rows,
-    )
-    absent = (f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
-    return (told, *items(absent))
-
 
 #: verdict -> level of its notice, and its title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
