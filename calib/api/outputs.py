@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.api.results import CampaignLike, fit, geometry, opened, refuse_negative
+from calib.api.results import CampaignLike, opened, refuse_negative
 from calib.arguments import checked
 from calib.errors import BadInputError
 from calib.kinematics.result import Geometry
@@ -117,7 +116,7 @@ def report(
     Parameters
     ----------
     source : Campaign, Path, str or Fit
-        A campaign is fitted first.
+        A campaign is fitted first; runs that allow no law, as loops do, give a report of their geometry.
     target : Path or str
         The PDF, or a folder for it.
     date : str, optional
@@ -139,26 +138,18 @@ def report(
     BadInputError
         Where the file exists and `force` is False.
     RefusedError
-        Where the runs allow no law.
+        Where the runs allow neither a law nor a geometry.
     """
-    from calib.gap.diagnose import diagnose_in_full
     from calib.io import write_bytes
-    from calib.reporting.content import compose, place_of
+    from calib.reporting.content import place_of, report_of
     from calib.reporting.pages import to_pdf
-    from calib.reporting.source import from_campaign, issue_date, source_of_fit
+    from calib.reporting.source import issue_date
 
-    issued = issue_date(date)
-    if not isinstance(source, Fit):
-        campaign = opened(source)
-        content = from_campaign(campaign, issued=issued, accept=accept_implausible)
-        if diagnosis:
-            content = content.with_diagnosis(diagnose_in_full(campaign))
-    elif diagnosis:
-        raise BadInputError("report: found a fit; expected a campaign, which a diagnosis needs; give the campaign")
-    else:
-        content = source_of_fit(replace(source, accepted=accept_implausible), issued=issued)
-    path = place_of(content.fit.name, Path(target), force=force)
-    return write_bytes(path, to_pdf(compose(content)), force=force)
+    given = source if isinstance(source, Fit) else opened(source)
+    seed = 0 if diagnosis else None
+    reported = report_of(given, issued=issue_date(date), accept=accept_implausible, seed=seed).report
+    path = place_of(reported.name, Path(target), force=force)
+    return write_bytes(path, to_pdf(reported), force=force)
 
 
 @checked
@@ -199,10 +190,9 @@ def export(
     mapping of str to str
         Text of each file by its name.
     """
-    from calib.campaign.wheels import without_rear_wheels
-    from calib.coefficients.build import from_fit, from_geometry
+    from calib.coefficients.build import from_geometry
+    from calib.coefficients.export import coefficients_from, parse_loads, place
     from calib.coefficients.export import export as rendered
-    from calib.coefficients.export import parse_loads, place
     from calib.coefficients.formats import ExportOptions
 
     options = ExportOptions(loads=parse_loads([str(load) for load in loads]), controllers=tuple(controllers))
@@ -210,15 +200,9 @@ def export(
         if campaign is None:
             raise BadInputError("export: found a geometry alone; expected its campaign too; give campaign=...")
         master = from_geometry(source, opened(campaign), accept=accept_implausible)
-    elif isinstance(source, Fit):
-        master = from_fit(replace(source, accepted=accept_implausible))
     else:
-        read = opened(source)
-        master = (
-            from_geometry(geometry(read), read, accept=accept_implausible)
-            if without_rear_wheels(read)
-            else from_fit(replace(fit(read), accepted=accept_implausible))
-        )
+        given = source if isinstance(source, Fit) else opened(source)
+        master = coefficients_from(given, accept_implausible).file
     artifacts = rendered(master, to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)

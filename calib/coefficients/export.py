@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from calib.campaign.wheels import SOURCE_NAMES
 from calib.coefficients import formats
@@ -17,6 +17,10 @@ from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coeff
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.io import refuse_existing, write_bytes, write_files
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+    from calib.radius.result import Fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,25 +59,30 @@ def coefficients_of(
     if path.is_file() and (path.suffix != ".json" or _is_coefficients(path)):
         file = load_coefficients(path)
         return Source(file.changed(**changes) if changes else file)
-    from calib.coefficients.build import from_fit, from_geometry
-
-    inputs = None
     if is_result(path):
-        fit = read_result(path)
+        return coefficients_from(read_result(path), accept, **changes)
+    from calib.campaign.read import read_campaign
+
+    return coefficients_from(read_campaign(path), accept, **changes)
+
+
+def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -> Source:
+    """Return the coefficients of a fit or of a campaign, which is fitted now; see `coefficients_of`."""
+    from calib.campaign.wheels import without_rear_wheels
+    from calib.coefficients.build import from_fit, from_geometry
+    from calib.radius.fit import fit_campaign
+    from calib.radius.result import Fit
+
+    if isinstance(given, Fit):
+        fit, inputs = given, None
+    elif without_rear_wheels(given):
+        from calib.kinematics.estimate import estimate_geometry
+
+        geometry = estimate_geometry(given)
+        how = "no rear wheel was counted: radii and lengths are those of 'calib geometry'"
+        return Source(from_geometry(geometry, given, accept=accept, **changes), (*geometry.notes, how))
     else:
-        from calib.campaign.read import read_campaign
-        from calib.campaign.wheels import without_rear_wheels
-        from calib.radius.fit import fit_campaign
-
-        campaign = read_campaign(path)
-        if without_rear_wheels(campaign):
-            from calib.kinematics.estimate import estimate_geometry
-
-            geometry = estimate_geometry(campaign)
-            file = from_geometry(geometry, campaign, accept=accept, **changes)
-            how = "no rear wheel was counted: radii and lengths are those of 'calib geometry'"
-            return Source(file, (*geometry.notes, how))
-        fit, inputs = fit_campaign(campaign), campaign.hashes
+        fit, inputs = fit_campaign(given), given.hashes
     master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
     notes = tuple(
         f"{name} wheel, check {check.name} failed: {check.sentence}"

@@ -4,28 +4,30 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
 from calib.campaign.checks.design import assumed_settings
+from calib.campaign.model import Campaign
 from calib.documents import plain, to_json
-from calib.errors import BadInputError
+from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import ingest_notes
 from calib.reporting.blocks import Items, Notice, Picture, Section
 from calib.reporting.formatting import capital, prose
-from calib.reporting.source import Source, logo_of, number_of, stated_of, verdict_document
+from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
 from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
+from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.kinematics.result import Geometry
+    from calib.radius.result import Fit
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44
@@ -121,6 +123,88 @@ class Report:
             "sections": plain(self.sections),
             "attachments": plain(self.attachments),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A report, and what it was made from as far as that was estimated for it."""
+
+    report: Report
+    diagnosis: Diagnosis | None = None
+    geometry: Geometry | None = None
+
+
+def report_of(
+    given: Fit | Campaign,
+    *,
+    issued: str,
+    accept: str = "",
+    seed: int | None = None,
+    where: Path | None = None,
+    progress: Progress = silent,
+) -> Reported:
+    """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
+
+    Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.
+
+    Parameters
+    ----------
+    given : Fit or Campaign
+        A campaign is fitted now.
+    issued : str
+        Date of issue, YYYY-MM-DD.
+    accept : str
+        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
+    seed : int, optional
+        Of the diagnosis of the gap, which is added; None: none is.
+    where : Path, optional
+        Where a fit was read from, if it was.
+    progress : callable
+        Told how far it is.
+    """
+    if not isinstance(given, Campaign):
+        if seed is not None:
+            raise BadInputError(
+                f"{where or 'report'}: found the result of a fit; expected a campaign folder, which a diagnosis "
+                "needs; give the campaign"
+            )
+        return Reported(compose(source_of(given, issued=issued, accept=accept, where=where)))
+    try:
+        source = source_of(given, issued=issued, accept=accept)
+    except RefusedError as error:
+        return _without_law(given, error, issued, accept, seed, progress)
+    if seed is None:
+        return Reported(compose(source))
+    from calib.gap.diagnose import diagnose_in_full
+
+    diagnosis = diagnose_in_full(given, seed=seed, progress=progress)
+    return Reported(compose(source.with_diagnosis(diagnosis)), diagnosis)
+
+
+def _without_law(
+    campaign: Campaign, refusal: RefusedError, issued: str, accept: str, seed: int | None, progress: Progress
+) -> Reported:
+    """Return the report on runs that allow no law: of their geometry, and of the diagnosis where it is asked for."""
+    from calib.coefficients.build import from_geometry
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.kinematics.estimate import estimate_geometry, traces_of
+
+    diagnosis = None if seed is None else diagnose_in_full(campaign, seed=seed, progress=progress)
+    geometry, file = None, None
+    try:
+        geometry = estimate_geometry(campaign, progress=progress)
+    except RefusedError:
+        if diagnosis is None:
+            raise refusal from None
+    else:
+        geometry = replace(geometry, paths=traces_of(campaign, geometry))
+        if geometry.passed or accept:
+            file = from_geometry(geometry, campaign, created=issued, accept=accept).to_bytes()
+    why = str(refusal).removeprefix(f"{campaign.root}: ")
+    report = report_without_law(
+        campaign, issued=issued, why=why, geometry=geometry, coefficients=file, diagnosis=diagnosis
+    )
+    return Reported(report, diagnosis, geometry)
 
 
 def compose(source: Source) -> Report:

@@ -102,29 +102,46 @@ def issue_date(text: str | None) -> str:
     return text
 
 
-def source_of(
-    path: Path | str, *, issued: str, accept: str = "", progress: Progress = silent
-) -> tuple[Source, Campaign | None]:
-    """Return what a report on a campaign folder or a result folder is made from.
+def opened(path: Path, *, progress: Progress = silent) -> Fit | Campaign:
+    """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder.
 
-    `path`: a campaign's folder, which is fitted now, or a result folder or ``fit.json``, which is only read; `issued`:
-    date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same; empty: it
-    is refused. Returns `source`: without diagnosis; `campaign`: the campaign, where it was read. Raises BadInputError
-    where the path is neither, or cannot be used; RefusedError where the runs allow no law.
+    Raises BadInputError where the path is neither, or cannot be used.
     """
+    from calib.campaign.read import read_campaign
     from calib.radius.result import is_result, read_result
 
-    path = Path(path)
     if not path.exists():
         raise BadFileError(path, "nothing", "a campaign folder or a result folder of calib fit", "give the path of one")
-    if is_result(path):
-        source = source_of_fit(replace(read_result(path), accepted=accept), issued=issued, where=path)
-        return replace(source, known_verdict=_verdict_beside(path, source.fit.name)), None
-    from calib.campaign.read import read_campaign
+    return read_result(path) if is_result(path) else read_campaign(path, progress=progress)
 
-    campaign = read_campaign(path, progress=progress)
-    source = from_campaign(campaign, issued=issued, accept=accept)
-    return replace(source, known_verdict=_verdict_beside(path, campaign.name)), campaign
+
+def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Path | None = None) -> Source:
+    """Return what a report on a fit is made from, or on a campaign, which is fitted now; it has no diagnosis.
+
+    `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
+    empty: it is refused; `where`: where the fit was read from, if it was. Raises RefusedError where the runs allow no
+    law.
+    """
+    from calib.coefficients.build import from_fit
+    from calib.radius.fit import fit_campaign
+    from calib.radius.result import provenance
+
+    if isinstance(given, Campaign):
+        fit, where, inputs = fit_campaign(given), given.root, given.hashes
+        fit = replace(fit, provenance=provenance(given, version=__version__, arguments={}))
+        stated, logo = stated_of(given), logo_of(given)
+    else:
+        fit, inputs, logo = given, None, None
+        if fit.setup is None:
+            raise RefusedError(
+                f"{where or 'fit'}: found a fit without its setup; expected vehicle, instruments and conditions; make "
+                "it anew with 'calib fit CAMPAIGN --into FOLDER'"
+            )
+        stated = texts_of(fit.provenance.get("report"), where or "fit")
+    fit = replace(fit, accepted=accept)
+    file = from_fit(fit, created=issued, inputs=inputs)
+    known = None if where is None else _verdict_beside(where, fit.name)
+    return Source(fit, file, issued, stated, logo=logo, known_verdict=known)
 
 
 def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
@@ -152,31 +169,6 @@ def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
     if all(value >= SURE_FROM for _, value in named):
         return ""
     return f"Probability: {', '.join(f'{name} {100 * value:.0f} %' for name, value in named)}."
-
-
-def source_of_fit(fit: Fit, *, issued: str, where: Path | str = "fit") -> Source:
-    """Return what a report on a fit is made from; see `source_of`."""
-    from calib.coefficients.build import from_fit
-
-    if fit.setup is None:
-        raise RefusedError(
-            f"{where}: found a fit without its setup; expected vehicle, instruments and conditions; make it anew "
-            "with 'calib fit CAMPAIGN --into FOLDER'"
-        )
-    stated = texts_of(fit.provenance.get("report"), where)
-    return Source(fit, from_fit(fit, created=issued), issued, stated)
-
-
-def from_campaign(campaign: Campaign, *, issued: str, accept: str = "") -> Source:
-    """Return what a report on `campaign`, fitted now, is made from; see `source_of`."""
-    from calib.coefficients.build import from_fit
-    from calib.radius.fit import fit_campaign
-    from calib.radius.result import provenance
-
-    fit = fit_campaign(campaign)
-    fit = replace(fit, provenance=provenance(campaign, version=__version__, arguments={}), accepted=accept)
-    file = from_fit(fit, created=issued, inputs=campaign.hashes)
-    return Source(fit, file, issued, stated_of(campaign), logo=logo_of(campaign))
 
 
 #: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing

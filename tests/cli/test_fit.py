@@ -11,7 +11,7 @@ from calib.campaign.write import write_campaign
 from calib.cli.main import run
 from calib.radius.result import read_result
 from calib.reporting.content import compose
-from calib.reporting.source import from_campaign
+from calib.reporting.source import source_of
 from calib.reporting.topics.fit import FIT_PICTURES
 from tests.campaign.making import campaign
 
@@ -137,7 +137,7 @@ def test_the_figures_are_those_of_the_report(
         "calib.reporting.figures.style.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
     )
     assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 0
-    shown = compose(from_campaign(read_campaign(folder), issued="2026-01-01")).pictures
+    shown = compose(source_of(read_campaign(folder), issued="2026-01-01")).pictures
     assert {path.stem for path in (tmp_path / "f").iterdir()} == {picture.name for picture in shown}
     assert tuple(picture.name for picture in shown) == FIT_PICTURES
     capsys.readouterr()

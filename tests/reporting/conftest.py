@@ -11,7 +11,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.reporting.content import Report, compose
 from calib.reporting.pages import to_pdf
-from calib.reporting.source import Source, from_campaign
+from calib.reporting.source import Source, source_of
 
 DATE = "2025-03-31"
 
@@ -23,7 +23,7 @@ def campaign(project_root: Path) -> Campaign:
 
 @pytest.fixture(scope="session")
 def source(campaign: Campaign) -> Source:
-    return from_campaign(campaign, issued=DATE)
+    return source_of(campaign, issued=DATE)
 
 
 @pytest.fixture(scope="session")

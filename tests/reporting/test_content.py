@@ -17,7 +17,7 @@ from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, write_result
 from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text
 from calib.reporting.content import Report, compose
-from calib.reporting.source import OPTIONAL, STATED, Source, from_campaign, issue_date, source_of
+from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics import PAGES
 from calib.reporting.topics.conditions import MOST_NOTES
 from calib.reporting.topics.fit import usable_notice
@@ -79,23 +79,23 @@ def test_what_the_import_did_stands_in_the_report(campaign: Campaign, tmp_path: 
     """From the record that the import leaves in the campaign, where a result folder is reported, too."""
     notes = [{"where": f"log{k}.csv", "text": f"{k} repeated samples removed"} for k in range(MOST_NOTES + 2)]
     (tmp_path / "ingest.json").write_text(json.dumps({"sources": [], "notes": notes}), encoding="utf-8")
-    source = from_campaign(replace(campaign, root=tmp_path), issued="2025-03-31")
+    source = source_of(replace(campaign, root=tmp_path), issued="2025-03-31")
     write_result(source.fit, tmp_path / "result")
-    again, _ = source_of(tmp_path / "result", issued="2025-03-31")
+    again = source_of(opened(tmp_path / "result"), issued="2025-03-31")
     for one in (source, again):
         text = words(section(compose(one), "Preparation of the data"))
         assert "log3.csv: 3 repeated samples removed" in text
         assert "and 2 more, in ingest.json" in text
     (tmp_path / "ingest.json").write_text('{"notes": 3}', encoding="utf-8")
     with pytest.raises(BadFileError, match=r"ingest\.json"):
-        from_campaign(replace(campaign, root=tmp_path), issued="2025-03-31")
+        source_of(replace(campaign, root=tmp_path), issued="2025-03-31")
 
 
 @pytest.mark.parametrize(("drive", "wheels"), [("tricycle", "the free rear"), ("differential", "the two driven")])
 def test_a_wheel_is_driven_where_the_drive_drives_it(campaign: Campaign, drive: Drive, wheels: str) -> None:
     other = replace(campaign, vehicle=replace(campaign.vehicle, drive=drive))
     assert f"the encoders of {wheels} wheels" in words(
-        section(compose(from_campaign(other, issued="2025-03-31")), "Method")
+        section(compose(source_of(other, issued="2025-03-31")), "Method")
     )
 
 
@@ -172,7 +172,7 @@ def test_a_failed_check_is_said_on_the_first_page(source: Source) -> None:
 def test_what_the_campaign_states_is_carried_over(campaign: Campaign) -> None:
     keys = [key for key in STATED if key != "logo"]
     stated = {key: f"text of {key}" for key in keys} | {"instruments": ["laser, certificate 1", "scale, certificate 2"]}
-    made = compose(from_campaign(replace(campaign, extra={"report": stated}), issued="2025-03-31"))
+    made = compose(source_of(replace(campaign, extra={"report": stated}), issued="2025-03-31"))
     text = everything(made)
     for key in keys:
         assert (f"text of {key}" if key != "instruments" else "laser, certificate 1; scale, certificate 2") in text, key
@@ -183,14 +183,14 @@ def test_what_the_campaign_states_is_carried_over(campaign: Campaign) -> None:
 @pytest.mark.parametrize("section", [{"costumer": "X"}, {"customer": {"name": "X"}}, "X"])
 def test_a_report_section_that_cannot_be_used_is_refused(campaign: Campaign, section: object) -> None:
     with pytest.raises(CalibError, match="report"):
-        from_campaign(replace(campaign, extra={"report": section}), issued="2025-03-31")
+        source_of(replace(campaign, extra={"report": section}), issued="2025-03-31")
 
 
 def test_the_identification_follows_the_inputs_alone(source: Source, campaign: Campaign) -> None:
     """Same inputs, same identification, for any date; a changed input file changes it."""
-    assert from_campaign(campaign, issued="2031-01-01").report_id == source.report_id
+    assert source_of(campaign, issued="2031-01-01").report_id == source.report_id
     hashes = {**campaign.hashes, "runs.csv": "0" * 64}
-    assert from_campaign(replace(campaign, hashes=hashes), issued=source.issued).report_id != source.report_id
+    assert source_of(replace(campaign, hashes=hashes), issued=source.issued).report_id != source.report_id
     assert source.report_id in dict(compose(source).head)["Report"]
 
 

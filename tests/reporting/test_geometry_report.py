@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.api import report
 from calib.campaign.model import Campaign
 from calib.campaign.write import write_campaign
 from calib.cli.main import run as calib
@@ -79,8 +80,8 @@ def report_on(driven: Campaign) -> Report:
 def test_pages_hold_verdict_residuals_paths_and_correlation(
     name: str, residuals: str, request: pytest.FixtureRequest
 ) -> None:
-    report = report_on(request.getfixturevalue(name))
-    blocks = [block for section in report.sections for block in section.blocks]
+    pages = report_on(request.getfixturevalue(name))
+    blocks = [block for section in pages.sections for block in section.blocks]
     notice = next(block for block in blocks if isinstance(block, Notice))
     assert notice.title == "Geometry calibrated" and "held-out" in notice.text
     facts = next(dict(block.rows) for block in blocks if isinstance(block, Facts))
@@ -93,13 +94,13 @@ def test_pages_hold_verdict_residuals_paths_and_correlation(
     ]
     for one in pictures:
         assert one.draw().axes
-    assert [one.name for one in report.attachments] == ["geometry.json", "coefficients.json"]
+    assert [one.name for one in pages.attachments] == ["geometry.json", "coefficients.json"]
 
 
 def test_runs_without_a_law_give_a_report_of_the_geometry(
     squares: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The command writes the PDF and the page, names what follows, and says that no law is stated."""
+    """Command and function write the same PDF, the page too; what follows is named, and that no law is stated."""
     folder = write_campaign(squares, tmp_path / "c")
     pdf, page = tmp_path / "report.pdf", tmp_path / "report.html"
     assert calib(["report", str(folder), "--into", str(pdf), "--html", str(page), "--date", "2026-01-01"]) == 0
@@ -108,6 +109,7 @@ def test_runs_without_a_law_give_a_report_of_the_geometry(
     assert pdf.read_bytes().startswith(b"%PDF") and b"geometry.json" in pdf.read_bytes()
     text = page.read_text(encoding="utf-8")
     assert "These runs give no radius law" in text and "radius_left_m" in text
+    assert report(folder, tmp_path / "same.pdf", date="2026-01-01").read_bytes() == pdf.read_bytes()
 
 
 def test_a_doubtful_geometry_has_no_coefficients_without_a_reason(

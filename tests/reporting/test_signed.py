@@ -16,7 +16,7 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.reporting.blocks import Notice, Picture, Table
 from calib.reporting.content import Report, compose
 from calib.reporting.pages import to_pdf
-from calib.reporting.source import Source, from_campaign, logo_of, source_of
+from calib.reporting.source import Source, logo_of, opened, source_of
 from calib.reporting.topics.fit import result_section
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><rect width="20" height="10"/></svg>'
@@ -33,7 +33,7 @@ def bare(report: Report) -> Report:
 
 
 def test_method_and_the_report_replaced_stand_under_the_title(campaign: Campaign) -> None:
-    made = compose(from_campaign(with_report(campaign, method="LAB-07", replaces="CR-1"), issued=DATE))
+    made = compose(source_of(with_report(campaign, method="LAB-07", replaces="CR-1"), issued=DATE))
     assert ("Method", "LAB-07") in made.head
     assert ("Replaces report", "CR-1") in made.head
 
@@ -43,7 +43,7 @@ def test_nobody_is_told_that_no_report_is_replaced(report: Report) -> None:
 
 
 def test_the_lines_to_be_signed_bear_the_names(campaign: Campaign, report: Report) -> None:
-    made = compose(from_campaign(with_report(campaign, prepared="A. Miller", authorised="B. Smith"), issued=DATE))
+    made = compose(source_of(with_report(campaign, prepared="A. Miller", authorised="B. Smith"), issued=DATE))
     assert made.signatures == (("Prepared by", "A. Miller"), ("Authorised by", "B. Smith"))
     assert [name for _, name in report.signatures] == ["", ""]  # room to sign by hand
 
@@ -52,7 +52,7 @@ def test_a_logo_of_the_campaign_is_on_the_page(campaign: Campaign, tmp_path: Pat
     (tmp_path / "logo.svg").write_text(SVG)
     logo = logo_of(with_report(campaign, tmp_path, logo="logo.svg"))
     assert logo is not None
-    source = from_campaign(campaign, issued=DATE)
+    source = source_of(campaign, issued=DATE)
     with_logo, without = (bare(compose(replace(source, logo=one))) for one in (logo, None))
     assert with_logo.to_dict()["logo"] == "logo.svg"
     assert to_pdf(with_logo) != to_pdf(without)
@@ -83,17 +83,17 @@ def test_page_one_says_what_a_diagnosis_beside_the_fit_found(
     folder = shutil.copytree(project_root / "sample_runs" / "corridor_crossed", tmp_path / "c")
     found = {"campaign": campaign.name, "verdict": "explained", "sentence": "It is the load."}
     (folder / "diagnosis.json").write_text(json.dumps(found))
-    known, _ = source_of(folder, issued=DATE)
+    known = source_of(opened(folder), issued=DATE)
     assert known.known_verdict == (VerdictKind.EXPLAINED, "It is the load.")
     notices = [block for block in result_section(known).blocks if isinstance(block, Notice)]
     assert notices[-1].text == "It is the load."
     assert "diagnosis.json" in notices[-1].title
     assert len([block for block in result_section(source).blocks if isinstance(block, Notice)]) == 1
     (folder / "diagnosis.json").write_text(json.dumps(found | {"campaign": "another"}))
-    assert source_of(folder, issued=DATE)[0].known_verdict is None
+    assert source_of(opened(folder), issued=DATE).known_verdict is None
     (folder / "diagnosis.json").write_text("{}")
     with pytest.raises(CalibError, match=r"diagnosis\.json"):
-        source_of(folder, issued=DATE)
+        source_of(opened(folder), issued=DATE)
 
 
 def test_the_budget_is_drawn_and_says_what_is_not_declared(report: Report, campaign: Campaign) -> None:
@@ -101,7 +101,7 @@ def test_the_budget_is_drawn_and_says_what_is_not_declared(report: Report, campa
     assert [block.name for block in section.blocks if isinstance(block, Picture)] == ["budget"]
     assert "declares no systematic parts" in str(plain(section))
     entry = {"rangefinder": {"scale": {"half_width": 5e-5, "distribution": "rectangular"}}}
-    declared = compose(from_campaign(replace(campaign, extra={"uncertainty": entry}), issued=DATE))
+    declared = compose(source_of(replace(campaign, extra={"uncertainty": entry}), issued=DATE))
     section = next(one for one in declared.sections if one.title == "Uncertainty budget")
     law = [block for block in section.blocks if isinstance(block, Table)][1]
     assert [column.title for column in law.columns][-2:] == ["Systematic", "Combined"]

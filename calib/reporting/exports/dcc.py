@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from calib import __version__
+from calib.campaign.model import Campaign
 from calib.coefficients.build import load_points
 from calib.coefficients.formats import Artifact
 from calib.documents import templates_of
@@ -28,7 +29,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.radius.law import COVERAGE, WheelLaw
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
-from calib.reporting.source import Source, source_of
+from calib.reporting.source import Source, opened, source_of
 from calib.types import Progress
 
 Text = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -181,10 +182,11 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     needs.
     """
     # the date of issue is not written: it only has to be a date until the end of the measurement is known
-    source, campaign = source_of(path, issued="2000-01-01", accept=accept, progress=progress)
-    fit = source.fit
-    section = fit.provenance.get("certificate") if campaign is None else campaign.extra.get("certificate")
-    stated = certificate_of(section, str(path / "campaign.toml" if campaign is not None else path))
+    given = opened(path, progress=progress)
+    source = source_of(given, issued="2000-01-01", accept=accept, where=path)
+    fit, driven = source.fit, isinstance(given, Campaign)
+    section = given.extra.get("certificate") if isinstance(given, Campaign) else fit.provenance.get("certificate")
+    stated = certificate_of(section, str(path / "campaign.toml" if driven else path))
     if not fit.passed and not accept:
         raise RefusedError(
             f"{path}: found a law that is {fit.verdict}: {_failed(fit)[0]}; expected one whose checks passed; measure "
