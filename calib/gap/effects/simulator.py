@@ -19,6 +19,8 @@ _STEPS: Final = 3
 _ROUNDING: Final = 1e-8
 #: a further step is taken where it promises, linear, to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
+#: wheels are followed in proportion to a quantity, or alike in a run, where the first step promises to leave no more
+_FOLLOWS_SHARE: Final = 0.01
 #: radii and track alike in all runs that leave less than this share are all that there is to a change
 _ALL_BUT: Final = 1e-4
 #: wheels carry a change where they leave no more than this share of its squares
@@ -94,57 +96,77 @@ def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: Flo
     """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
 
     A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track that
-    are off alike in all runs, then as both wheels off in each run by itself; what explains little of it is omitted. If
-    the change has noise, (4,), the wheels are also sought off in proportion to a quantity of the runs. The first that
+    are off alike in all runs, or in proportion to a quantity of the runs, then as both wheels off in each run by
+    itself, alike if that will do; what explains little of it is omitted. If the change has noise, (4,), the first that
     leaves no more than the noise is taken: few numbers from all runs, in which little of the noise is left.
     """
-    s = nominal.s
+    s, noisy = nominal.s, bool(noise.any())
     on = s.usable[:, :4]
     sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-    spread = np.maximum(noise, _REPEATED_SHARE * sigma) if noise.any() else sigma
-    weight = np.where(on, 1.0 / spread, 0.0)
-
-    def squares(left: FloatArray) -> FloatArray:
-        return np.asarray(((left * weight) ** 2).sum(axis=1))
-
-    rounding = _ROUNDING * squares(change).sum()
-
-    def sought(start: _Sought, basis: FloatArray | None) -> _Sought:
-        wheels, path, left = start
-        for _ in range(_STEPS):
-            gap = in_end_frame(path, left)[:, :4] * weight
-            columns = path.calibration[:, :4, :3] * weight[:, :, None]
-            step = _correction(columns, gap, basis)
-            promised = ((gap - np.einsum("nck,nk->nc", columns, step)) ** 2).sum(axis=1)
-            now = squares(left)
-            if basis is not None:
-                now, promised = now.sum(keepdims=True), promised.sum(keepdims=True)
-            # little by little a noisy change adds up over the runs
-            gains = (now > promised) if noise.any() else (promised < _PROMISED_SHARE * now)
-            if now[gains].sum() <= rounding:
-                break
-            wheels = wheels + step
-            path = predict(s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
-            left = change - (path.reading - nominal.reading)[:, :4]
-        return wheels, path, left
-
+    spread = np.maximum(noise, _REPEATED_SHARE * sigma) if noisy else sigma
+    seen = _Seen(nominal, change, np.where(on, 1.0 / spread, 0.0), noisy)
     ones, unmoved = np.ones((len(s), 3, 1)), (np.zeros((len(s), 3)), nominal, change)
-    best = unmoved
-    for basis in [ones, *(np.concatenate([ones, one[:, :, None]], axis=2) for one in _quantities(s) if noise.any())]:
-        found = sought(unmoved, basis)
-        square = squares(found[2]).sum()
-        if noise.any() and _is_noise(square, int(on.sum())):
-            wheels, remaining = found[0], np.zeros_like(change)
+    best, whole = unmoved, seen.squares(change).sum()
+    for basis in [ones, *(np.concatenate([ones, one[:, :, None]], axis=2) for one in _quantities(s))]:
+        found = seen.sought(unmoved, basis, _PROMISED_SHARE if basis is ones else _FOLLOWS_SHARE)
+        square = seen.squares(found[2]).sum()
+        if noisy and _is_noise(square, int(on.sum())):
+            best = found[0], found[1], np.zeros_like(change)
             break
-        if basis is ones and square < _LEFT_SHARE * squares(change).sum():
+        if not noisy and square < _ALL_BUT * whole:
+            best = found
+            break
+        if basis is ones and square < _LEFT_SHARE * whole:
             best = found
     else:
-        found = sought(best, None) if squares(best[2]).sum() > _ALL_BUT * squares(change).sum() else best
-        good = (squares(found[2]) < _LEFT_SHARE * squares(best[2]))[:, None]
-        wheels, remaining = np.where(good, found[0], best[0]), np.where(good, found[2], best[2])
-    rest = np.where(on, remaining, 0.0)
+        # alike only where that will do: a closed square hardly tells the wheels apart
+        ways = [(False, _LEFT_SHARE)] if noisy else [(True, _ALL_BUT), (False, _LEFT_SHARE)]
+        for alike, share in ways if seen.squares(best[2]).sum() > _ALL_BUT * whole else ():
+            found = seen.sought(best, None, _FOLLOWS_SHARE if alike else _PROMISED_SHARE, alike=alike)
+            good = (seen.squares(found[2]) < share * seen.squares(best[2]))[:, None]
+            if good.any():
+                best = found if good.all() else seen.moved(np.where(good, found[0], best[0]))
+    wheels, _, remaining = best
     left, right, track = wheels.T / step
-    return Carried(tuple(s.labels["run_id"]), left, right, track, rest / step)
+    return Carried(tuple(s.labels["run_id"]), left, right, track, np.where(on, remaining, 0.0) / step)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A change of the readings (n_obs, 4) about a path, and how it is weighted."""
+
+    nominal: Path
+    change: FloatArray
+    weight: FloatArray
+    noisy: bool
+
+    def squares(self, left: FloatArray) -> FloatArray:
+        """Return the weighted squares of what is left of each observation, shape (n_obs,)."""
+        return np.asarray(((left * self.weight) ** 2).sum(axis=1))
+
+    def moved(self, wheels: FloatArray) -> _Sought:
+        """Return wheels with the path that they make, and what they leave."""
+        path = predict(self.nominal.s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
+        return wheels, path, self.change - (path.reading - self.nominal.reading)[:, :4]
+
+    def sought(self, start: _Sought, basis: FloatArray | None, most: float, *, alike: bool = False) -> _Sought:
+        """Return the wheels of a basis, see `_correction`, by steps that promise to leave no more than a share."""
+        now, rounding = start, _ROUNDING * self.squares(self.change).sum()
+        for _ in range(_STEPS):
+            wheels, path, left = now
+            gap = in_end_frame(path, left)[:, :4] * self.weight
+            columns = path.calibration[:, :4, :3] * self.weight[:, :, None]
+            step = _correction(columns, gap, basis, alike=alike)
+            promised = ((gap - np.einsum("nck,nk->nc", columns, step)) ** 2).sum(axis=1)
+            square = self.squares(left)
+            if basis is not None:
+                square, promised = square.sum(keepdims=True), promised.sum(keepdims=True)
+            # little by little a noisy change adds up over the runs
+            gains = (square > promised) if self.noisy else (promised < most * square)
+            if square[gains].sum() <= rounding:
+                break
+            now = self.moved(wheels + step)
+        return now
 
 
 def _quantities(s: Observations) -> list[FloatArray]:
@@ -162,7 +184,7 @@ def _is_noise(square: float, count: int) -> bool:
     return bool(chdtrc(count, square) > _NOISE_TAIL)
 
 
-def _correction(columns: FloatArray, gap: FloatArray, basis: FloatArray | None) -> FloatArray:
+def _correction(columns: FloatArray, gap: FloatArray, basis: FloatArray | None, *, alike: bool) -> FloatArray:
     """Return the change (n_obs, 3) of left, right wheel and track that columns (n_obs, 4, 3) ask for of a gap.
 
     Of a few numbers for all runs, by a basis (n_obs, 3, k); without one both wheels of each run by itself.
@@ -170,8 +192,8 @@ def _correction(columns: FloatArray, gap: FloatArray, basis: FloatArray | None) 
     found = np.zeros((len(columns), 3))
     # of unit prior: what runs do not determine stays at zero
     if basis is None:
-        wheels = columns[:, :, :2]
-        normal = np.eye(2) + np.einsum("nck,ncl->nkl", wheels, wheels)
+        wheels = columns[:, :, :2].sum(axis=2, keepdims=True) if alike else columns[:, :, :2]
+        normal = np.eye(wheels.shape[2]) + np.einsum("nck,ncl->nkl", wheels, wheels)
         right = np.einsum("nck,nc->nk", wheels, gap)
         found[:, :2] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         return found

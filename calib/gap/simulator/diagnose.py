@@ -15,19 +15,13 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, carried_by_wheels
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
-from calib.gap.simulator.fix import (
-    Differences,
-    differences_of,
-    fixed,
-    iterated,
-    named_parameters,
-    without_parameter,
-)
+from calib.gap.simulator.differences import Differences, differences_of
+from calib.gap.simulator.fix import fixed, iterated, named_parameters, without_parameter
 from calib.gap.simulator.runner import RunCount, SimulatorRunner, run_cache
 from calib.gap.simulator.settings import SimulatorSettings
 from calib.types import FloatArray, Progress, silent
@@ -142,9 +136,11 @@ def _confirmed(
     found = iterated(diagnosis, runner, differences)
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
         typical = {each.name: each.parameter.typical for each in named.values()}
-        again = searched(differences.through(found.deviation, found.table, typical))
+        through = differences.through(found.deviation, found.table, typical)
+        again = searched(through)
         if named_parameters(again, runner).keys() == named.keys():
-            diagnosis = again
+            # beside other effects than before the parameters are of other sizes
+            diagnosis, found = again, iterated(again, runner, through, found)
     return fixed(diagnosis, runner, differences, found, rng)
 
 
@@ -161,7 +157,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
     variance = differences.scatter**2 / differences.repeats
-    return replace(
+    observations = replace(
         measured,
         simulated=np.where(usable, simulated, np.nan),
         usable=usable,
@@ -170,6 +166,24 @@ def simulated_observations(measured: Observations, differences: Differences, tab
         sigma_distance_m=np.sqrt(measured.sigma_distance_m**2 + variance[0]),
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
+    )
+    return _as_simulated(observations)
+
+
+def _as_simulated(observations: Observations) -> Observations:
+    """Return the observations with wheels that travel as the simulator's do, as far as its ends tell.
+
+    What bends a path is not linear: it is to be taken about the path that the simulator drives, not the model's.
+    """
+    nominal = predict(observations)
+    change = np.nan_to_num(observations.simulated - nominal.reading)[:, :4]
+    carried = carried_by_wheels(nominal, change, 1.0, np.zeros(4))
+    unit, model = observations.unit, observations.model
+    return replace(
+        observations,
+        roll_left_rad=observations.roll_left_rad * (1.0 + carried.left[unit]),
+        roll_right_rad=observations.roll_right_rad * (1.0 + carried.right[unit]),
+        model=replace(model, track_m=model.track_m * (1.0 + float(carried.track.mean()))),
     )
 
 
