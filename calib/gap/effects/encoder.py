@@ -86,17 +86,19 @@ class LostCounts(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return, for each wheel, a constant share and, where speeds differ, two shares that grow with speed."""
+        """Return, for each wheel, a constant share and, where speeds differ, three shares that grow with speed."""
         ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
         shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
         speed = driven_speed_mps(observations)
         if varies(speed, 0.02):
             growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
-            for v_0 in (float(speed.min()), float(np.median(speed))):
+            # from rest on, or above a frequency that the counter still follows
+            for v_0 in (0.0, float(speed.min()), float(np.median(speed))):
                 over = np.maximum(speed - v_0, 0.0)
                 if varies(over, 0.02):
-                    shapes.append((f"share growing above {v_0:.2f} m/s", over, growing, {"speed_mps": v_0}))
+                    above = f" above {v_0:.2f} m/s" if v_0 > 0.0 else " with speed"
+                    shapes.append((f"share growing{above}", over, growing, {"speed_mps": v_0}))
 
         def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:

@@ -78,7 +78,10 @@ class LoadDependentTrack(Effect):
 
 
 class SideSlip(Effect):
-    """A slip angle -K v^2 kappa: a step of ds moves -K v^2 kappa ds to the left, e_n ~ v^2 theta."""
+    """A slip angle -K v^2 kappa, as tyres have, or, as what slides does, -K v kappa: by the lateral acceleration too.
+
+    A step of ds moves -K v^2 kappa ds, or -K v kappa ds, to the left: e_n ~ v^2 theta or v theta.
+    """
 
     id = "side_slip"
     title = "side slip of the rear axle in fast turns"
@@ -88,16 +91,21 @@ class SideSlip(Effect):
     separates = "turns at two speeds, the lateral position measured"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where nothing turns, no speed is known or no position was measured."""
+        """Return two forms, of an angle and of a speed; none without turns, a known speed or measured positions."""
         if not shows_curves(observations) or not observations.speed_mps.any() or not observations.usable[:, POSE].any():
             return []
 
-        def perturbations(path: Path) -> list[Perturbation]:
-            # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-            return [Perturbation(lateral_m=-(path.s.speed_mps**2) * curvature_per_m(path.s) * path.s.path_m)]
+        def form(label: str, parameter: Parameter, power: int) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
+                way_m = curvature_per_m(path.s) * path.s.path_m
+                return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * way_m)]
 
-        parameter = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
-        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+            return Form(self.id, label, (parameter,), perturbations, tries=2, by_parts=True)
+
+        angle = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
+        sideways = Parameter("speed_per_acceleration", "s", typical=2e-3, largest=5e-2, sign=1)
+        return [form("slip angle", angle, 2), form("sideways speed", sideways, 1)]
 
 
 class CurveScrub(Effect):
@@ -249,7 +257,11 @@ class DriveSlip(Effect):
 
 
 class Understeer(Effect):
-    """Front tyres slip more than rear ones: curvature tan(delta) / (L (1 + K v^2)), so e_theta ~ -K v^2 theta."""
+    """Front tyres slip more than rear ones: curvature tan(delta) / (L (1 + K v^2)), so e_theta ~ -K v^2 theta.
+
+    A front wheel that counts rolls along delta at the slip angle K v^2 sin(delta) cos(delta) to the way it goes: its
+    turn of ds sin(delta) / L is less by K v^2 cos(delta)^2, its way of ds cos(delta) more by K v^2 sin(delta)^2.
+    """
 
     id = "understeer"
     title = "turns that widen with speed (understeer)"
@@ -260,13 +272,22 @@ class Understeer(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log, or where nothing turns at a known speed."""
-        over = front_turn_rad(observations) * observations.speed_mps**2
-        if not has_front(observations).any() or not (np.abs(observations.total(over)) > 1e-4).any():
+        logged = has_front(observations)
+        square = np.where(logged[observations.unit], observations.speed_mps**2, 0.0)
+        if not logged.any() or not (np.abs(observations.total(front_turn_rad(observations) * square)) > 1e-4).any():
             return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            # K v^2 times the turn that is driven, which the path has, is what the steering says too much: at any size
+            turn = square * path.steps.turn_rad
+            if observations.by_shaft:
+                return [excess(observations, np.zeros_like(turn), turn)]
+            ahead = -square * path.steps.ds_m * observations.steer_sin**2
+            return [excess(observations, ahead, turn * observations.steer_cos**2)]
+
         # a hundredth wider at 1 m/s; front wheels of 0.2 push straight on at 3 m/s
         parameter = Parameter("per_speed_squared", "s2/m2", typical=1e-2, largest=2e-1)
-        perturbations = [excess(observations, np.zeros_like(over), over)]
-        return [Form(self.id, "", (parameter,), lambda _: perturbations)]
+        return [Form(self.id, "", (parameter,), perturbations)]
 
 
 def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:

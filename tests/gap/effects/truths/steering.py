@@ -100,7 +100,10 @@ def _(run: Run, now: Motion) -> None:
     now.front = 3e-2 * acceleration * weight
 
 
-# the front wheel is turned further than the curve that is driven, by 5 % at 1 m/s
+# the front wheel is turned further than the curve that is driven, by 5 % at 1 m/s, and rolls at that angle to its way
 @case("understeer", "", 5e-2, runs=WINDING, within=2e-2)
 def _(run: Run, now: Motion) -> None:
+    way_rad = np.arctan(now.kappa)
     now.steer_rad = np.arctan((1.0 + 5e-2 * run.speed_mps**2) * now.kappa)
+    slip_rad = now.steer_rad - way_rad
+    now.front = np.cos(slip_rad) * np.cos(now.steer_rad) / np.cos(way_rad) - 1.0

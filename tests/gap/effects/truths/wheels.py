@@ -76,6 +76,12 @@ def _(run: Run, now: Motion) -> None:
     now.lateral_m = -5e-3 * acceleration * np.abs(now.v_mps) * now.dt_s
 
 
+@case("side_slip", "sideways speed", 5e-3, within=5e-2, runs=LOGGED)
+def _(run: Run, now: Motion) -> None:
+    # it slides at a speed in proportion to the lateral acceleration
+    now.lateral_m = -5e-3 * now.v_mps * now.turn_rad
+
+
 @case("rear_drag", "right wheel, rolling forward", 1e-3, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     now.right = np.where(now.ds_m > 0.0, 1e-3, 0.0)
