@@ -254,6 +254,15 @@ def fit(
     )
 
 
+def linear_rest(fitted: Fitted, noise: Noise) -> float:
+    """Return the squares that the linear fit about a hypothesis, from where it stands, would leave of the residual."""
+    columns = [recalibration_columns(fitted.path), *signature_columns(fitted.path, fitted.forms)]
+    whole = whitened_rows(fitted.path, noise, np.concatenate([*columns, fitted.left[:, :, None]], axis=2))
+    gram = whole.T @ whole
+    normal = gram[:-1, :-1] + np.diag(1e-11 * np.diag(gram)[:-1] + 1e-11)
+    return float(gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(normal, gram[:-1, -1]))
+
+
 def whitened_rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
     """Whiten columns (n_units, 6, k) and lay the usable rows end to end, shape (n_rows, k)."""
     masked = np.where(path.s.usable[:, :, None], columns, 0.0)

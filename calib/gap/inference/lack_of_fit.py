@@ -39,7 +39,7 @@ class BlockColumns:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The rows of the whitened system, ordered so that a condition's rows stand together.
+    """The rows of the whitened system, ordered so that a condition's rows stand together, those of one length too.
 
     Parameters
     ----------
@@ -68,6 +68,11 @@ class Blocks:
             numbers = np.flatnonzero(lengths == length)
             groups.append((numbers, self.starts[numbers][:, None] + np.arange(length)))
         return groups
+
+    def alike_rows(self, values: FloatArray, group: int) -> FloatArray:
+        """Return values (n_rows, k) of the blocks of one length, (n, length, k), without a copy of them."""
+        _, places = self.alike[group]
+        return values[places[0, 0] : places[-1, -1] + 1].reshape(*places.shape, values.shape[1])
 
     def stacked(self, parts: Sequence[FloatArray]) -> list[BlockColumns]:
         """Put columns that each block has of its own, (n_rows of the block, q), end to end where they are of one shape.
@@ -113,13 +118,13 @@ class LackOfFit:
 
 
 def row_blocks(s: Observations) -> Blocks:
-    """Return the rows of a campaign by condition."""
+    """Return the rows of a campaign by condition, conditions of as many rows side by side."""
     usable = s.usable
     unit = np.repeat(np.arange(len(s))[:, None], usable.shape[1], axis=1)[usable]
     channel = np.repeat(np.arange(usable.shape[1])[None, :], len(s), axis=0)[usable]
-    condition = s.condition[unit]
-    order = np.argsort(condition, kind="stable")
-    _, first = np.unique(condition[order], return_index=True)
+    _, condition, count = np.unique(s.condition[unit], return_inverse=True, return_counts=True)
+    order = np.lexsort((condition, count[condition]))
+    first = np.flatnonzero(np.diff(condition[order], prepend=-1))
     return Blocks(order, np.append(first, len(order)), unit[order], channel[order])
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -23,65 +23,25 @@ from calib.gap.inference.fit import (
 )
 from calib.gap.inference.lack_of_fit import (
     LACK_OF_FIT_SCALES,
-    BlockColumns,
     Blocks,
     LackOfFit,
     lack_of_fit_components,
     row_blocks,
 )
 from calib.gap.inference.noise import Noise
+from calib.gap.inference.scalar_products import (
+    Components,
+    Layout,
+    Reduced,
+    Sums,
+    above_rounding,
+    scalar_products,
+)
 from calib.gap.predict import Path, residuals
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import FloatArray, IntArray
 
-#: of a sum of products over some thousand rows in double precision, relative to its largest part
-_ROUNDING: Final = 1e-13
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sums:
-    """Scalar products of columns and of the gap, one set for each scale of the lack of fit; nuisances taken out.
-
-    Parameters
-    ----------
-    gram : array of float, shape (n_scales, p, p)
-        Of the columns.
-    right : array of float, shape (n_scales, p)
-        Of the columns with the gap.
-    square : array of float, shape (n_scales,)
-        Of the gap with itself.
-    log_det : array of float, shape (n_scales,)
-        Of the covariance, nuisances included.
-    log_prior : array of float, shape (n_scales,)
-        Of the scale; the first is no lack of fit at all.
-    kind : array of int, shape (n_scales,)
-        Number of the lack-of-fit component among the system's; -1 where there is none.
-    scale : array of float, shape (n_scales,)
-        Standard deviation of the lack of fit, in noise levels of one run.
-    n_rows : int
-        Length of the gap.
-    """
-
-    gram: FloatArray
-    right: FloatArray
-    square: FloatArray
-    log_det: FloatArray
-    log_prior: FloatArray
-    kind: IntArray
-    scale: FloatArray
-    n_rows: int
-
-    def pick(self, scales: BoolArray | slice) -> Sums:
-        """Return some scales only."""
-        return Sums(
-            self.gram[scales],
-            self.right[scales],
-            self.square[scales],
-            self.log_det[scales],
-            self.log_prior[scales],
-            self.kind[scales],
-            self.scale[scales],
-            self.n_rows,
-        )
+#: columns of a recalibration
+N_CALIBRATION: Final = 4
 
 
 class LinearSystem:
@@ -105,52 +65,85 @@ class LinearSystem:
         self.forms = tuple(forms)
         self.blocks: Blocks = row_blocks(path.s)
         order = self.blocks.order
-        self.calibration = whitened_rows(path, noise, recalibration_columns(path))[order]
-        self.cuts = np.cumsum([0, *(len(form.parameters) for form in self.forms)])
-        self.columns = np.empty((len(order), int(self.cuts[-1])))
+        self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
+        self._stacks = [self.blocks.stacked(kind.by_block) if kind.by_block is not None else [] for kind in self.kinds]
+        self.layout = Layout.of(self.forms)
+        self.whole = np.empty((len(order), self._width))
+        self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]
         for number, column in enumerate(signature_columns(path, self.forms)):
-            self.columns[:, self.cuts[number] : self.cuts[number + 1]] = whitened_rows(path, noise, column)[order]
+            self.of(number)[:] = whitened_rows(path, noise, column)[order]
         gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
         self.left = gap
         gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)
         for form, theta in zip(fitted.forms, fitted.theta, strict=True):
             number = next(k for k, offered in enumerate(self.forms) if offered is form)
             gap = gap + self.of(number) @ (theta / form.typical)
-        self.gap = gap
-        self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
-        self._stacks = [self.blocks.stacked(kind.by_block) if kind.by_block is not None else [] for kind in self.kinds]
+        self.gap = self.whole[:, self._n_narrow] = gap
+        for number, where in self._common.items():
+            self.whole[:, where] = self.kinds[number].common
+
+    @property
+    def calibration(self) -> FloatArray:
+        """The recalibration, each to unit prior variance, shape (n_rows, 4)."""
+        return self.whole[:, :N_CALIBRATION]
+
+    @property
+    def _n_narrow(self) -> int:
+        """Columns of the recalibration and of all forms but a wide one."""
+        return N_CALIBRATION + int(self.layout.counts.sum()) - self.layout.n_wide
+
+    @property
+    def _width(self) -> int:
+        return max([self._n_narrow + 1 + self.layout.n_wide, *(int(where.stop) for where in self._common.values())])
+
+    @property
+    def _common(self) -> dict[int, slice]:
+        """Where the columns of a lack of fit common to all blocks stand, by its number."""
+        return common_places(self.kinds, self._n_narrow + 1 + self.layout.n_wide)
+
+    @cached_property
+    def _gram(self) -> FloatArray:
+        return above_rounding(self.whole.T @ self.whole)
 
     def only(self, numbers: Sequence[int]) -> LinearSystem:
         """Return the system with some of its forms, in the order given."""
-        selected = copy(self)
+        selected, gram = copy(self), self._gram
         selected.forms = tuple(self.forms[k] for k in numbers)
-        parts = [self.of(k) for k in numbers]
-        selected.cuts = np.cumsum([0, *(part.shape[1] for part in parts)])
-        selected.columns = np.concatenate(parts, axis=1) if parts else np.zeros((len(self.gap), 0))
+        selected.layout = Layout.of(selected.forms)
+        index = np.empty(selected._width, dtype=np.int64)
+        index[:N_CALIBRATION] = np.arange(N_CALIBRATION)
+        for number, own in enumerate(numbers):
+            index[selected._place(number)] = np.arange(self.whole.shape[1])[self._place(own)]
+        index[selected._n_narrow] = self._n_narrow
+        for number, where in selected._common.items():
+            index[where] = np.arange(self._common[number].start, self._common[number].stop)
+        selected.whole = self.whole[:, index]
+        vars(selected)["_gram"] = gram[index[:, None], index]
         return selected
+
+    def _place(self, number: int) -> slice:
+        """Return where the columns of a form stand; those of a wide one behind the gap."""
+        first = N_CALIBRATION + int(self.layout.starts[number]) + (number == self.layout.wide)
+        return slice(first, first + int(self.layout.counts[number]))
 
     def of(self, number: int) -> FloatArray:
         """Return the columns of a form, shape (n_rows, n_parameters)."""
-        return self.columns[:, self.cuts[number] : self.cuts[number + 1]]
+        return self.whole[:, self._place(number)]
 
     def sums(
         self,
-        columns: FloatArray,
-        nuisance: FloatArray,
         deviations: FloatArray,
         *,
         prior_rest: float,
         scales: Sequence[float] = LACK_OF_FIT_SCALES,
         interactions: bool = True,
     ) -> Sums:
-        """Return scalar products of columns and gap under each scale of the lack of fit.
+        """Return scalar products of the forms' columns and the gap under each scale of the lack of fit.
+
+        The recalibration is free beside each of them.
 
         Parameters
         ----------
-        columns : array of float, shape (n_rows, p)
-            Whitened columns of hypotheses.
-        nuisance : array of float, shape (n_rows, m)
-            Columns that are free beside each of them, scaled to unit prior variance.
         deviations : array of float, shape (n_rows, k)
             What each condition may have of its own, scaled to unit prior variance: an effect's deviation from its form.
         prior_rest : float
@@ -161,97 +154,31 @@ class LinearSystem:
             Weigh interactions of the surroundings too.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
-        common = [kind.common for _, kind in kinds if kind.common is not None]
-        whole = np.concatenate([nuisance, columns, self.gap[:, None], *common], axis=1)
-        reduced = _Reduced(whole, deviations, self.blocks)
-        m, p = nuisance.shape[1], columns.shape[1] + 1
-        core = m + p
-        log_dets, weights, labels = [reduced.log_det], [0.0], [(-1, 0.0)]
-        gram = np.empty((1 + len(kinds) * len(scales), core, core))
-        gram[0] = reduced.gram[:core, :core]
-        share = np.log(prior_rest / max(len(kinds) * len(scales), 1))
-        place = core
-        for number, kind in kinds:
-            if kind.by_block is not None:
-                eigen, turned = reduced.of_blocks(self._stacks[number], core)
-            else:
-                assert kind.common is not None
-                where = slice(place, place + kind.common.shape[1])
-                place = where.stop
-                eigen, vectors = np.linalg.eigh(reduced.gram[where, where])
-                turned = vectors.T @ reduced.gram[where, :core]
-            eigen = np.maximum(eigen, 0.0)
-            for scale in scales:
-                # a product of one matrix with itself is symmetric, and takes half the time
-                shrunk = turned * (scale / np.sqrt(1.0 + scale**2 * eigen))[:, None]
-                np.subtract(gram[0], shrunk.T @ shrunk, out=gram[len(labels)])
-                log_dets.append(reduced.log_det + float(np.log1p(scale**2 * eigen).sum()))
-                weights.append(float(share))
-                labels.append((number, scale))
-        log_det = np.array(log_dets)
-        # the nuisances' own scale is one: (I + N^T N) on a unit diagonal
-        inner = gram[:, :m, :m] + np.eye(m)
-        root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
-        lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + 1e-11 * np.eye(m))
-        cross = np.linalg.solve(lower, gram[:, :m, m:] / root[:, :, None])
-        log_det = log_det + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1)
-        left = gram[:, m:, m:]
-        for of_scale, taken in zip(left, cross, strict=True):
-            of_scale -= taken.T @ taken
-        return Sums(
-            gram=left[:, :-1, :-1],
-            right=left[:, :-1, -1],
-            square=left[:, -1, -1],
-            log_det=log_det,
-            log_prior=np.array(weights),
-            kind=np.array([number for number, _ in labels]),
-            scale=np.array([scale for _, scale in labels]),
-            n_rows=len(self.gap),
-        )
+        reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
+        sizes = N_CALIBRATION, self._n_narrow - N_CALIBRATION, self.layout.n_wide
+        components = Components(kinds, self._stacks, self._common)
+        return scalar_products(reduced, components, sizes, scales, prior_rest, len(self.gap))
+
+    def sums_of(self, columns: FloatArray, nuisance: FloatArray, deviations: FloatArray, *, prior_rest: float) -> Sums:
+        """Return those of other columns (n_rows, p), with nuisances (n_rows, m) to unit prior variance beside them."""
+        m, p = nuisance.shape[1], columns.shape[1]
+        first = self._n_narrow + 1 + self.layout.n_wide
+        whole = np.concatenate([nuisance, columns, self.gap[:, None], self.whole[:, first:]], axis=1)
+        own = whole[:, : m + p + 1].T @ whole
+        gram = np.block([[own], [own[:, m + p + 1 :].T, self._gram[first:, first:]]])
+        reduced = Reduced(whole, above_rounding(gram), deviations, self.blocks)
+        components = Components(list(enumerate(self.kinds)), self._stacks, common_places(self.kinds, m + p + 1))
+        return scalar_products(reduced, components, (m, p, 0), LACK_OF_FIT_SCALES, prior_rest, len(self.gap))
 
 
-class _Reduced:
-    """Scalar products with what each block may have of its own taken out."""
-
-    def __init__(self, whole: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
-        self.gram = _above_rounding(whole.T @ whole)
-        self.log_det = 0.0
-        #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
-        self.wholes = [whole[places] for _, places in blocks.alike]
-        self.factors: list[FloatArray] = []
-        if deviations.shape[1]:
-            for (_, places), of_blocks in zip(blocks.alike, self.wholes, strict=True):
-                own = deviations[places]
-                turned = own.transpose(0, 2, 1)
-                lower = np.linalg.cholesky(np.eye(own.shape[2]) + _above_rounding(turned @ own))
-                self.log_det += 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
-                factor = np.linalg.solve(lower, turned)
-                self.factors.append(factor)
-                taken = (factor @ of_blocks).reshape(-1, whole.shape[1])
-                self.gram = self.gram - taken.T @ taken
-
-    def of_blocks(self, stacks: Sequence[BlockColumns], core: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, core) with the columns."""
-        eigens, turned = [np.zeros(0)], [np.zeros((0, core))]
-        for stack in stacks:
-            whole, part = self.wholes[stack.group][stack.same][:, :, :core], stack.part
-            across = part.transpose(0, 2, 1)
-            own, cross = across @ part, across @ whole
-            if self.factors:
-                factor = self.factors[stack.group][stack.same]
-                with_part = factor @ part
-                own = own - with_part.transpose(0, 2, 1) @ with_part
-                cross = cross - with_part.transpose(0, 2, 1) @ (factor @ whole)
-            eigen, vectors = np.linalg.eigh(own)
-            keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
-            eigens.append(eigen[keep])
-            turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
-        return np.concatenate(eigens), np.concatenate(turned)
-
-
-def _above_rounding(gram: FloatArray) -> FloatArray:
-    """Return scalar products (..., k, k) with squares a little larger: the residual of any is not below zero then."""
-    return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
+def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
+    """Return where columns common to all blocks stand, one lack of fit after the other from `first` on, by number."""
+    places = {}
+    for number, kind in enumerate(kinds):
+        if kind.common is not None:
+            places[number] = slice(first, first + kind.common.shape[1])
+            first = places[number].stop
+    return places
 
 
 class WhitenedSystem:

@@ -12,9 +12,11 @@ import numpy as np
 
 from calib.gap.effects.effect import Form
 from calib.gap.inference.fit import Fitted
+from calib.gap.inference.form_priors import FormPriors
 from calib.gap.inference.least_squares import Weighting, controlled_step
-from calib.gap.inference.linear_model import LinearSystem, Sums
-from calib.gap.inference.marginal_likelihood import FormPriors, log_weights, model_sizes
+from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
+from calib.gap.inference.scalar_products import Sums
 from calib.types import FloatArray
 
 #: forms of an effect that are kept beside the best
@@ -87,14 +89,7 @@ class LocalSearch:
         """Return the current forms, then of each effect the best few beside them."""
         columns = FormPriors.from_forms(whole.forms, self.settings.further)
         deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
-        sums = whole.sums(
-            whole.columns,
-            whole.calibration,
-            deviations,
-            prior_rest=self.settings.prior_rest,
-            scales=_RANKING_SCALES,
-            interactions=False,
-        )
+        sums = whole.sums(deviations, prior_rest=self.settings.prior_rest, scales=_RANKING_SCALES, interactions=False)
         models = []
         for number, form in enumerate(whole.forms):
             others = tuple(k for k in held if whole.forms[k].effect != form.effect)
@@ -116,12 +111,8 @@ class LocalSearch:
     def _sums_beside(self) -> Sums:
         """Return the sums beside the current hypothesis and what its effects may deviate by."""
         current_sizes = {k: self.sizes[k] for k in self.current}
-        return self.system.sums(
-            self.system.columns,
-            self.system.calibration,
-            self._deviations(self.system, current_sizes),
-            prior_rest=self.settings.prior_rest,
-        )
+        deviations = self._deviations(self.system, current_sizes)
+        return self.system.sums(deviations, prior_rest=self.settings.prior_rest)
 
     def forms_of(self, model: Model) -> tuple[Form, ...]:
         """Return the forms of a model."""
@@ -154,7 +145,7 @@ class LocalSearch:
         weightings = []
         for share in _DEVIATION_SHARES if self.current else (1.0,):
             deviations = share * full_deviations
-            sums = own.sums(own.columns, own.calibration, deviations, prior_rest=self.settings.prior_rest)
+            sums = own.sums(deviations, prior_rest=self.settings.prior_rest)
             weight = log_weights(sums, priors, [model])[:, 0]
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))

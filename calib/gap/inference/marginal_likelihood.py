@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, log
 from typing import Final
 
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.linear_model import Sums
-from calib.types import FloatArray, IntArray
+from calib.gap.inference.form_priors import FormPriors
+from calib.gap.inference.scalar_products import Sums
+from calib.types import BoolArray, FloatArray, IntArray
 
 #: degrees of freedom by which the noise level as a whole is known before the gap is looked at; the remainder of what is
 #: known of it comes from the same runs
 FLOOR_DOF: Final = 20.0
-#: what choosing the prior's scale by the fitted size costs, in log-evidence units
-SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
 #: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
 _BATCH_ENTRIES: Final = 2**19
-#: hypotheses of more columns are weighed one by one: half the products save more than a call a matrix costs
-_WIDE: Final = 80
 #: classes of width, in columns
-_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, _WIDE)
+_WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
+#: smallest prior scale of a column, in typical sizes, and ridge beside which sizes are fitted to choose it
+_LEAST_SCALE: Final = 0.1
+_RIDGE: Final = 1e-2
+#: a scale of the lack of fit less probable than this adds nothing to an average
+_NO_WEIGHT: Final = 1e-15
+#: a hypothesis of a wide form is not weighed where it cannot come within this log-evidence window of the best
+_NEGLIGIBLE: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,150 +123,144 @@ def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
     return matrix
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FormPriors:
-    """What the weighing has to know of each form and column.
-
-    Parameters
-    ----------
-    forms : tuple of Form
-        Forms on offer.
-    cuts : array of int, shape (n_forms + 1,)
-        Columns of form f stand at ``cuts[f]:cuts[f + 1]``.
-    most : array of float, shape (p,)
-        Largest prior scale of each column, in typical sizes.
-    sign : array of int, shape (p,)
-        1 or -1 where only sizes of that sign have a meaning, else 0.
-    log_prior : array of float, shape (n_forms,)
-        Of each form of its effect, the search over forms and scales paid for.
-    by_count : array of float, shape (n_effects + 1,)
-        Log prior of a set of so many effects.
-    """
-
-    forms: tuple[Form, ...]
-    cuts: IntArray
-    most: FloatArray
-    sign: IntArray
-    log_prior: FloatArray
-    by_count: FloatArray
-
-    @staticmethod
-    def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
-        """Make it of forms and the prior odds of one effect more at work.
-
-        Every number of effects is less likely than one fewer by the same odds, and of so many effects every set is as
-        likely: the more the library offers, the less speaks for any one, and what else is at work speaks for neither.
-        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
-        """
-        n_effects = len({form.effect for form in forms})
-        sizes = [len(form.parameters) for form in forms]
-        most = [max([3.0, *(p.largest / p.typical for p in form.parameters)]) for form in forms]
-        sign = [p.sign for form in forms for p in form.parameters]
-        # half of the prior lies on the sign that a parameter cannot have
-        log_prior = [
-            -np.log(form.tries) - SCALE_CHOICE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
-            for form in forms
-        ]
-        return FormPriors(
-            tuple(forms),
-            np.cumsum([0, *sizes]),
-            np.repeat(most, sizes) if forms else np.zeros(0),
-            np.array(sign, dtype=np.int64),
-            np.array(log_prior),
-            np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
-        )
-
-    def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-        """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
-        width = max((int(sum(self.cuts[f + 1] - self.cuts[f] for f in model)) for model in models), default=0)
-        columns = np.full((len(models), width), -1)
-        owner = np.full((len(models), width), -1)
-        for row, model in enumerate(models):
-            at = 0
-            for form in model:
-                count = int(self.cuts[form + 1] - self.cuts[form])
-                columns[row, at : at + count] = np.arange(self.cuts[form], self.cuts[form + 1])
-                owner[row, at : at + count] = form
-                at += count
-        return columns, owner
-
-
 def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
-    """Return log evidence plus log prior of each model at each scale of the lack of fit, shape (n_scales, n_models)."""
+    """Return log evidence plus log prior of each model at each scale of the lack of fit, shape (n_scales, n_models).
+
+    Minus infinity for a model of a wide form at a scale where it cannot come near the best of all.
+    """
     value = np.full((len(sums.square), len(models)), -np.inf)
-    widths = np.array([int(sum(columns.cuts[f + 1] - columns.cuts[f] for f in model)) for model in models])
+    wide = np.array([columns.layout.wide in model for model in models], dtype=bool)
+    widths = np.array([int(columns.layout.counts[list(model)].sum()) for model in models])
     # models of like width together: padding a narrow one to the widest would cost the cube of it
-    group = np.searchsorted(_WIDTH_CLASSES, widths)
-    for number in np.unique(group):
+    group = np.where(wide, -1, np.searchsorted(_WIDTH_CLASSES, widths))
+    for number in np.unique(group[~wide]):
         places = np.flatnonzero(group == number)
         entries = max(int(widths[places].max()), 1) ** 2
         size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
         n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
-        if number == len(_WIDTH_CLASSES):
-            # an effect of every session has hundreds of columns
-            for place in places.tolist():
-                value[:, place] = [_wide(sums.pick(slice(n, n + 1)), columns, models[place]) for n in range(len(value))]
-            continue
         for first in range(0, len(places), size):
             some = places[first : first + size]
             for low in range(0, len(value), n_scales):
                 scales = slice(low, low + n_scales)
                 value[scales, some] = _batch(sums.pick(scales), columns, [models[k] for k in some])
+    if wide.any():
+        with_wide = [model for model, is_wide in zip(models, wide, strict=True) if is_wide]
+        value[:, wide] = _beside_wide(sums, columns, with_wide, float(value[:, ~wide].max(initial=-np.inf)))
     return value
-
-
-def _wide(sums: Sums, columns: FormPriors, model: tuple[int, ...]) -> float:
-    """Return what `_batch` does of a model of many columns at one scale, in place, each triangle factored once."""
-    from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
-    from scipy.special import log_ndtr
-
-    (index,), _ = columns.index([model])
-    gram, right = sums.gram[0][index[:, None], index], sums.right[0][index][:, None]
-    diagonal = np.diag(gram).copy()
-    # a little added, so that columns exactly alike do no harm
-    np.fill_diagonal(gram, (diagonal + 1e-2) * (1.0 + 1e-10))
-    # a symmetric matrix is its own transpose, which stands as LAPACK has it
-    _, sizes, failed = dposv(gram.T, right, lower=1, overwrite_a=1)
-    count = [int(columns.cuts[form + 1] - columns.cuts[form]) for form in model]
-    mean_square = np.add.reduceat(sizes[:, 0] ** 2, np.cumsum([0, *count[:-1]])) / count
-    variance = np.clip(np.sqrt(np.repeat(mean_square, count)), 0.1, columns.most[index]) ** 2
-    np.fill_diagonal(gram, (diagonal + 1.0 / variance) * (1.0 + 1e-11))
-    upper, failed_too = dpotrf(gram.T, lower=0, clean=0, overwrite_a=1)
-    if failed or failed_too:
-        return float(_batch(sums, columns, [model])[0, 0])
-    signed = np.flatnonzero(columns.sign[index])
-    half = dtrtrs(upper, np.concatenate([right, np.eye(len(index))[:, signed]], axis=1), lower=0, trans=1)[0]
-    square = np.maximum(sums.square - half[:, 0] @ half[:, 0], 1e-9)
-    log_det = sums.log_det + 2 * np.log(np.diag(upper)).sum() + np.log(variance).sum()
-    away = half[:, 1:].T @ half[:, 0] / np.sqrt((half[:, 1:] ** 2).sum(axis=0))
-    held = log_ndtr(columns.sign[index][signed] * away).sum()
-    prior = sums.log_prior[0] + columns.log_prior[list(model)].sum() + columns.by_count[len(model)]
-    return float(prior + log_marginal(square, log_det, sums.n_rows)[0] + held)
 
 
 def _batch(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
     index, owner = columns.index(models)
-    prior = np.array([columns.log_prior[list(model)].sum() + columns.by_count[len(model)] for model in models])
-    base = sums.log_prior[:, None] + prior[None, :]
+    base = sums.log_prior[:, None] + columns.priors(models)[None, :]
     if index.shape[1] == 0:
         empty: FloatArray = base + log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
         return empty
     there = index >= 0
-    gram, right = sums.gram[:, index[:, :, None], index[:, None, :]], sums.right[:, index]
+    gram, right = _padded(sums.gram[:, index[:, :, None], index[:, None, :]], sums.right[:, index], there)
+    variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns.most[index])
+    sign, square, log_det = np.where(there, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
+    value = _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
+    return np.asarray(base + value)
+
+
+def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return products (..., n_models, k, k) and (..., n_models, k) in which what is not there stands alone."""
     if not there.all():
-        gram *= there[:, :, None] & there[:, None, :]
-        gram += np.eye(index.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
-        right *= there
-    sizes = ridge_solve(gram, right, 1e-2)
-    variance = np.where(there, prior_scale(sizes, owner, columns.most[index]) ** 2, 1e-12)
-    sign = np.where(there, columns.sign[index], 0)
+        gram = gram * (there[:, :, None] & there[:, None, :])
+        gram += np.eye(there.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
+        right = right * there
+    return gram, right
+
+
+def _variance(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
+    """Return the prior variance of each column; next to nothing where there is none."""
+    return np.where(owner >= 0, prior_scale(sizes, owner, most) ** 2, 1e-12)
+
+
+def _log_evidence(
+    gram: FloatArray,
+    right: FloatArray,
+    variance: FloatArray,
+    sign: IntArray,
+    square: FloatArray,
+    log_det: FloatArray,
+    n_rows: int,
+) -> FloatArray:
+    """Return the log evidence of models, (n_scales, n_models), from square and log-determinant without them."""
     bayes, gain = log_evidence_parts(gram, right, variance)
-    square = np.maximum(sums.square[:, None] - gain, 1e-9)
-    value = log_marginal(square, sums.log_det[:, None] + bayes, sums.n_rows)
+    value = log_marginal(np.maximum(square - gain, 1e-9), log_det + bayes, n_rows)
     signed = sign.any(axis=1)
     if signed.any():
         value[:, signed] += log_sign_probability(gram[:, signed], right[:, signed], variance[:, signed], sign[signed])
-    return np.asarray(base + value)
+    return value
+
+
+def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...]], best: float) -> FloatArray:
+    """Return what `_batch` does of models that hold the wide form, shape (n_scales, n_models).
+
+    Where even the largest sizes of all their columns together leave too much of the gap, they are not weighed; beside
+    a larger lack of fit of the same kind less is left.
+    """
+    value, wide = np.full((len(sums.square), len(models)), -np.inf), priors.layout.wide
+    index, owner = priors.index([tuple(form for form in model if form != wide) for model in models])
+    prior, columns = priors.priors(models), np.unique(index[index >= 0])
+    left: dict[int, float] = {}
+    assert sums.wide is not None
+    # no lack of fit first, then each kind from its largest scale
+    for n in np.lexsort((-sums.scale, sums.kind)).tolist():
+        kind, top = int(sums.kind[n]), float(sums.log_prior[n] + prior.max()) + _NEGLIGIBLE
+        if kind in left and top + log_marginal(left[kind], sums.log_det[n], sums.n_rows) < best:
+            continue
+        own = sums.wide.at(n)[0]
+        left[kind] = _least_left(sums, n, columns, 1.0 / float(priors.most.max()) ** 2)
+        log_det = sums.log_det[n] + np.linalg.slogdet(np.eye(len(own)) + _LEAST_SCALE**2 * own)[1]
+        if top + log_marginal(left[kind], log_det, sums.n_rows) < best:
+            continue
+        value[n] = sums.log_prior[n] + prior + _wide_at(sums, n, priors, index, owner)
+        best = max(best, float(value[n].max()))
+    return value
+
+
+def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
+    """Return the square that a wide form leaves at a scale beside narrow columns (k,), all with a ridge on them."""
+    assert sums.wide is not None
+    own, across = sums.wide.at(n)
+    half = np.linalg.solve(np.linalg.cholesky(own + ridge * np.eye(len(own))), across[:, [*columns, -1]])
+    products = half.T @ half
+    gram = sums.gram[n][columns[:, None], columns] - products[:-1, :-1]
+    right = sums.right[n][columns] - products[:-1, -1]
+    return float(max(sums.square[n] - products[-1, -1] - right @ ridge_solve(gram, right, ridge), 1e-9))
+
+
+def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
+    """Return the log evidence of the wide form beside narrow columns (n_models, k) at a scale, shape (n_models,).
+
+    In the axes of its columns' products, each prior scale takes a division a column.
+    """
+    assert sums.wide is not None
+    own, across = sums.wide.at(n)
+    eigen, axes = np.linalg.eigh(own)
+    eigen, turned, there = np.maximum(eigen, 0.0), axes.T @ across, index >= 0
+    gram, right = sums.gram[n][index[:, :, None], index[:, None, :]], sums.right[n][index]
+    beside, gap = turned[:, index].transpose(1, 0, 2), turned[:, -1]
+
+    def reduced(share: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Take a share (n_models, w) of each axis out of the products."""
+        less = beside.transpose(0, 2, 1) * share[:, None, :]
+        return _padded(gram - less @ beside, right - less @ gap, there)
+
+    share = np.broadcast_to(1.0 / (eigen + _RIDGE), (len(index), len(eigen)))
+    sizes = ridge_solve(*reduced(share), _RIDGE)
+    own_sizes = share * (gap - (beside @ (sizes * there)[:, :, None])[:, :, 0])
+    most = float(priors.most[priors.layout.starts[priors.layout.wide]])
+    scale = np.clip(np.sqrt((own_sizes**2).mean(axis=1)), _LEAST_SCALE, most)[:, None]
+    share = 1.0 / (eigen + scale**-2)
+    square = sums.square[n] - share @ gap**2
+    log_det = sums.log_det[n] + np.log1p(scale**2 * eigen).sum(axis=1)
+    variance, sign = _variance(sizes, owner, priors.most[index]), np.where(there, priors.sign[index], 0)
+    gram, right = reduced(share)
+    value = _log_evidence(gram[None], right[None], variance[None], sign, square, log_det, sums.n_rows)
+    return np.asarray(value[0])
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
@@ -271,7 +268,7 @@ def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatAr
     alike = (owner[:, :, None] == owner[:, None, :]).astype(np.float64)
     alike /= alike.sum(axis=2, keepdims=True)
     mean_square = np.einsum("mab,...mb->...ma", alike, sizes**2)
-    return np.asarray(np.clip(np.sqrt(mean_square), 0.1, most))
+    return np.asarray(np.clip(np.sqrt(mean_square), _LEAST_SCALE, most))
 
 
 def effect_scale(sizes: FloatArray, form: Form) -> float:
@@ -338,8 +335,8 @@ def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight:
     """
     if not model:
         return np.zeros(0)
-    index, _ = columns.index([model])
-    place = index[0]
-    gram = sums.gram[:, place[:, None], place[None, :]]
-    sizes: FloatArray = np.einsum("s,sk->k", weight, ridge_solve(gram, sums.right[:, place], 1e-2))
+    (place,), _ = columns.index([model])
+    sizes = np.zeros(len(place))
+    for n in np.flatnonzero(weight > _NO_WEIGHT):
+        sizes += weight[n] * ridge_solve(*sums.of_columns(int(n), place), _RIDGE)
     return sizes

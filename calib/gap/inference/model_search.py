@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Form
-from calib.gap.inference.fit import Fitted, fit
+from calib.gap.inference.fit import Fitted, fit, linear_rest
 from calib.gap.inference.least_squares import prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
@@ -43,6 +43,8 @@ _TRIAL_STEPS: Final = 4
 #: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
+#: and those of which even the linear fit leaves so many times what the best one has left after its last step
+_OUTDONE: Final = 2.0
 #: no further step where the squares are within this share of what was promised: the gap is linear in the effect
 _SETTLED_SHARE: Final = 0.02
 #: an effect that leaves more than this share of the squares is not what makes them so many
@@ -180,11 +182,13 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
                 for one, (_, promised) in zip(first, tried, strict=True)
             ]
             least = min((trial.chi_square for trial in second), default=0.0)
-            trials = [
-                two if _settled(two.chi_square, one.chi_square) else further(two, _TRIAL_STEPS - _FIRST_STEPS)
-                for one, two in zip(first, second, strict=True)
-                if two.chi_square <= _HOPELESS * least
-            ]
+            trials: list[Fitted] = []
+            # the best one first: what even the linear fit leaves far behind it is not followed
+            for one, two in sorted(zip(first, second, strict=True), key=lambda pair: pair[1].chi_square):
+                if two.chi_square <= _HOPELESS * least:
+                    outdone = bool(trials) and linear_rest(two, noise) > _OUTDONE * trials[0].chi_square
+                    settled = outdone or _settled(two.chi_square, one.chi_square)
+                    trials.append(two if settled else further(two, _TRIAL_STEPS - _FIRST_STEPS))
         trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
         if not trials:
             break

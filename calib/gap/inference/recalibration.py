@@ -11,10 +11,11 @@ import numpy as np
 
 from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted
+from calib.gap.inference.form_priors import SCALE_CHOICE_COST
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
-from calib.gap.inference.marginal_likelihood import SCALE_CHOICE_COST, effect_scale, log_evidence_parts, log_marginal
+from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path
 from calib.types import FloatArray
@@ -159,7 +160,7 @@ def weigh_subsets(
     columns = np.concatenate(
         [(system.calibration / CALIBRATION_SD) @ ways.T * typical, system.calibration[:, :3]], axis=1
     )
-    sums = system.sums(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
+    sums = system.sums_of(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
 
     def weight(picked: Sequence[int], scale: float) -> float:
         gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]

@@ -12,19 +12,19 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, multivariate_t, norm
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference import marginal_likelihood
 from calib.gap.inference.fit import whitened_rows
-from calib.gap.inference.linear_model import Sums
+from calib.gap.inference.form_priors import FormPriors
 from calib.gap.inference.marginal_likelihood import (
     FLOOR_DOF,
-    FormPriors,
     Nuisance,
     log_evidence_parts,
     log_marginal,
     log_sign_probability,
     log_weights,
+    model_sizes,
     project,
 )
+from calib.gap.inference.scalar_products import Layout, Sums, WideSums
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import rich_runs, situation
@@ -183,29 +183,67 @@ def test_sizes_of_either_sign_pay_nothing() -> None:
     assert log_sign_probability(gram, right, np.ones(2), np.zeros(2, dtype=np.int64)) == pytest.approx(0.0, abs=0.0)
 
 
-def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One by one with a triangle each, or side by side: with signs, two columns exactly alike, and several forms."""
+def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few() -> None:
+    """In the axes of the wide form, or in one matrix: with signs, two columns exactly alike, and several forms.
+
+    What is not weighed is far below the best.
+    """
     rng = np.random.default_rng(4)
-    rows, sizes = rng.normal(0, 1, (3, 300, 104)), [100, 1, 3]
-    rows[:, :, 7] = rows[:, :, 8]
-    gap = 0.3 * rows[:, :, :90].sum(axis=2) + rng.normal(0, 1, (3, 300))
-    sums = Sums(
-        gram=rows.transpose(0, 2, 1) @ rows,
-        right=np.einsum("srk,sr->sk", rows, gap),
-        square=np.einsum("sr,sr->s", gap, gap),
-        log_det=np.array([0.0, 3.0, 5.0]),
-        log_prior=np.array([0.0, -1.0, -1.0]),
-        kind=np.array([-1, 0, 0]),
-        scale=np.array([0.0, 1.0, 3.0]),
-        n_rows=300,
+    counts = np.array([1, 100, 3])
+    apart, together = Layout.arranged(counts, 1), Layout.arranged(counts, -1)
+    rows = rng.normal(0, 1, (4, 300, 104))
+    # in the order in which they stand where the wide one is last
+    rows[:, :, 11] = rows[:, :, 12]
+    gap = 0.3 * rows[:, :, 4:94].sum(axis=2) + rng.normal(0, 1, (4, 300)) + 3.0 * rows[:, :, 0]
+    # a scale far off, beside which nothing is left to explain, and the covariance is as large as that takes
+    gap[3] *= 1e-2
+    gram, right = rows.transpose(0, 2, 1) @ rows, np.einsum("srk,sr->sk", rows, gap)
+    others = (
+        np.einsum("sr,sr->s", gap, gap),
+        np.array([0.0, 3.0, 5.0, 6e3]),
+        np.array([0.0, -1.0, -1.0, -1.0]),
+        np.array([-1, 0, 0, 0]),
+        np.array([0.0, 1.0, 3.0, 10.0]),
+        300,
     )
     sign = np.zeros(104, dtype=np.int64)
-    sign[[3, 100]] = 1, -1
-    priors = FormPriors(
-        (), np.cumsum([0, *sizes]), np.full(104, 5.0), sign, np.array([-1.0, -2.0, -3.0]), -np.arange(4.0)
-    )
-    models = [(0,), (0, 1), (2, 0)]
-    one_by_one = log_weights(sums, priors, models)
-    monkeypatch.setattr(marginal_likelihood, "_WIDTH_CLASSES", (400,))
-    np.testing.assert_allclose(one_by_one, log_weights(sums, priors, models), rtol=RTOL)
-    assert np.ptp(one_by_one, axis=0).min() > 1.0
+    sign[[0, 2]] = 1, -1
+    back = np.argsort(np.concatenate([apart.of_form(k) for k in range(3)]))
+    asked: list[int] = []
+
+    def wide(scale: int) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(scale)
+        return gram[scale, 4:, 4:], np.concatenate([gram[scale, 4:, :4], right[scale, 4:, None]], axis=1)
+
+    of_wide = WideSums(wide, np.arange(4))
+    in_axes = Sums(gram[:, :4, :4], right[:, :4], *others, wide=of_wide)
+    order = np.argsort(back)
+    in_one = Sums(gram[:, order[:, None], order], right[:, order], *others)
+    most, odds, by_count = np.full(104, 5.0), np.array([-1.0, -2.0, -3.0]), -np.arange(4.0)
+    models = [(1,), (0,), (0, 1), (2, 1, 0), (2, 1), (2,)]
+    made = log_weights(in_axes, FormPriors((), apart, most, sign, odds, by_count), models)
+    wanted = log_weights(in_one, FormPriors((), together, most, sign[order], odds, by_count), models)
+    weighed = np.isfinite(made)
+    np.testing.assert_allclose(made[weighed], wanted[weighed], rtol=RTOL)
+    assert weighed[:3].all()
+    assert not weighed[3, [0, 2, 3, 4]].any()
+    assert wanted[3, [0, 2, 3, 4]].max() < wanted.max() - 60.0
+    assert np.ptp(made[:3], axis=0).min() > 1.0
+    # what was worked out is kept
+    assert sorted(asked) == [0, 1, 2, 3]
+
+
+def test_sizes_of_a_wide_form_stand_in_the_order_of_the_model() -> None:
+    """Beside a narrow form, and averaged over the scales."""
+    rng = np.random.default_rng(9)
+    rows, gap = rng.normal(0, 1, (2, 200, 32)), rng.normal(0, 1, (2, 200))
+    gram, right = rows.transpose(0, 2, 1) @ rows, np.einsum("srk,sr->sk", rows, gap)
+    zero = np.zeros(2)
+    of_wide = WideSums(lambda n: (gram[n, 2:, 2:], np.c_[gram[n, 2:, :2], right[n, 2:]]), np.arange(2))
+    sums = Sums(gram[:, :2, :2], right[:, :2], zero, zero, zero, zero.astype(int), zero, 200, of_wide)
+    layout = Layout.arranged(np.array([30, 2]), 0)
+    priors = FormPriors((), layout, np.full(32, 5.0), np.zeros(32, dtype=int), np.zeros(2), np.zeros(3))
+    wanted = sum(share * np.linalg.solve(gram[n] + 1e-2 * np.eye(32), right[n]) for n, share in enumerate((0.25, 0.75)))
+    for model, places in (((0, 1), [*range(2, 32), 0, 1]), ((1, 0), range(32))):
+        made = model_sizes(sums, priors, model, np.array([0.25, 0.75]))
+        np.testing.assert_allclose(made, np.asarray(wanted)[list(places)], rtol=1e-6)

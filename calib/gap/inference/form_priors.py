@@ -1,0 +1,90 @@
+"""What is held of each form before the gap is looked at: its sizes, its sign, and how probable it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import comb, log
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Form
+from calib.gap.inference.scalar_products import Layout
+from calib.types import FloatArray, IntArray
+
+#: what choosing the prior's scale by the fitted size costs, in log-evidence units
+SCALE_CHOICE_COST: Final = float(np.log(4.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormPriors:
+    """What the weighing has to know of each form and column.
+
+    Parameters
+    ----------
+    forms : tuple of Form
+        Forms on offer.
+    layout : Layout
+        Where the columns of each form stand.
+    most : array of float, shape (p,)
+        Largest prior scale of each column, in typical sizes.
+    sign : array of int, shape (p,)
+        1 or -1 where only sizes of that sign have a meaning, else 0.
+    log_prior : array of float, shape (n_forms,)
+        Of each form of its effect, the search over forms and scales paid for.
+    by_count : array of float, shape (n_effects + 1,)
+        Log prior of a set of so many effects.
+    """
+
+    forms: tuple[Form, ...]
+    layout: Layout
+    most: FloatArray
+    sign: IntArray
+    log_prior: FloatArray
+    by_count: FloatArray
+
+    @staticmethod
+    def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
+        """Make it of forms and the prior odds of one effect more at work.
+
+        Every number of effects is less likely than one fewer by the same odds, and of so many effects every set is as
+        likely: the more the library offers, the less speaks for any one, and what else is at work speaks for neither.
+        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
+        """
+        n_effects = len({form.effect for form in forms})
+        layout = Layout.of(forms)
+        most, sign = np.zeros(int(layout.counts.sum())), np.zeros(int(layout.counts.sum()), dtype=np.int64)
+        for number, form in enumerate(forms):
+            most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
+            sign[layout.of_form(number)] = [p.sign for p in form.parameters]
+        # half of the prior lies on the sign that a parameter cannot have
+        log_prior = [
+            -np.log(form.tries) - SCALE_CHOICE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
+            for form in forms
+        ]
+        return FormPriors(
+            tuple(forms),
+            layout,
+            most,
+            sign,
+            np.array(log_prior),
+            np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
+        )
+
+    def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
+        """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
+        parts = [[self.layout.of_form(form) for form in model] for model in models]
+        width = max((sum(map(len, part)) for part in parts), default=0)
+        columns = np.full((len(models), width), -1)
+        owner = np.full((len(models), width), -1)
+        for row, (model, part) in enumerate(zip(models, parts, strict=True)):
+            at = 0
+            for form, places in zip(model, part, strict=True):
+                columns[row, at : at + len(places)], owner[row, at : at + len(places)] = places, form
+                at += len(places)
+        return columns, owner
+
+    def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
+        """Return the log prior of each model, shape (n_models,)."""
+        return np.array([self.log_prior[list(model)].sum() + self.by_count[len(model)] for model in models])

@@ -1,0 +1,303 @@
+"""Scalar products of whitened columns and gap at each scale of the lack of fit, nuisances taken out.
+
+Columns of one form beyond `WIDE_FORM` (a step of each radius in each session) are taken up only at scales where they
+are asked for: at all scales they would cost the square of the number of sessions in every product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from calib.gap.effects.effect import Form
+from calib.gap.inference.lack_of_fit import BlockColumns, Blocks, LackOfFit
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: a form of more columns stands apart
+WIDE_FORM: Final = 24
+#: of a sum of products over some thousand rows in double precision, relative to its largest part
+_ROUNDING: Final = 1e-13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where the columns of forms stand: those of a wide one last."""
+
+    starts: IntArray  #: shape (n_forms,)
+    counts: IntArray  #: shape (n_forms,)
+    wide: int  #: number of the wide form; -1 where there is none
+
+    @staticmethod
+    def of(forms: Sequence[Form]) -> Layout:
+        """Arrange the columns of forms: at most one is wide, of which no size has a sign."""
+        counts = np.array([len(form.parameters) for form in forms], dtype=np.int64)
+        wide = int(np.argmax(counts)) if len(counts) and counts.max() > WIDE_FORM else -1
+        if wide >= 0 and any(parameter.sign for parameter in forms[wide].parameters):
+            wide = -1
+        return Layout.arranged(counts, wide)
+
+    @staticmethod
+    def arranged(counts: IntArray, wide: int) -> Layout:
+        """Return where so many columns of each form stand."""
+        narrow = np.where(np.arange(len(counts)) == wide, 0, counts)
+        starts = np.cumsum(narrow) - narrow
+        if wide >= 0:
+            starts[wide] = narrow.sum()
+        return Layout(starts, counts, wide)
+
+    @property
+    def n_wide(self) -> int:
+        """Columns of the wide form."""
+        return int(self.counts[self.wide]) if self.wide >= 0 else 0
+
+    def of_form(self, number: int) -> IntArray:
+        """Return where the columns of a form stand."""
+        return np.arange(self.starts[number], self.starts[number] + self.counts[number])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WideSums:
+    """Scalar products of the columns of a wide form, worked out where they are asked for and then kept.
+
+    Parameters
+    ----------
+    make : callable
+        Number of a scale -> products of the columns with each other, (w, w), and with the others and the gap,
+        (w, p + 1).
+    numbers : array of int, shape (n_scales,)
+        Number by which `make` knows each scale.
+    """
+
+    make: Callable[[int], tuple[FloatArray, FloatArray]]
+    numbers: IntArray
+    _known: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+
+    def at(self, scale: int) -> tuple[FloatArray, FloatArray]:
+        """Return the products (w, w) and (w, p + 1) at a scale."""
+        number = int(self.numbers[scale])
+        if number not in self._known:
+            self._known[number] = self.make(number)
+        return self._known[number]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """Scalar products of columns and of the gap, one set for each scale of the lack of fit; nuisances taken out.
+
+    Parameters
+    ----------
+    gram : array of float, shape (n_scales, p, p)
+        Of the columns, without those of a wide form.
+    right : array of float, shape (n_scales, p)
+        Of the columns with the gap.
+    square : array of float, shape (n_scales,)
+        Of the gap with itself.
+    log_det : array of float, shape (n_scales,)
+        Of the covariance, nuisances included.
+    log_prior : array of float, shape (n_scales,)
+        Of the scale; the first is no lack of fit at all.
+    kind : array of int, shape (n_scales,)
+        Number of the lack-of-fit component among the system's; -1 where there is none.
+    scale : array of float, shape (n_scales,)
+        Standard deviation of the lack of fit, in noise levels of one run.
+    n_rows : int
+        Length of the gap.
+    wide : WideSums, optional
+        Products of a wide form's columns, which stand behind the others.
+    """
+
+    gram: FloatArray
+    right: FloatArray
+    square: FloatArray
+    log_det: FloatArray
+    log_prior: FloatArray
+    kind: IntArray
+    scale: FloatArray
+    n_rows: int
+    wide: WideSums | None = None
+
+    def pick(self, scales: BoolArray | slice) -> Sums:
+        """Return some scales only."""
+        return Sums(
+            self.gram[scales],
+            self.right[scales],
+            self.square[scales],
+            self.log_det[scales],
+            self.log_prior[scales],
+            self.kind[scales],
+            self.scale[scales],
+            self.n_rows,
+            None if self.wide is None else replace(self.wide, numbers=self.wide.numbers[scales]),
+        )
+
+    def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the products of some columns (k,) with each other and with the gap at a scale, (k, k) and (k,)."""
+        p = self.right.shape[1]
+        if index.max(initial=-1) < p:
+            return self.gram[scale][index[:, None], index], self.right[scale][index]
+        assert self.wide is not None
+        own, across = self.wide.at(scale)
+        whole = np.block([[self.gram[scale], across[:, :-1].T], [across[:, :-1], own]])
+        return whole[index[:, None], index], np.concatenate([self.right[scale], across[:, -1]])[index]
+
+
+class Reduced:
+    """Scalar products with what each block may have of its own taken out.
+
+    Parameters
+    ----------
+    whole : array of float, shape (n_rows, width)
+        Whitened columns, and the gap.
+    gram : array of float, shape (width, width)
+        Their scalar products: see `above_rounding`.
+    deviations : array of float, shape (n_rows, k)
+        What each block may have of its own, scaled to unit prior variance.
+    blocks : Blocks
+        Order of the rows.
+    """
+
+    def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
+        self.gram, self.log_det = gram, 0.0
+        #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
+        self.wholes = [blocks.alike_rows(whole, group) for group in range(len(blocks.alike))]
+        self.factors: list[FloatArray] = []
+        self.taken: list[FloatArray] = []
+        if not deviations.shape[1]:
+            return
+        for group, of_blocks in enumerate(self.wholes):
+            own = blocks.alike_rows(deviations, group)
+            turned = own.transpose(0, 2, 1)
+            lower = np.linalg.cholesky(np.eye(own.shape[2]) + above_rounding(turned @ own))
+            self.log_det += 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+            self.factors.append(np.linalg.solve(lower, turned))
+            self.taken.append(self.factors[-1] @ of_blocks)
+        rows = np.concatenate([taken.reshape(-1, whole.shape[1]) for taken in self.taken])
+        self.gram = self.gram - rows.T @ rows
+
+    def of_blocks(self, stacks: Sequence[BlockColumns], columns: slice) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, n) with some columns."""
+        eigens, turned = [np.zeros(0)], [np.zeros((0, columns.stop - columns.start))]
+        for stack in stacks:
+            part, across = stack.part, stack.part.transpose(0, 2, 1)
+            own, cross = across @ part, across @ self.wholes[stack.group][:, :, columns][stack.same]
+            if self.factors:
+                with_part = self.factors[stack.group][stack.same] @ part
+                own = own - with_part.transpose(0, 2, 1) @ with_part
+                cross -= with_part.transpose(0, 2, 1) @ self.taken[stack.group][:, :, columns][stack.same]
+            eigen, vectors = np.linalg.eigh(own)
+            keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
+            eigens.append(eigen[keep])
+            turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
+        return np.concatenate(eigens), np.concatenate(turned)
+
+
+def above_rounding(gram: FloatArray) -> FloatArray:
+    """Return scalar products (..., k, k) with squares a little larger: the residual of any is not below zero then."""
+    return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Components:
+    """Components of lack of fit as `scalar_products` takes them.
+
+    Parameters
+    ----------
+    kinds : sequence of (int, LackOfFit)
+        Each with its number.
+    stacks : sequence of list of BlockColumns
+        Columns that blocks have of their own, of every component of the system.
+    common : mapping of int to slice
+        Where the columns common to all blocks stand in the whole, by number.
+    """
+
+    kinds: Sequence[tuple[int, LackOfFit]]
+    stacks: Sequence[Sequence[BlockColumns]]
+    common: dict[int, slice]
+
+    def turned(self, reduced: Reduced, number: int, columns: slice) -> tuple[FloatArray, FloatArray]:
+        """Return a component's eigenvalues (q,), and its turned products (q, n) with some columns."""
+        if number not in self.common:
+            eigen, turned = reduced.of_blocks(self.stacks[number], columns)
+        else:
+            where = self.common[number]
+            eigen, vectors = np.linalg.eigh(reduced.gram[where, where])
+            turned = vectors.T @ reduced.gram[where, columns]
+        return np.maximum(eigen, 0.0), turned
+
+
+def scalar_products(
+    reduced: Reduced,
+    components: Components,
+    sizes: tuple[int, int, int],
+    scales: Sequence[float],
+    prior_rest: float,
+    n_rows: int,
+) -> Sums:
+    """Return the scalar products of columns and gap under each scale of the lack of fit.
+
+    Parameters
+    ----------
+    reduced : Reduced
+        The whole: nuisances, columns, gap, columns of a wide form, then those common to all blocks.
+    components : Components
+        Of the lack of fit.
+    sizes : tuple of int
+        Number of nuisances, of columns, and of columns of a wide form.
+    scales : sequence of float
+        Of the lack of fit.
+    prior_rest : float
+        Prior odds of a lack of fit.
+    n_rows : int
+        Length of the gap.
+    """
+    (m, p, w), kinds = sizes, components.kinds
+    core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)
+    log_dets, labels, shrinking = [reduced.log_det], [(-1, 0.0)], [np.zeros(0)]
+    gram = np.empty((1 + len(kinds) * len(scales), core.stop, core.stop))
+    gram[0] = reduced.gram[core, core]
+    turned_of: dict[int, FloatArray] = {}
+    for number, _ in kinds:
+        eigen, turned_of[number] = components.turned(reduced, number, core)
+        for scale in scales:
+            # a product of one matrix with itself is symmetric, and takes half the time
+            shrinking.append(scale / np.sqrt(1.0 + scale**2 * eigen))
+            shrunk = turned_of[number] * shrinking[-1][:, None]
+            np.subtract(gram[0], shrunk.T @ shrunk, out=gram[len(labels)])
+            log_dets.append(reduced.log_det + float(np.log1p(scale**2 * eigen).sum()))
+            labels.append((number, scale))
+    # the nuisances' own scale is one: (I + N^T N) on a unit diagonal
+    inner = gram[:, :m, :m] + np.eye(m)
+    root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
+    lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + 1e-11 * np.eye(m))
+    cross = np.linalg.solve(lower, gram[:, :m, m:] / root[:, :, None])
+    left = gram[:, m:, m:]
+    for of_scale, taken in zip(left, cross, strict=True):
+        of_scale -= taken.T @ taken
+    wide_of: dict[int, FloatArray] = {}
+
+    def wide(place: int) -> tuple[FloatArray, FloatArray]:
+        own, across = reduced.gram[apart, apart], reduced.gram[apart, core]
+        number, shrink = labels[place][0], shrinking[place][:, None]
+        if number >= 0:
+            if number not in wide_of:
+                wide_of[number] = components.turned(reduced, number, apart)[1]
+            shrunk = wide_of[number] * shrink
+            own, across = own - shrunk.T @ shrunk, across - shrunk.T @ (turned_of[number] * shrink)
+        taken = np.linalg.solve(lower[place], across[:, :m].T / root[place][:, None])
+        return own - taken.T @ taken, across[:, m:] - taken.T @ cross[place]
+
+    share = float(np.log(prior_rest / max(len(kinds) * len(scales), 1)))
+    return Sums(
+        gram=left[:, :-1, :-1],
+        right=left[:, :-1, -1],
+        square=left[:, -1, -1],
+        log_det=np.array(log_dets) + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1),
+        log_prior=np.array([0.0] + [share] * (len(labels) - 1)),
+        kind=np.array([number for number, _ in labels]),
+        scale=np.array([scale for _, scale in labels]),
+        n_rows=n_rows,
+        wide=WideSums(wide, np.arange(len(labels))) if w else None,
+    )
