@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -30,9 +29,9 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
 )
 #: prior medians, shape (n_components,)
 PRIOR_MEDIANS: Final = np.array([median for _, median, _ in COMPONENTS])
-_N_CHANNELS: Final = 6
+N_CHANNELS: Final = 6
 #: what a standardised trend changes a radius by, relative, at unit prior variance
-_STEP: Final = 1e-2
+STEP: Final = 1e-2
 Column = tuple[FloatArray, tuple[int, ...]]
 
 
@@ -40,7 +39,7 @@ def kernels(path: Path) -> FloatArray:
     """Return the covariance of each component at scale 1, shape (n_components, n_units, 6, 6)."""
     observations = path.s
     n = len(observations)
-    shapes = np.zeros((len(COMPONENTS), n, _N_CHANNELS, _N_CHANNELS))
+    shapes = np.zeros((len(COMPONENTS), n, N_CHANNELS, N_CHANNELS))
     shapes[0, :, 0, 0] = observations.sigma_distance_m**2
     shapes[1, :, 1, 1] = shapes[1, :, 2, 2] = observations.sigma_xy_m**2
     shapes[2, :, 3, 3] = observations.sigma_theta_rad**2
@@ -51,7 +50,7 @@ def kernels(path: Path) -> FloatArray:
     calibration = path.calibration
     both = calibration[:, :, 0] + calibration[:, :, 1]
     differ = 0.5 * (calibration[:, :, 1] - calibration[:, :, 0])
-    zero = np.zeros((n, _N_CHANNELS))
+    zero = np.zeros((n, N_CHANNELS))
     zero[:, 4] = -observations.vehicle.wheelbase_m * path.end[:, 2]
     zero[:, 5] = path.way_m / observations.vehicle.wheelbase_m
     start = _start_turn(path)
@@ -91,7 +90,7 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
 
 def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
     """Sum the weighted outer products of a step vector over each unit, shape (n_units, 6, 6)."""
-    summed = np.zeros((len(starts) - 1, _N_CHANNELS, _N_CHANNELS))
+    summed = np.zeros((len(starts) - 1, N_CHANNELS, N_CHANNELS))
     channels = sorted(vector)
     for a in channels:
         weighted = vector[a] * weight
@@ -103,7 +102,7 @@ def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, start
 
 def _start_turn(path: Path) -> FloatArray:
     """Return what a turn of the start frame by 1 does to the readings, shape (n_units, 6)."""
-    start = np.zeros((len(path.s), _N_CHANNELS))
+    start = np.zeros((len(path.s), N_CHANNELS))
     start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
     start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
     start[:, 3] = 1.0
@@ -113,12 +112,12 @@ def _start_turn(path: Path) -> FloatArray:
 def quantisation(path: Path) -> FloatArray:
     """Return the covariance that counting in whole counts gives, shape (n_units, 6, 6)."""
     observations = path.s
-    covariance = np.zeros((len(observations), _N_CHANNELS, _N_CHANNELS))
+    covariance = np.zeros((len(observations), N_CHANNELS, N_CHANNELS))
     radius = observations.vehicle.wheel_radius_m
     for wheel, sign in ((0, -1.0), (1, 1.0)):
         # the first and the last count are each off by a uniform share of a count
         sigma = observations.count_rad[wheel] * radius / np.sqrt(6.0)
-        rows = np.zeros(_N_CHANNELS)
+        rows = np.zeros(N_CHANNELS)
         rows[[0, 1, 4]] = 0.5 * sigma
         rows[[3, 5]] = sign * sigma / observations.model.track_m
         covariance += np.outer(rows, rows)
@@ -135,7 +134,7 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     """Give missing channels unit variance and no correlation."""
     both = usable[:, :, None] & usable[:, None, :]
     kept = np.where(both, covariance, 0.0)
-    index = np.arange(_N_CHANNELS)
+    index = np.arange(N_CHANNELS)
     kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
     # a small independent variance, so that exactly aliased channels can be factored
     kept[:, index, index] *= 1.0 + 1e-9
@@ -179,7 +178,8 @@ class NoiseComponents:
 
     def select(self, units: IntArray) -> NoiseComponents:
         """Return the shapes of some units."""
-        return NoiseComponents(self.kernels[:, units], self.fixed[units], self.usable[units], self.active)
+        kernels = np.ascontiguousarray(self.kernels[:, units])
+        return NoiseComponents(kernels, self.fixed[units], self.usable[units], self.active)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,89 +232,8 @@ class Trends:
     def columns(self) -> FloatArray:
         """Return all columns, shape (n_units, 6, k)."""
         of_unit = self.steps()[self.session]
-        steps = self.of_step[:, :, None, :] * of_unit[:, None, :, None] * _STEP
+        steps = self.of_step[:, :, None, :] * of_unit[:, None, :, None] * STEP
         return np.concatenate([self.before, steps.reshape(*self.before.shape[:2], -1), self.after], axis=2)
-
-
-@dataclass(frozen=True, eq=False)
-class GroupTrends:
-    """Trends as each group of replicates takes part in them: a group knows the steps of its own sessions only.
-
-    Parameters
-    ----------
-    columns : array of float, shape (n, 6, q)
-        Of units, group by group.
-    index : array of int, shape (n_groups, q)
-        Which of the basis each column is for each group; the last, which is nothing, where it has fewer.
-    mix : array of float, shape (n_basis, k)
-        The trends over the basis.
-    """
-
-    columns: FloatArray
-    index: IntArray
-    mix: FloatArray
-
-    @staticmethod
-    def of(trends: Trends, units: IntArray, group: IntArray) -> GroupTrends | None:
-        """Return the trends of units (n,) in groups (n,); None where groups know about as many steps as there are."""
-        n_shared, width = trends.shared.shape[2], trends.of_step.shape[2]
-        steps = trends.steps()
-        sessions = len(steps)
-        known, place = np.unique(group * sessions + trends.session[units], return_inverse=True)
-        of_group, session = np.divmod(known, sessions)
-        slot = np.arange(len(known)) - np.searchsorted(of_group, of_group)
-        slots = int(slot.max()) + 1
-        if 2 * slots > sessions:
-            return None
-        first = n_shared + width
-        columns = np.zeros((len(units), _N_CHANNELS, first + width * slots))
-        columns[:, :, :n_shared], columns[:, :, n_shared:first] = trends.shared[units], trends.of_step[units] * _STEP
-        index = np.full((int(group.max()) + 1, columns.shape[2]), first + width * sessions)
-        index[:, :first] = np.arange(first)
-        mix = np.zeros((first + width * sessions + 1, trends.n_trends))
-        mix[:n_shared, :n_shared] = np.eye(n_shared)
-        for wheel in range(width):
-            here = first + width * slot + wheel
-            columns[np.arange(len(units)), :, here[place]] = trends.of_step[units, :, wheel] * _STEP
-            index[of_group, here] = first + width * session + wheel
-            # counted from the mean of all units, a step has a part that all units take part in
-            away = steps.min(axis=0)
-            mix[n_shared + wheel : -1 : width, n_shared + wheel :: width] = np.concatenate([away[None], steps - away])
-        return GroupTrends(columns, index, mix)
-
-    @cached_property
-    def _places(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Where the products of each group's trends and gap stand: in those of the groups, and in those of the basis.
-
-        One triangle, without what a group has fewer of. The last are the places of all of its trends in the basis.
-        """
-        n_basis = len(self.mix)
-        index = np.concatenate([self.index, np.full((len(self.index), 1), n_basis)], axis=1)
-        known = index != n_basis - 1
-        pairs = known[:, :, None] & known[:, None, :] & np.tri(index.shape[1], dtype=bool)
-        there = np.flatnonzero(pairs)
-        place = index[:, :, None] * (n_basis + 1) + index[:, None, :]
-        return there, place.ravel()[there], self.index[:, :, None] * n_basis + self.index[:, None, :]
-
-    def products(self, of_group: FloatArray) -> FloatArray:
-        """Return the products of all trends and the gap, (k + 1, k + 1), from those (n_groups, q + 1, q + 1) of groups.
-
-        Only what a group knows has products within it.
-        """
-        n_basis, k = self.mix.shape
-        there, place, _ = self._places
-        added = np.bincount(place, of_group.ravel().take(there), (n_basis + 1) ** 2).reshape(n_basis + 1, -1)
-        added = added + added.T - np.diag(np.diag(added))
-        mix = np.zeros((n_basis + 1, k + 1))
-        mix[:-1, :-1], mix[-1, -1] = self.mix, 1.0
-        return np.asarray(mix.T @ added @ mix)
-
-    def solved(self, beta: FloatArray, lower: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return each group's part of coefficients (k,) and of (L L^T)^-1 for L (k, k): (n_groups, q), (.., q, q)."""
-        from scipy.linalg import solve_triangular
-
-        mixed = solve_triangular(lower, self.mix.T, lower=True)
-        return (self.mix @ beta)[self.index], (mixed.T @ mixed).ravel().take(self._places[2])
 
 
 def ambient_trends(path: Path) -> Trends:
@@ -376,7 +295,7 @@ def load_speed_trends(path: Path) -> FloatArray:
 
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
     """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
-    pushed = [path.calibration[:, :, k] * column[:, None] * _STEP for column, wheels in columns for k in wheels]
+    pushed = [path.calibration[:, :, k] * column[:, None] * STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
     return np.where(path.s.usable[:, :, None], stacked, 0.0)
 

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.noise_components import (
-    COMPONENTS,
-    PRIOR_MEDIANS,
-    GroupTrends,
-    NoiseComponents,
-    Trends,
-)
+from calib.gap.inference.group_trends import N_GROUP_COLUMNS, GroupTrends, group_factors
+from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents, Trends
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -27,7 +21,6 @@ OUTLIER_PROBABILITY: Final = 0.05
 #: scales are found from at most so many units: their uncertainty is then a few per cent, and the cost is bounded
 MAX_REPLICATES: Final = 480
 _WEIGHT_ROUNDS: Final = 3
-_N_GROUP_COLUMNS: Final = 9
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
@@ -99,32 +92,6 @@ class Replicates:
             self.units[np.argsort(group, kind="stable")], np.sort(group), np.cumsum([0, *np.sort(sizes)[:-1]])
         )
 
-    @cached_property
-    def alike(self) -> list[tuple[slice, slice]]:
-        """Groups of one size that stand side by side, and their units."""
-        sizes = np.diff(self.first, append=len(self.units))
-        edges = [0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(sizes)]
-        starts = np.append(self.first, len(self.units))
-        return [(slice(a, b), slice(int(starts[a]), int(starts[b]))) for a, b in pairwise(edges)]
-
-    def products(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return the products of columns (n, 6, p) and (n, 6, q) summed over each group, shape (n_groups, p, q)."""
-        p, q = left.shape[2], right.shape[2]
-        total = np.empty((len(self.first), p, q))
-        for groups, units in self.alike:
-            m = groups.stop - groups.start
-            total[groups] = left[units].reshape(m, -1, p).transpose(0, 2, 1) @ right[units].reshape(m, -1, q)
-        return total
-
-    def times(self, columns: FloatArray, of_group: FloatArray) -> FloatArray:
-        """Return columns (n, 6, p) times the matrix of each one's group, (n_groups, p, q), shape (n, 6, q)."""
-        p, q = of_group.shape[1:]
-        made = np.empty((*columns.shape[:2], q))
-        for groups, units in self.alike:
-            m = groups.stop - groups.start
-            made[units] = (columns[units].reshape(m, -1, p) @ of_group[groups]).reshape(-1, columns.shape[1], q)
-        return made
-
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
     """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
@@ -170,80 +137,60 @@ class ScaleLikelihood:
         self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trends: Trends | None = None
     ) -> None:
         trends, by_size = trends or Trends.of_all(np.zeros((len(path.s), 6, 0))), grouped.by_size()
-        self.known = GroupTrends.of(trends, by_size.units, by_size.group)
+        design, self.prior = _group_design(path, gap, grouped)
+        self.known = GroupTrends.of(trends, by_size.units, by_size.group, design, gap)
         self.grouped = grouped if self.known is None else by_size
         units = self.grouped.units
         self.shapes = shapes.select(units)
         self.active = shapes.active
         self.usable = self.shapes.usable
-        design, self.prior = _group_design(path, gap, grouped)
         self.k = trends.n_trends
         self.own = path.calibration[units, :, :3]
-        trend = trends.columns()[units] if self.known is None else self.known.columns
-        self.columns = np.concatenate([design[units], trend, gap[units, :, None]], axis=2)
+        self.design = design[units]
+        if self.known is None:
+            self.columns = np.concatenate([self.design, trends.columns()[units], gap[units, :, None]], axis=2)
 
     @cached_property
     def dof(self) -> float:
         """Degrees of freedom left for the noise, at most: counted with the own derivatives of each unit."""
-        design = np.concatenate([self.own, self.columns[:, :, 3:_N_GROUP_COLUMNS]], axis=2)
+        design = np.concatenate([self.own, self.design[:, :, 3:]], axis=2)
         used = _rank(design, self.grouped, self.usable)
         return float(max(self.usable.sum() - used - self.k, 0))
 
-    def _whitened(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse Cholesky factors (n, 6, 6) and the whitened columns."""
-        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
-        return inverse, inverse @ self.columns
+    def _whitener(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the inverse Cholesky factor of each unit's covariance, shape (n, 6, 6)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.shapes.covariance(log_scale, weight))))
 
-    def _solved(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return residual (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle term.
-
-        `columns` (n, 6, 9 + k + 1) holds the whitened own design of each group, the trend and the gap.
-        """
-        k, grouped = self.k, self.grouped
-        x, rest = columns[:, :, :_N_GROUP_COLUMNS], columns[:, :, _N_GROUP_COLUMNS:]
+    def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return residual (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle term."""
+        if self.known is not None:
+            return self.known.solved(whitener, self.prior)
+        k, grouped, columns = self.k, self.grouped, whitener @ self.columns
+        x, rest = columns[:, :, :N_GROUP_COLUMNS], columns[:, :, N_GROUP_COLUMNS:]
         turned = x.transpose(0, 2, 1)
-        gram = grouped.summed(turned @ x) + np.diag(self.prior)
-        cross = grouped.summed(turned @ rest)
-        # scaled and solved: where a group's own columns are nearly alike, the rounding of an inverse exceeds a trend
-        root = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
-        both = root[:, :, None] * root[:, None, :]
-        inverse = np.linalg.inv(gram / both) / both
-        own = np.linalg.solve(gram / both, cross / root[:, :, None]) / root[:, :, None]
-        residual = rest - x @ own[grouped.group]
-        dense = self._dense(rest, cross, own)
-        middle = float(np.linalg.slogdet(gram)[1].sum())
-        kept = np.eye(6) - (x @ inverse[grouped.group]) @ turned
+        factors, taken, middle = group_factors(grouped.summed(turned @ columns), self.prior)
+        own = x @ factors.transpose(0, 2, 1)[grouped.group]
+        residual, kept = rest - own @ taken[grouped.group], np.eye(6) - own @ own.transpose(0, 2, 1)
+        flat, taken = rest.reshape(-1, k + 1), taken.reshape(-1, k + 1)
+        dense = flat.T @ flat - taken.T @ taken
         g, square = residual[:, :, -1], float(dense[k, k])
         if k:
-            inner = dense[:k, :k] + np.eye(k)
-            beta = np.linalg.solve(inner, dense[:k, k])
-            square -= float(dense[:k, k] @ beta)
-            t = residual[:, :, :-1]
-            lower = np.asarray(np.linalg.cholesky(inner), dtype=np.float64)
-            if self.known is None:
-                g = g - t @ beta
-                # one product of large matrices, not one a unit: (I + T^T T)^-1 = F^T F
-                half = (t.reshape(-1, k) @ np.linalg.inv(lower).T).reshape(t.shape)
-                kept = kept - half @ half.transpose(0, 2, 1)
-            else:
-                own_beta, inside = self.known.solved(np.asarray(beta), lower)
-                g = g - grouped.times(t, own_beta[:, :, None])[:, :, 0]
-                kept = kept - grouped.times(t, inside) @ t.transpose(0, 2, 1)
-            middle += float(np.linalg.slogdet(inner)[1])
+            lower = np.asarray(np.linalg.cholesky(dense[:k, :k] + np.eye(k)), dtype=np.float64)
+            # one product of large matrices, not one a unit: (I + T^T T)^-1 = F^T F
+            factor = np.linalg.inv(lower)
+            along = factor @ dense[:k, k]
+            half = (residual[:, :, :-1].reshape(-1, k) @ factor.T).reshape(*g.shape, k)
+            g = g - half @ along
+            kept = kept - half @ half.transpose(0, 2, 1)
+            square -= float(along @ along)
+            middle += 2 * float(np.log(np.diag(lower)).sum())
         return g, kept, middle + square
-
-    def _dense(self, rest: FloatArray, cross: FloatArray, own: FloatArray) -> FloatArray:
-        """Return the products of all trends and the gap, the groups' own columns taken out, shape (k + 1, k + 1)."""
-        if self.known is None:
-            flat, width = rest.reshape(-1, rest.shape[2]), rest.shape[2]
-            return np.asarray(flat.T @ flat - cross.reshape(-1, width).T @ own.reshape(-1, width))
-        return self.known.products(self.grouped.products(rest, rest) - cross.transpose(0, 2, 1) @ own)
 
     def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
         """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
-        factor, columns = self._whitened(self.shapes.covariance(log_scale, weight))
+        factor = self._whitener(log_scale, weight)
         log_det = -2 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
-        residual, kept, middle = self._solved(columns)
+        residual, kept, middle = self.solved(factor)
         away = (log_scale - np.log(PRIOR_MEDIANS)) / PRIOR_SPREADS
         turned = factor.transpose(0, 2, 1)
         alpha = (turned @ residual[:, :, None])[:, :, 0]
@@ -258,8 +205,7 @@ class ScaleLikelihood:
         """Return weights of units by how far they stand from their repeats, 1 within normal reach, shape (n,)."""
         from scipy.special import chdtri
 
-        _, columns = self._whitened(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
-        residual, own, _ = self._solved(columns)
+        residual, own, _ = self.solved(self._whitener(log_scale, np.ones(len(self.usable))))
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
         dim = np.maximum(self.usable.sum(axis=1), 1)
         # what a unit keeps of its own after its group's means are removed
@@ -319,7 +265,7 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
 def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:
     """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
     observations = path.s
-    design = np.zeros((len(observations), 6, _N_GROUP_COLUMNS))
+    design = np.zeros((len(observations), 6, N_GROUP_COLUMNS))
     design[:, :, :3] = _of_their_route(path, grouped)
     # on a straight the turn by the wheels is the noise itself
     design[path.guided, :, 2] = 0.0

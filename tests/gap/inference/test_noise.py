@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.inference.group_trends import GroupTrends
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.noise_components import (
     COMPONENTS,
-    GroupTrends,
     NoiseComponents,
     Trends,
     ambient_interactions,
@@ -158,7 +158,7 @@ def test_trends_that_a_group_has_of_its_own_leave_no_more_than_rounding() -> Non
     problem.columns[:, :, :9] = alike + 1e-5 * rng.standard_normal((n, 6, 9))
     problem.columns[:, :, 9:13] = 1e6 * alike + rng.standard_normal((n, 6, 4))
     problem.prior[:] = 1e-6
-    _, kept, middle = problem._solved(problem.columns)
+    _, kept, middle = problem.solved(np.broadcast_to(np.eye(6), (n, 6, 6)))
     assert np.isfinite(middle)
     # what a unit keeps of itself lies between nothing and all
     assert np.linalg.eigvalsh(0.5 * (kept + kept.transpose(0, 2, 1))).max() < 1.0 + 1e-6
