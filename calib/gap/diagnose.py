@@ -127,7 +127,7 @@ def diagnose_in_full(
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
     held_out = _held_out(situation, nominal, noise, searched, effects, left_out, rng)
-    shifts = {effect.id: effect.shifts for effect in effects}
+    shifts = {effect.id: effect.own_shifts for effect in effects}
     evidence = Evidence(
         situation=situation,
         judged_against=(candidates is None and simulator) or model_name or BY_MODEL,

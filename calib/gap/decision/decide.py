@@ -79,6 +79,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended:
         fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)
         causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
+    causes = sorted(causes, key=lambda cause: -cause.probability)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",

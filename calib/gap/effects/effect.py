@@ -143,6 +143,8 @@ class Effect(ABC):
     #: calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from 20
     #: degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it
     shifts: ClassVar[tuple[str, ...]] = ()
+    #: whether it is nothing at a known point (the model's reference load, no payload, a straight): then no shift is
+    zero_known: ClassVar[bool] = False
     family: ClassVar[Family] = Family.OWN  #: effects that act through the same thing
     needs: ClassVar[str] = ""  #: what a campaign has to hold for the effect to show; a phrase
     separates: ClassVar[str] = ""  #: the runs that tell it from what looks alike; a phrase
@@ -170,6 +172,11 @@ class Effect(ABC):
     of_rear_wheels: ClassVar[bool] = False
     #: whether it is so large that it is found by trial before the search; it offers no forms
     found_before_search: ClassVar[bool] = False
+
+    @property
+    def own_shifts(self) -> tuple[str, ...]:
+        """Shifts of the calibration that count as part of it."""
+        return () if self.zero_known else self.shifts
 
     @property
     def calibration(self) -> bool:

@@ -96,6 +96,7 @@ class LoadRadius(_OfLoad):
     implausible = "misreported payloads, or a wheel that has come loose from its rim"
     needs = "two payloads or places of it, with distances or end poses"
     separates = "two loads and more, some of them off the middle"
+    zero_known = True
     is_load_law = True
     carries_law_slope = True
 
@@ -120,6 +121,7 @@ class LoadRadiusNonlinear(_OfLoad):
     implausible = "misreported payloads, or a wheel that has come loose from its rim"
     needs = "three payloads, with distances or end poses"
     separates = "three loads and more, far apart"
+    zero_known = True
     is_load_law = True
 
     def forms(self, observations: Observations) -> list[Form]:
@@ -213,6 +215,7 @@ class _OfPayload(Effect):
 
     family = Family.LOAD
     shifts = ("radius_scale", "unequal_radii")
+    zero_known = True
 
 
 class PayloadMass(_OfPayload):

@@ -119,6 +119,7 @@ class CurveScrub(Effect):
     needs = "turns of several curvatures"
     separates = "turns of several radii at one speed"
     shifts = ("track_width",)
+    zero_known = True
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns."""

@@ -82,7 +82,7 @@ def search(
         Called before each pass.
     """
     settings = settings or SearchSettings()
-    shifts = {effect.id: effect.shifts for effect in effects}
+    shifts = {effect.id: effect.own_shifts for effect in effects}
     forms = _forms_on_offer(nominal, effects) if start is None else start.forms
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
