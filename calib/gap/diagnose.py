@@ -279,7 +279,9 @@ def _searched(
         best = searched.fitted
         # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
         again = estimate_noise(best.path, best.left) if best.forms else noise
-        change = np.abs(np.log(np.median(noise.floor / again.floor, axis=0)))
+        ratio, usable = noise.floor / again.floor, nominal.s.usable
+        # a channel that few runs have changes as well
+        change = np.array([abs(np.log(np.median(ratio[use, k]))) for k, use in enumerate(usable.T) if use.any()])
         # where the runs end far off under any effect, the verdict is a blunder at any noise level
         if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path, nominal)) >= BLUNDER_MISFIT:
             break

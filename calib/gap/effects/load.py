@@ -30,6 +30,11 @@ def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter
     return tuple(Parameter(name, "m/N", typical=1e-5 * soft_m, largest=6e-5 * soft_m) for name in names)
 
 
+def _model_slopes(path: Path) -> FloatArray:
+    """Return the slopes of the left and right radius against load by the model, shape (2,)."""
+    return np.array([path.s.model.slope_left_m_per_N, path.s.model.slope_right_m_per_N])
+
+
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
     """Return the slopes of the left and right radius against load, shape (2,).
 
@@ -37,8 +42,7 @@ def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
     `NOMINAL_PER_N` times the radius (more on lighter vehicles). With a nominal slope only the product of slope and
     misreported load means anything.
     """
-    model = path.s.model
-    slopes = np.array([model.slope_left_m_per_N, model.slope_right_m_per_N])
+    slopes, model = _model_slopes(path), path.s.model
     if slopes.any():
         return slopes
     nominal = NOMINAL_PER_N * softness(path.s) * np.array([model.radius_left_m, model.radius_right_m])
@@ -270,7 +274,7 @@ class PayloadPosition(_OfPayload):
     """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.
 
     Left: dF = +-m g dy / b, e_theta ~ S 2 c W dy / b^2. Ahead: dF = -m g dx / 2L on each rear wheel and +m g dx / L on
-    the front wheel, so e_s and e_F go opposite ways. The slope is the mean of both wheels'.
+    the front wheel, whose slope is taken as the mean of theirs, so e_s and e_F go opposite ways.
     """
 
     id = "payload_position"
@@ -292,23 +296,26 @@ class PayloadPosition(_OfPayload):
         by_steering = np.where(observations.usable[:, Channel.STEERING], turned, 0.0)
         radius_left, radius_right = observations.radius_left_m, observations.radius_right_m
 
-        def changed_m(path: Path, lever_m: float) -> FloatArray:
-            # read from the radii, the slope would follow what the place is to explain
+        def changed_m(path: Path, lever_m: float) -> tuple[FloatArray, FloatArray]:
             law = path.perturbation.law_slopes
             slopes = _slopes_m_per_N(path, np.zeros(2) if law is None else law[0])
-            return float(slopes.mean()) * weight_N / lever_m
+            if not _model_slopes(path).any():
+                # a slope of its own for each wheel would follow what the place is to explain
+                slopes = np.full(2, slopes.mean())
+            return slopes[0] * weight_N / lever_m, slopes[1] * weight_N / lever_m
 
         def sideways(path: Path) -> list[Perturbation]:
-            change_m = changed_m(path, track)
-            return [Perturbation(left=change_m / radius_left, right=-change_m / radius_right)]
+            left_m, right_m = changed_m(path, track)
+            return [Perturbation(left=left_m / radius_left, right=-right_m / radius_right)]
 
         def ahead(path: Path) -> list[Perturbation]:
-            change_m = changed_m(path, wheelbase)
-            # the front wheel travels more for its counts, which the front channels subtract
+            left_m, right_m = changed_m(path, wheelbase)
+            # the front wheel, of a mean slope, travels more for its counts, which the front channels subtract
+            change_m = 0.5 * (left_m + right_m)
             readings = Perturbation.on_readings(
                 observations, front=-front_m * change_m, steering=-by_steering * change_m
             )
-            return [replace(readings, left=-0.5 * change_m / radius_left, right=-0.5 * change_m / radius_right)]
+            return [replace(readings, left=-0.5 * left_m / radius_left, right=-0.5 * right_m / radius_right)]
 
         def form(label: str, name: str, perturbations: Perturbations) -> Form:
             size = reach(observations)
