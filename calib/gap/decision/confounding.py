@@ -86,7 +86,7 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
         nuisance = Nuisance.of(np.concatenate([system.calibration, *others], axis=1))
         contribution = np.asarray(system.columns(form) @ (theta / form.typical))
         near = aliases_of(system, nuisance, contribution, evidence.search.forms, evidence.named)
-        for name in _as_likely(evidence, form.effect):
+        for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
             if name not in evidence.named:
                 near.setdefault(name, SEPARATION_SD)
         groups.append([form.effect, *sorted(near, key=lambda name: near[name])])
@@ -113,6 +113,15 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
         shifts = [name for name in evidence.effects[effect].shifts if name in evidence.effects]
         alternatives += [name for name in shifts if evidence.recalibration.probability(name) > least]
     return alternatives
+
+
+def _other_laws(evidence: Evidence, effect: str) -> list[str]:
+    """Return the other forms of a load law that are at least a tenth as probable, with what else beside them."""
+    if not evidence.effects[effect].is_load_law:
+        return []
+    inclusion = evidence.search.inclusion()
+    least = inclusion.get(effect, 0.0) * np.exp(-LOG_EVIDENCE_WINDOW)
+    return [name for name, other in evidence.effects.items() if other.is_load_law and inclusion.get(name, 0.0) > least]
 
 
 def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
