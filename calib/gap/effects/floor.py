@@ -121,8 +121,9 @@ class FloorZone(Effect):
             return places[path]
 
         nominal = predict(observations)
-        cosine = np.cos(map_heading_rad(nominal))
-        cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
+        cosine = nominal.of_parts(lambda part: np.cos(map_heading_rad(part)))
+        x, y = nominal.of_parts(lambda part: np.stack(floor_place(part, part.s.here(far_end)), axis=1)).T
+        cells = _cells(observations, lane[observations.unit], x, y, cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))
 
@@ -330,8 +331,7 @@ class FloorSlope(Effect):
         """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
         if not common_frame(observations):
             return []
-        nominal = predict(observations)
-        heading = map_heading_rad(nominal)
+        heading = predict(observations).of_parts(map_heading_rad)
         way = np.abs(observations.path_m)
         length = np.maximum(observations.length_m, 1e-9)
         along, across = (observations.total(way * part(heading)) / length for part in (np.cos, np.sin))

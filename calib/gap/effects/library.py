@@ -186,7 +186,7 @@ def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
         return None
     _, form, typical, change = best
     away = float(np.nanmax(np.abs(change[:, POSE]), initial=0.0))
-    extent = float(np.max(np.hypot(nominal.steps.x_m, nominal.steps.y_m), initial=1.0))
+    extent = float(nominal.of_parts(lambda part: np.hypot(part.steps.x_m, part.steps.y_m)).max(initial=1.0))
     factor = float(np.clip(DRAWN_SHARE * extent / away, 1.0, MAX_ENLARGEMENT)) if away > 0 else 1.0
     enlarged = predict(observations, [perturbation.scaled(factor) for perturbation in typical])
     return EffectSignature(effect, form, change, enlarged, factor)

@@ -273,22 +273,25 @@ class Understeer(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none without a front wheel in the log, or where nothing turns at a known speed."""
-        logged = has_front(observations)
-        square = np.where(logged[observations.unit], observations.speed_mps**2, 0.0)
-        if not logged.any() or not (np.abs(observations.total(front_turn_rad(observations) * square)) > 1e-4).any():
+
+        def square(part: Observations) -> FloatArray:
+            return np.where(has_front(part)[part.unit], part.speed_mps**2, 0.0)
+
+        turned = observations.total(front_turn_rad(observations) * square(observations))
+        if not has_front(observations).any() or not (np.abs(turned) > 1e-4).any():
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
             # K v^2 times the turn that is driven, which the path has, is what the steering says too much: at any size
-            turn = square * path.steps.turn_rad
-            if observations.by_shaft:
-                return [excess(observations, np.zeros_like(turn), turn)]
-            ahead = -square * path.steps.ds_m * observations.steer_sin**2
-            return [excess(observations, ahead, turn * observations.steer_cos**2)]
+            turn = square(path.s) * path.steps.turn_rad
+            if path.s.by_shaft:
+                return [excess(path.s, np.zeros_like(turn), turn)]
+            ahead = -square(path.s) * path.steps.ds_m * path.s.steer_sin**2
+            return [excess(path.s, ahead, turn * path.s.steer_cos**2)]
 
         # a hundredth wider at 1 m/s; front wheels of 0.2 push straight on at 3 m/s
         parameter = Parameter("per_speed_squared", "s2/m2", typical=1e-2, largest=2e-1)
-        return [Form(self.id, "", (parameter,), perturbations)]
+        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
 
 
 def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:
