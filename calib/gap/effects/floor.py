@@ -121,9 +121,8 @@ class FloorZone(Effect):
             return places[path]
 
         nominal = predict(observations)
-        cosine = nominal.of_parts(lambda part: np.cos(map_heading_rad(part)))
-        x, y = nominal.of_parts(lambda part: np.stack(floor_place(part, part.s.here(far_end)), axis=1)).T
-        cells = _cells(observations, lane[observations.unit], x, y, cosine)
+        cosine = np.cos(map_heading_rad(nominal))
+        cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))
 
