@@ -175,7 +175,8 @@ def _simulated(
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
         if finished and cache_folder("simulator") is not None:
-            terminal.keep(f"results of {finished} runs of the simulator, which will not run again")
+            runs = "1 run" if finished == 1 else f"{finished} runs"
+            terminal.keep(f"results of {runs} of the simulator, which will not run again")
         raise
     return done.diagnosis, None, done.runs.sentence
 

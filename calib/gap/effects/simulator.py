@@ -13,10 +13,10 @@ from calib.gap.predict import predict
 from calib.types import FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"
-#: Gauss-Newton steps from which wheels reproduce a change; of a per cent the third is at rounding
+#: steps from which wheels reproduce a change; of a per cent the third is at rounding
 _STEPS: Final = 3
-#: what is left is at rounding below this share of a change's squares
-_ROUNDING: Final = 1e-8
+#: what is left is linear enough below this share of a change's squares
+_ROUNDING: Final = 1e-6
 #: a further step is taken where it promises, linear, to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
 #: wheels are followed in proportion to a quantity, or alike in a run, where the first step promises to leave no more
@@ -36,8 +36,8 @@ def simulator_title(name: str) -> str:
     return f"{name} of the simulator"
 
 
-#: relative changes of the wheels (n_obs, 3), the path with them, and what of a change they leave (n_obs, 4)
-_Sought = tuple[FloatArray, Path, FloatArray]
+#: relative changes of the wheels (n_obs, 3), and what of a change they leave (n_obs, 4)
+_Sought = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,81 +92,109 @@ class SimulatorParameter(Effect):
         return [Form(self.id, "", (self.parameter,), pushed)]
 
 
-def carried_by_wheels(nominal: Path, change: FloatArray, step: float, noise: FloatArray) -> Carried:
-    """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
-
-    A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track that
-    are off alike in all runs, or in proportion to a quantity of the runs, then as both wheels off in each run by
-    itself, alike if that will do; what explains little of it is omitted. If the change has noise, (4,), the first that
-    leaves no more than the noise is taken: few numbers from all runs, in which little of the noise is left.
-    """
-    s, noisy = nominal.s, bool(noise.any())
-    on = s.usable[:, :4]
-    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-    spread = np.maximum(noise, _REPEATED_SHARE * sigma) if noisy else sigma
-    seen = _Seen(nominal, change, np.where(on, 1.0 / spread, 0.0), noisy)
-    ones, unmoved = np.ones((len(s), 3, 1)), (np.zeros((len(s), 3)), nominal, change)
-    best, whole = unmoved, seen.squares(change).sum()
-    for basis in [ones, *(np.concatenate([ones, one[:, :, None]], axis=2) for one in _quantities(s))]:
-        found = seen.sought(unmoved, basis, _PROMISED_SHARE if basis is ones else _FOLLOWS_SHARE)
-        square = seen.squares(found[2]).sum()
-        if noisy and _is_noise(square, int(on.sum())):
-            best = found[0], found[1], np.zeros_like(change)
-            break
-        if not noisy and square < _ALL_BUT * whole:
-            best = found
-            break
-        if basis is ones and square < _LEFT_SHARE * whole:
-            best = found
-    else:
-        # alike only where that will do: a closed square hardly tells the wheels apart
-        ways = [(False, _LEFT_SHARE)] if noisy else [(True, _ALL_BUT), (False, _LEFT_SHARE)]
-        for alike, share in ways if seen.squares(best[2]).sum() > _ALL_BUT * whole else ():
-            found = seen.sought(best, None, _FOLLOWS_SHARE if alike else _PROMISED_SHARE, alike=alike)
-            good = (seen.squares(found[2]) < share * seen.squares(best[2]))[:, None]
-            if good.any():
-                best = found if good.all() else seen.moved(np.where(good, found[0], best[0]))
-    wheels, _, remaining = best
-    left, right, track = wheels.T / step
-    return Carried(tuple(s.labels["run_id"]), left, right, track, np.where(on, remaining, 0.0) / step)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """A change of the readings (n_obs, 4) about a path, and how it is weighted."""
+class _Basis:
+    """Numbers by which wheels are off, of all runs together (one group) or of each run, and what they do about a path.
 
-    nominal: Path
-    change: FloatArray
-    weight: FloatArray
-    noisy: bool
+    As columns, and their inverse, of unit prior: what runs do not determine stays at zero.
+    """
 
-    def squares(self, left: FloatArray) -> FloatArray:
-        """Return the weighted squares of what is left of each observation, shape (n_obs,)."""
+    wheels: FloatArray  #: relative change of left, right and track by each number, shape (n_obs, 3, k)
+    columns: FloatArray  #: weighted readings by each number, shape (n_groups, n_readings, k)
+    inverse: FloatArray  #: shape (n_groups, k, n_readings)
+    most: float  #: a step is taken where it promises, linear, to leave no more than this share
+    enough: float  #: and is worth it where it leaves no more than this share
+
+    @classmethod
+    def of(cls, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> _Basis:
+        """Return a basis for weighted readings by left, right and track, shape (n_obs, 4, 3)."""
+        columns = (by_wheels @ wheels).reshape(groups, -1, wheels.shape[2])
+        turned = np.swapaxes(columns, 1, 2)
+        inverse = np.linalg.solve(np.eye(wheels.shape[2]) + turned @ columns, turned)
+        return cls(wheels, columns, np.asarray(inverse, dtype=np.float64), most, enough)
+
+
+class WheelMotion:
+    """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
+
+    Parameters
+    ----------
+    nominal : Path
+        About which they are off.
+    noise : array of float, shape (4,)
+        Of a change of (distance, x, y, heading); zero where the simulator repeats itself.
+    """
+
+    def __init__(self, nominal: Path, noise: FloatArray) -> None:
+        s = nominal.s
+        self.nominal, self.noisy, self.on = nominal, bool(noise.any()), s.usable[:, :4]
+        sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
+        spread = np.maximum(noise, _REPEATED_SHARE * sigma) if self.noisy else sigma
+        self.weight = np.where(self.on, 1.0 / spread, 0.0)
+        by_wheels = nominal.calibration[:, :4, :3] * self.weight[:, :, None]
+        ones, each = np.ones((len(s), 3)), np.broadcast_to(np.eye(3), (len(s), 3, 3))
+
+        def in_all(numbers: list[FloatArray], most: float, enough: float) -> _Basis:
+            wheels = np.concatenate([number[:, :, None] * each for number in numbers], axis=2)
+            return _Basis.of(wheels, by_wheels, 1, most, enough)
+
+        follows = 1.0 if self.noisy else _FOLLOWS_SHARE
+        self.together = [in_all([ones], _PROMISED_SHARE, _LEFT_SHARE)]
+        self.together += [in_all([ones, one], follows, _ALL_BUT) for one in _quantities(s)]
+        # alike where that will do: a closed square hardly tells the wheels apart
+        alike = _Basis.of(each[:, :, :2].sum(axis=2, keepdims=True), by_wheels, len(s), _FOLLOWS_SHARE, _ALL_BUT)
+        both = _Basis.of(each[:, :, :2], by_wheels, len(s), _PROMISED_SHARE, _LEFT_SHARE)
+        self.by_run = [both] if self.noisy else [alike, both]
+
+    def carried(self, change: FloatArray, step: float) -> Carried:
+        """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
+
+        A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track
+        that are off alike in all runs, or in proportion to a quantity of the runs, then as wheels off in each run by
+        itself; what explains little of it is omitted. If the change has noise, the first that leaves no more than the
+        noise is taken: few numbers from all runs, in which little of the noise is left.
+        """
+        unmoved = np.zeros((len(change), 3)), change
+        best, whole = unmoved, self._squares(change).sum()
+        for number, basis in enumerate(self.together):
+            found = self._sought(change, unmoved, basis)
+            square = self._squares(found[1]).sum()
+            if self.noisy and _is_noise(square, int(self.on.sum())):
+                best = found[0], np.zeros_like(change)
+                break
+            if not self.noisy and square < _ALL_BUT * whole:
+                best = found
+                break
+            if number == 0 and square < basis.enough * whole:
+                best = found
+        else:
+            for basis in self.by_run if self._squares(best[1]).sum() > _ALL_BUT * whole else ():
+                found = self._sought(change, best, basis)
+                good = (self._squares(found[1]) < basis.enough * self._squares(best[1]))[:, None]
+                best = np.where(good, found[0], best[0]), np.where(good, found[1], best[1])
+        left, right, track = best[0].T / step
+        labels = tuple(self.nominal.s.labels["run_id"])
+        return Carried(labels, left, right, track, np.where(self.on, best[1], 0.0) / step)
+
+    def _squares(self, left: FloatArray) -> FloatArray:
         return np.asarray(((left * self.weight) ** 2).sum(axis=1))
 
-    def moved(self, wheels: FloatArray) -> _Sought:
-        """Return wheels with the path that they make, and what they leave."""
-        path = predict(self.nominal.s, [Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])])
-        return wheels, path, self.change - (path.reading - self.nominal.reading)[:, :4]
-
-    def sought(self, start: _Sought, basis: FloatArray | None, most: float, *, alike: bool = False) -> _Sought:
-        """Return the wheels of a basis, see `_correction`, by steps that promise to leave no more than a share."""
-        now, rounding = start, _ROUNDING * self.squares(self.change).sum()
+    def _sought(self, change: FloatArray, start: _Sought, basis: _Basis) -> _Sought:
+        """Return the wheels that a basis finds, with what they leave; the columns stay those about the nominal path."""
+        wheels, left = start
+        rounding = _ROUNDING * self._squares(change).sum()
         for _ in range(_STEPS):
-            wheels, path, left = now
-            gap = in_end_frame(path, left)[:, :4] * self.weight
-            columns = path.calibration[:, :4, :3] * self.weight[:, :, None]
-            step = _correction(columns, gap, basis, alike=alike)
-            promised = ((gap - np.einsum("nck,nk->nc", columns, step)) ** 2).sum(axis=1)
-            square = self.squares(left)
-            if basis is not None:
-                square, promised = square.sum(keepdims=True), promised.sum(keepdims=True)
+            gap = (in_end_frame(self.nominal, left)[:, :4] * self.weight).reshape(len(basis.columns), -1, 1)
+            sizes = basis.inverse @ gap
+            now, promised = (gap**2).sum(axis=(1, 2)), ((gap - basis.columns @ sizes) ** 2).sum(axis=(1, 2))
             # little by little a noisy change adds up over the runs
-            gains = (square > promised) if self.noisy else (promised < most * square)
-            if square[gains].sum() <= rounding:
+            gains = (now > promised) if self.noisy else (promised < basis.most * now)
+            if now[gains].sum() <= rounding:
                 break
-            now = self.moved(wheels + step)
-        return now
+            wheels = wheels + (basis.wheels @ sizes)[:, :, 0]
+            moved = Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])
+            left = change - (predict(self.nominal.s, [moved]).reading - self.nominal.reading)[:, :4]
+        return wheels, left
 
 
 def _quantities(s: Observations) -> list[FloatArray]:
@@ -182,24 +210,6 @@ def _is_noise(square: float, count: int) -> bool:
     from scipy.special import chdtrc
 
     return bool(chdtrc(count, square) > _NOISE_TAIL)
-
-
-def _correction(columns: FloatArray, gap: FloatArray, basis: FloatArray | None, *, alike: bool) -> FloatArray:
-    """Return the change (n_obs, 3) of left, right wheel and track that columns (n_obs, 4, 3) ask for of a gap.
-
-    Of a few numbers for all runs, by a basis (n_obs, 3, k); without one both wheels of each run by itself.
-    """
-    found = np.zeros((len(columns), 3))
-    # of unit prior: what runs do not determine stays at zero
-    if basis is None:
-        wheels = columns[:, :, :2].sum(axis=2, keepdims=True) if alike else columns[:, :, :2]
-        normal = np.eye(wheels.shape[2]) + np.einsum("nck,ncl->nkl", wheels, wheels)
-        right = np.einsum("nck,nc->nk", wheels, gap)
-        found[:, :2] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        return found
-    whole = (columns[:, :, :, None] * basis[:, None]).reshape(gap.size, -1)
-    sizes = np.linalg.solve(np.eye(whole.shape[1]) + whole.T @ whole, whole.T @ gap.ravel())
-    return np.asarray(np.einsum("njk,jk->nj", basis, sizes.reshape(3, -1)))
 
 
 def in_end_frame(path: Path, change: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, carried_by_wheels
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, WheelMotion
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
@@ -49,8 +49,8 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    The simulator runs twice at its nominal parameters and once with each of them a step off, and again with the fix;
-    the verdict is among its parameters and the effects of the library.
+    The simulator runs at its nominal parameters, twice where it may not repeat itself, once with each of them a step
+    off, and again with the fix; the verdict is among its parameters and the effects of the library.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _as_simulated(observations: Observations) -> Observations:
     """
     nominal = predict(observations)
     change = np.nan_to_num(observations.simulated - nominal.reading)[:, :4]
-    carried = carried_by_wheels(nominal, change, 1.0, np.zeros(4))
+    carried = WheelMotion(nominal, np.zeros(4)).carried(change, 1.0)
     unit, model = observations.unit, observations.model
     return replace(
         observations,
@@ -195,7 +195,8 @@ def _check_excluded(
     if unknown:
         raise BadInputError(f"--exclude: found {unknown[0]!r}; expected one of: {', '.join(sorted(own))}")
     others = [name for name in exclude if name not in own]
-    check_excluded(others, measured, campaign.extra.get("effects", ()))
+    if others:
+        check_excluded(others, measured, campaign.extra.get("effects", ()))
 
 
 def _candidates(
@@ -229,7 +230,8 @@ def _candidates(
     stands_for = {each.effect for each in settings.parameters if SIMULATOR_PREFIX + each.name not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
-    spanned = [rival.id for rival in rivals if isinstance(rival, HeldCalibration) and _is_spanned(rival, own, nominal)]
+    held = [rival for rival in rivals if isinstance(rival, HeldCalibration)]
+    spanned = _spanned(held, own, nominal)
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
@@ -240,17 +242,17 @@ def _candidates(
     return [*own, *(rival for rival in rivals if rival.id not in spanned)], tuple(notes)
 
 
-def _is_spanned(rival: Effect, own: Sequence[SimulatorParameter], nominal: Path) -> bool:
-    """Return whether plausible deviations of the simulator's parameters reproduce an effect."""
-    s = nominal.s
-    offered = [form for effect in own for form in effect.forms(s)]
-    target = rival.forms(s)
-    if not offered or not target:
-        return False
-    columns, aim = (_scaled(nominal, forms) for forms in (offered, target[:1]))
+def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> list[str]:
+    """Return the effects that plausible deviations of the simulator's parameters reproduce."""
+    offered = [form for effect in own for form in effect.forms(nominal.s)]
+    targets = {rival.id: forms[0] for rival in rivals if (forms := rival.forms(nominal.s))}
+    if not offered or not targets:
+        return []
+    columns, aims = (_scaled(nominal, forms) for forms in (offered, list(targets.values())))
     columns = columns * np.array([p.largest / p.typical for form in offered for p in form.parameters])
-    sizes = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ aim[:, 0])
-    return bool(np.linalg.norm(aim[:, 0] - columns @ sizes) < SPANNED_SHARE * np.linalg.norm(aim[:, 0]))
+    left = aims - columns @ np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ aims)
+    close = np.linalg.norm(left, axis=0) < SPANNED_SHARE * np.linalg.norm(aims, axis=0)
+    return [name for name, reproduced in zip(targets, close, strict=True) if reproduced]
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:

@@ -347,7 +347,7 @@ def test_what_does_not_go_together_is_one_line(
 def test_an_interrupted_diagnosis_says_which_runs_are_kept(
     small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path
 ) -> None:
-    """By a signal, while the third run of the simulator is at work."""
+    """By a signal, while the second run of the simulator is at work."""
     held = 'Path(f"at_work_{given[\'track\'] != 0.7}").touch(); time.sleep(60 * (given["track"] != 0.7))'
     sim = other_settings(
         tmp_path,
@@ -368,7 +368,7 @@ def test_an_interrupted_diagnosis_says_which_runs_are_kept(
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=20.0)
     assert process.returncode == 130
-    assert "results of 2 runs of the simulator" in errors
+    assert "results of 1 run of the simulator" in errors
 
 
 def test_no_campaign_gives_a_command(small_wheel: tuple[Path, SimulatorDiagnosis], tmp_path: Path) -> None:

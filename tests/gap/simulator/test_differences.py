@@ -1,0 +1,60 @@
+"""What a simulator does about its nominal parameters, and how it is found to repeat itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from calib.gap.simulator.differences import Differences, differences_of
+from calib.gap.simulator.runner import Job, RunCache, SimulatorRunner
+from calib.gap.simulator.settings import read_settings
+from calib.types import silent
+
+SIGMA = np.array([0.002, 0.002, 0.002, 0.001])
+NAMES = ("a", "b")
+
+
+def found(folder: Path, digits: int, noise_m: float = 0.0) -> tuple[Differences, int]:
+    """Differences of a simulator whose parameter a moves x and b the rest, written to so many digits; and its runs."""
+    tables = "".join(f'[[parameter]]\nname = "{n}"\nnominal = 1.0\nstep = 0.01\nlargest = 0.1\n' for n in NAMES)
+    path = folder / "SIM.toml"
+    path.write_text(f'command = ["true", "{{campaign}}", "{{parameters}}", "{{out}}"]\n{tables}')
+    rng, count = np.random.default_rng(1), 0
+
+    def one(_: object, __: object, job: Job) -> np.ndarray:
+        nonlocal count
+        count += 1
+        by_a, by_b = (np.outer([np.pi, -np.e, 7.7], each) for each in ([1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.1]))
+        ends = by_a * job.parameters["a"] + by_b * job.parameters["b"]
+        return np.round(ends + noise_m * rng.standard_normal(ends.shape), digits)
+
+    runner = SimulatorRunner(read_settings(path), folder, ["r1", "r2", "r3"], RunCache(None, ""), 1, silent)
+    with patch.object(SimulatorRunner, "_one", one):
+        return differences_of(runner, SIGMA), count
+
+
+@pytest.mark.parametrize(
+    ("digits", "noise_m", "runs", "repeats"),
+    [
+        (15, 0.0, 3, 1),  # each number comes again with the parameter a step off that does not act on it
+        (3, 0.0, 4, 1),  # millimetres hide a scatter that matters: nominal again
+        (15, 1e-3, 13, 4),  # half the uncertainty: each four times, and b at a longer step too
+        (15, 1e-6, 4, 1),  # too small to matter, found by the second nominal run
+    ],
+)
+def test_a_second_nominal_run_only_where_the_others_do_not_tell(
+    tmp_path: Path, digits: int, noise_m: float, runs: int, repeats: int
+) -> None:
+    differences, count = found(tmp_path, digits, noise_m)
+    assert (count, differences.repeats) == (runs, repeats)
+    assert bool(differences.scatter.any()) == (repeats > 1)
+
+
+def test_the_change_is_per_unit(tmp_path: Path) -> None:
+    differences, _ = found(tmp_path, 15)
+    assert differences.change["a"][:, 1] == pytest.approx([np.pi, -np.e, 7.7])
+    assert differences.change["b"][:, 3] == pytest.approx([0.1 * np.pi, -0.1 * np.e, 0.77])
+    assert not differences.change["a"][:, 2:].any()
