@@ -127,6 +127,15 @@ def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
     assert plan.diagnosis.to_dict()["verdict"] in plan.to_dict()["verdict"]
 
 
+def test_a_plan_promises_what_the_command_does(campaign: calib.Campaign, capsys: pytest.CaptureFixture[str]) -> None:
+    """The intervals of the geometry are in the JSON of both, and in the summary."""
+    plan = calib.plan(campaign)
+    printed = commanded(capsys, "plan", str(campaign.root))
+    assert printed == json.loads(json.dumps(plan.to_dict()))
+    assert plan.now is not None and "track_m" in printed["geometry"]["now"]["parameters"]
+    assert "track_m" in plan.summary() and "Half widths" in plan.summary()
+
+
 def test_a_simulation_under_a_fit_has_its_law(fit: calib.Fit) -> None:
     simulation = calib.simulate("corrected", law=fit, seed=1)
     assert simulation.law is not None and simulation.law.law.left.radius_ref_m == fit.left.law.radius_ref_m

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from calib.arguments import checked
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
-from calib.errors import BadInputError
+from calib.errors import BadInputError, CalibError
 from calib.gap.decision.diagnosis import Diagnosis, Plan
 from calib.kinematics.result import Geometry
 from calib.radius.result import Fit
+from calib.types import Progress, silent
+
+if TYPE_CHECKING:
+    from calib.gap.plan.planned_runs import PlannedRun
+    from calib.kinematics.assemble import Promise
 
 #: a campaign, or the folder or recording that it is read from
 CampaignLike = Campaign | Path | str
@@ -286,14 +292,47 @@ def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
     Returns
     -------
     Plan
-        The runs with the reason for each.
+        The runs with the reason for each, and the intervals that `geometry` will give.
+    """
+    refuse_negative(seed)
+    return proposed(opened(campaign), most=most, seed=seed)
+
+
+def proposed(
+    campaign: Campaign,
+    *,
+    candidates: Sequence[PlannedRun] | None = None,
+    most: int,
+    seed: int,
+    progress: Progress = silent,
+) -> Plan:
+    """Return the plan of `plan`.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven so far.
+    candidates : sequence of PlannedRun, optional
+        Runs to choose from, else the usual ones.
+    most, seed : int
+        See `plan`.
+    progress : callable
+        See `calib.types.Progress`.
     """
     from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.plan.next_runs import next_runs
+    from calib.gap.plan.next_runs import next_runs, with_next
 
-    refuse_negative(seed)
-    campaign = opened(campaign)
-    full = diagnose_in_full(campaign, seed=seed, plan=False)
+    full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
     ties = [group.effects for group in full.groups]
-    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, most=most)
-    return Plan(campaign=campaign, diagnosis=full, runs=tuple(runs))
+    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=candidates, most=most)
+    now = promised(campaign.included(), campaign)
+    return Plan(campaign, full, tuple(runs), now, promised(with_next(campaign, runs), campaign) if runs else None)
+
+
+def promised(campaign: Campaign, driven: Campaign | None = None) -> Promise | None:
+    """Return the intervals that the end poses of runs promise; None where they determine nothing."""
+    from calib.kinematics import assemble
+
+    with suppress(CalibError):
+        return assemble.promised(campaign, driven=driven)
+    return None

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from calib.cli import terminal
-from calib.errors import BadInputError, CalibError
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-    from calib.kinematics.assemble import Promise
+from calib.errors import BadInputError
 
 #: the picture of --figures
 MATRIX = "plan-matrix"
@@ -57,37 +52,24 @@ def run(
 
 
 def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
+    from calib.api.results import proposed
     from calib.campaign.read import read_campaign
-    from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.plan.next_runs import next_runs, with_next
     from calib.gap.plan.plan_file import read_candidates
-    from calib.reporting.topics.effects import next_runs_table, promise_table
+    from calib.reporting.topics.diagnosis import runs_and_promises
 
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
-        diagnosis = diagnose_in_full(read, seed=seed, plan=False, progress=tick)
-        ties = [group.effects for group in diagnosis.groups]
-        planned = next_runs(
-            read, diagnosis.effects, diagnosis.noise, ties, diagnosis.fitted, candidates=offered, most=most
-        )
-        runs = [run.to_dict() for run in planned]
-        now = _promised(read.included(), read)
-        then = _promised(with_next(read, planned), read) if planned else None
-    terminal.say(f"{diagnosis.campaign}: {diagnosis.sentence}")
-    terminal.show([next_runs_table(runs), *([promise_table(now, then)] if then else [])])
-    terminal.then("plan" if runs else "plan nothing", c=campaign)
-    document = {
-        "verdict": diagnosis.kind.value,
-        "indistinguishable": [list(group.effects) for group in diagnosis.groups],
-        "next_runs": runs,
-        "geometry": {"now": now and now.to_dict(), "then": then and then.to_dict()},
-    }
-    terminal.emit_json(document)
+        plan = proposed(read, candidates=offered, most=most, seed=seed, progress=tick)
+    terminal.say(f"{plan.diagnosis.campaign}: {plan.diagnosis.sentence}")
+    terminal.show(runs_and_promises(plan))
+    terminal.then("plan" if plan.runs else "plan nothing", c=campaign)
+    terminal.emit_json(plan.to_dict())
     return 0
 
 
 def _judge(source: Path, figures: Path | None) -> int:
+    from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
     from calib.reporting.topics.effects import outlook_content, promise_table
@@ -96,7 +78,7 @@ def _judge(source: Path, figures: Path | None) -> int:
     with terminal.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
-        promise = _promised(planned)
+        promise = promised(planned)
     content = outlook_content(planned.name, len(planned.runs), outlook)
     terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
     if figures is not None:
@@ -107,12 +89,3 @@ def _judge(source: Path, figures: Path | None) -> int:
     geometry = promise and promise.to_dict()
     terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})
     return 0
-
-
-def _promised(campaign: Campaign, driven: Campaign | None = None) -> Promise | None:
-    """Return the intervals that the end poses of runs promise; None where they determine nothing."""
-    from calib.kinematics.assemble import promised
-
-    with suppress(CalibError):
-        return promised(campaign, driven=driven)
-    return None

@@ -28,7 +28,7 @@ ALLOWED: dict[str, set[str]] = {
     "kinematics": GROUND | {"campaign", "radius"},
     "coefficients": GROUND | {"__init__", "campaign", "radius", "kinematics"},
     "odometry": GROUND | {"campaign", "radius", "coefficients", "runtime"},
-    "gap": GROUND | {"campaign", "radius", "coefficients", "odometry"},
+    "gap": GROUND | {"campaign", "radius", "kinematics", "coefficients", "odometry"},
     "reporting": GROUND
     | {"__init__", "campaign", "radius", "kinematics", "coefficients", "odometry", "gap", "fleet", "challenge"},
     "fleet": GROUND | {"campaign", "radius", "kinematics", "gap"},

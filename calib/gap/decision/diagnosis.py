@@ -33,6 +33,8 @@ from calib.types import FloatArray
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from calib.kinematics.assemble import Promise
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Situation:
@@ -353,6 +355,8 @@ class Plan(Result):
     campaign: Campaign  #: what was driven
     diagnosis: Diagnosis  #: what it shows so far
     runs: tuple[PlannedRun, ...]  #: best first
+    now: Promise | None = None  #: intervals of radii, track and the like by the runs driven; None: they tell nothing
+    then: Promise | None = None  #: with the runs to drive next
 
     @property
     def table(self) -> DataFrame:
@@ -365,4 +369,5 @@ class Plan(Result):
         """Return the plan as plain values: what ``calib plan --json`` prints."""
         document = self.diagnosis.to_dict()
         kept = {key: document[key] for key in ("verdict", "indistinguishable")}
-        return {**kept, "next_runs": plain(self.runs)}
+        geometry = {"now": self.now and self.now.to_dict(), "then": self.then and self.then.to_dict()}
+        return {**kept, "next_runs": plain(self.runs), "geometry": geometry}

@@ -22,7 +22,7 @@ from calib.reporting.blocks import (
 )
 from calib.reporting.formatting import length, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
-from calib.reporting.topics.effects import next_runs_table
+from calib.reporting.topics.effects import next_runs_table, promise_table
 from calib.reporting.topics.gap import (
     cause_blocks,
     closure_blocks,
@@ -196,4 +196,10 @@ def diagnosis_brief(diagnosis: Diagnosis) -> tuple[Block, ...]:
 
 def plan_content(plan: Plan) -> tuple[Block, ...]:
     """Return what the terminal prints of a plan: the verdict that it follows from, and the runs to drive next."""
-    return (verdict_notice(plan.diagnosis), next_runs_table([run.to_dict() for run in plan.runs]))
+    return (verdict_notice(plan.diagnosis), *runs_and_promises(plan))
+
+
+def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
+    """Return the runs to drive next, and the intervals that `calib geometry` will then give."""
+    promises = [promise_table(plan.now, plan.then)] if plan.then else []
+    return (next_runs_table([run.to_dict() for run in plan.runs]), *promises)
