@@ -91,7 +91,7 @@ def run(
 
         terminal.draw(lambda: gap_figures(diagnosis), figures)
     terminal.emit_json(document)
-    terminal.then(after_diagnosis(diagnosis), c=campaign)
+    terminal.then(after_diagnosis(diagnosis, simulator=simulator is not None), c=campaign, sim=simulator or "")
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 

@@ -34,6 +34,10 @@ STEPS: Final = {
     "diagnose": "'calib plan {c}' names the runs that settle it; drive them, then diagnose again.",
     "diagnose no_gap": "nothing to correct; 'calib diagnose {c}' again once tyres, floor or loads change.",
     "diagnose recommended": "'calib diagnose {c} --apply corrected.json' writes the corrected model.",
+    "diagnose simulator": "'calib diagnose {c} --simulator {sim} --apply parameters.json' writes what to set; "
+    "make it the nominal values of {sim}, then diagnose again.",
+    "diagnose simulator lacks": "give your simulator, and {sim}, a parameter for what is named, then "
+    "'calib diagnose {c} --simulator {sim}'.",
     "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
     "'calib diagnose {c}'.",
     "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
@@ -90,9 +94,11 @@ def after_geometry(geometry: Geometry, output: Path | None) -> str:
     return "geometry failed" if not geometry.passed else "geometry" if output is None else "geometry --output"
 
 
-def after_diagnosis(diagnosis: Diagnosis) -> str:
-    """Return the step that a diagnosis was, by its verdict and whether its fix is recommended."""
+def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
+    """Return the step that a diagnosis was, by its verdict and fix; `simulator`: whether it was of the user's own."""
     kind = "recommended" if diagnosis.recommended else diagnosis.kind.value
+    if simulator and diagnosis.recommended:
+        kind = "simulator" if diagnosis.fix.parameters else "simulator lacks"
     kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else kind
     step = f"diagnose {kind}"
     return step if step in STEPS else "diagnose"

@@ -321,7 +321,9 @@ def test_the_command_says_it_and_writes_what_to_set(
     assert document["closure"]["held_out"] == RERUN
     assert document["causes"][0]["effect"] == "simulator:wheel_radius_left"
     assert run(call) == 0
-    assert "Simulator: 0 runs" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "Simulator: 0 runs" in told
+    assert "--apply parameters.json' writes what to set" in " ".join(told.split())
 
 
 @pytest.mark.parametrize(
