@@ -89,6 +89,17 @@ def test_causes_that_are_rather_not_all_at_work_are_no_fix() -> None:
     assert reasons(both, {"load_radius": 0.9, "wear": 0.8}, CLOSES) == []
     (why,) = reasons(both, {"load_radius": 0.9, "wear": 0.4}, CLOSES)
     assert "all of its causes are at work is 0.36 (load_radius 0.90, wear 0.40)" in why
+    (alone,) = reasons([cause("wear")], {"wear": 0.55}, CLOSES)
+    assert "is 0.55 (wear 0.55)" in alone
+
+
+def test_beside_the_largest_cause_each_is_surer_than_one_alone() -> None:
+    """0.9 x 0.7 is 0.63, enough for all together; but the smaller of the two is dropped for little."""
+    large, small = replace(cause("load_radius"), share=0.8), replace(cause("wear"), share=0.2)
+    assert reasons([large], {"load_radius": 0.7}, CLOSES) == []
+    assert reasons([large, small], {"load_radius": 0.7, "wear": 0.9}, CLOSES) == []
+    (why,) = reasons([large, small], {"load_radius": 0.9, "wear": 0.7}, CLOSES)
+    assert "all of its causes are at work is 0.63" in why
 
 
 @pytest.mark.parametrize(("share", "signal", "against"), [(0.2, 4.0, 0), (0.2, 6.0, 1), (0.01, 6.0, 0)])
