@@ -6,6 +6,7 @@ extended Kalman filter's twist, have to spread over. How each number follows: `c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -24,13 +25,14 @@ from calib.reporting.exports.pose_spread import (
     UPDATE_MIN_A_RAD,
     UPDATE_MIN_D_M,
     Fitted,
+    Spread,
     fitted,
     form_ratios,
     sizes_of,
     spread_of,
     undetermined,
 )
-from calib.types import BoolArray, FloatArray, Progress
+from calib.types import BoolArray, FloatArray, Progress, StrArray
 
 #: fewer end poses do not show a spread: its standard error is then beyond a sixth
 FEWEST_RUNS: Final = 20
@@ -45,6 +47,43 @@ FORM_TOLERANCE: Final = 0.1
 DIGITS: Final = 4
 
 
+def is_beyond(form: FloatArray) -> bool:
+    """Return whether ratios by the form of the model (3,) are further from 1 than `FORM_TOLERANCE`."""
+    return bool(np.abs(np.log(form)).max() > np.log(1.0 + FORM_TOLERANCE))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KindNoise:
+    """Alphas for runs of one kind, and their ratios by the form of AMCL's model alone, shape (3,)."""
+
+    kind: str
+    n_runs: int
+    alphas: dict[str, float]
+    form: FloatArray
+
+    def __str__(self) -> str:
+        """Return the kind in one line."""
+        listed = ", ".join(f"{name} {number(_rounded(value))}" for name, value in self.alphas.items())
+        return f"{ascii_line(self.kind)} ({self.n_runs} runs): {listed}: {_listed(self.form)}"
+
+
+def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[KindNoise, ...]:
+    """Return the alphas of each kind (n_obs,) of enough runs by itself, where there are several kinds.
+
+    `models`: the spreads of `MODELS` on these runs; `residuals`: (n_obs, 3).
+    """
+    found = []
+    for kind in sorted(set(kinds)) if len(set(kinds)) > 1 else ():
+        on = kinds == kind
+        if on.sum() >= FEWEST_RUNS:
+            amcl, *others = (model.of(on) for model in models)
+            sizes = sizes_of(amcl, residuals[on])
+            alphas = dict(zip(ALPHAS, map(float, sizes), strict=True))
+            alphas |= dict.fromkeys(undetermined(amcl, sizes), DEFAULT_ALPHA)
+            found.append(KindNoise(str(kind), int(on.sum()), alphas, form_ratios(amcl, others, residuals[on])))
+    return tuple(found)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionNoise:
     """The noise of the corrected odometry on held-out runs."""
@@ -57,11 +96,12 @@ class MotionNoise:
     walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
     held_out: Fitted  #: observed over predicted standard deviation of runs held out, with intervals
     form: FloatArray  #: the same ratios by the form of AMCL's model alone, shape (3,)
+    by_kind: tuple[KindNoise, ...] = ()  #: where no alphas spread as all runs do
 
     @property
     def beyond_form(self) -> bool:
         """Whether no alphas spread as the runs do."""
-        return bool(np.abs(np.log(self.form)).max() > np.log(1.0 + FORM_TOLERANCE))
+        return is_beyond(self.form)
 
     @property
     def cover(self) -> float:
@@ -92,6 +132,9 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
             f"stay the same during a run and differ between runs; look for their cause with calib diagnose, or set all "
             f"alphas {noise.cover:.2f} times as large, so that none of the three is understated"
         )
+        near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
+        if near:
+            notes.append(f"alphas of their own meet the runs of {near} alone; the file has them by kind of run")
     lines = _lines(noise, campaign.name, named, simulated=campaign.simulated)
     return (Artifact("nav2_odometry.yaml", "".join(f"{line}\n" for line in lines).encode(), tuple(notes)),)
 
@@ -110,9 +153,9 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
             f"{diagnosis.campaign}: found {int(units.sum())} end poses with a heading; expected {FEWEST_RUNS} at "
             "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
         )
-    residuals = diagnosis.held_out.after[units][:, POSE]
-    amcl, walk, constant = (spread_of(diagnosis.correction.path, units, model) for model in MODELS)
-    found = fitted(amcl, residuals, observations.labels["kind"][units])
+    residuals, kinds = diagnosis.held_out.after[units][:, POSE], observations.labels["kind"][units]
+    models = amcl, walk, constant = tuple(spread_of(diagnosis.correction.path, units, model) for model in MODELS)
+    found, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
     unknown = undetermined(amcl, found.sizes)
     alphas = dict(zip(ALPHAS, map(float, found.sizes), strict=True))
     return MotionNoise(
@@ -123,7 +166,8 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
         undetermined=unknown,
         walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
         held_out=found,
-        form=form_ratios(amcl, (walk, constant), residuals),
+        form=form,
+        by_kind=kind_noise(models, residuals, kinds) if is_beyond(form) else (),
     )
 
 
@@ -149,6 +193,9 @@ def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool
     ]
     if noise.beyond_form:
         lines.append(f"# beyond what any alphas spread like: {noise.cover:.2f} times as large, they understate none")
+        if noise.by_kind:
+            lines += ["# of one kind of run, for a filter that is set by journey; ratios by the form:"]
+            lines += [f"#   {each}" for each in noise.by_kind]
     if simulated:
         lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
     lines += [

@@ -14,9 +14,10 @@ import yaml
 from calib.cli.main import run
 from calib.errors import RefusedError
 from calib.reporting.exports import export_from
-from calib.reporting.exports.nav2 import MotionNoise, _lines
+from calib.reporting.exports.nav2 import MotionNoise, _lines, is_beyond, kind_noise
 from calib.reporting.exports.pose_spread import (
     ALPHAS,
+    DEFAULT_ALPHA,
     Fitted,
     Spread,
     _updates,
@@ -159,6 +160,25 @@ def test_errors_that_stay_during_a_run_are_beyond_the_form_and_said() -> None:
     assert (outcome.ratios[:, 0].mean(axis=0) / np.sqrt(factor) < 1.0 + WITHIN / 2).all()
     # and not for want of measure: the worst one is met
     assert (outcome.ratios[:, 0].mean(axis=0) / np.sqrt(factor)).max() > 1.0 - WITHIN / 2
+
+
+def test_a_kind_by_itself_has_alphas_that_meet_it_where_the_form_can() -> None:
+    """Of errors that stay during a run, corridors alone are within a tenth, squares are not, and both are stated."""
+    noise, many = spread_study.NOISES["constant alone"], 1000
+    names = ("corridor", "square_ccw")
+    kinds = np.repeat(names, many)
+    models = [spread_study.spread(model, kinds) for model in spread_study.MODELS]
+    rng = np.random.default_rng(3)
+    seen, true = (np.vstack([spread_study.residuals(name, noise, many, rng) for name in names]) for _ in range(2))
+    corridor, square = kind_noise(models, seen, kinds)
+    assert (corridor.kind, corridor.n_runs, square.kind) == ("corridor", many, "square_ccw")
+    assert not is_beyond(corridor.form) and is_beyond(square.form)
+    assert [name for name, alpha in corridor.alphas.items() if alpha == DEFAULT_ALPHA] == ["alpha1", "alpha4"]
+    for each in (corridor, square):
+        on = kinds == each.kind
+        variance = np.einsum("uii->ui", models[0].of(on).covariance(np.array(list(each.alphas.values()))))
+        # what runs that were not fitted show is what the form says
+        assert ratios(variance, true[on]) == pytest.approx(each.form, abs=WITHIN / 2)
 
 
 def test_constant_errors_add_up_along_a_straight_way() -> None:
