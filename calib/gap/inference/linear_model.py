@@ -70,8 +70,10 @@ class LinearSystem:
         self.layout = Layout.of(self.forms)
         self.whole = np.empty((len(order), self._width))
         self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]
-        for number, column in enumerate(signature_columns(path, self.forms)):
-            self.of(number)[:] = whitened_rows(path, noise, column)[order]
+        signatures = signature_columns(path, self.forms)
+        for number in reversed(range(len(self.forms))):
+            # taken off, as they are as many again
+            self.of(number)[:] = whitened_rows(path, noise, signatures.pop())[order]
         gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
         self.left = gap
         gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)
