@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from functools import cache
@@ -11,6 +12,9 @@ from typing import TYPE_CHECKING
 # small matrices gain nothing from threads, and tests that run side by side lose by them; before numpy is imported
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# the search for garbage is a sixth of the suite's time at Python's own thresholds: arrays and results have no cycles
+gc.set_threshold(20_000, 20, 50)
 
 import pytest
 from hypothesis import settings
@@ -26,6 +30,12 @@ settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and tests out of every later search for garbage: they are many and stay to the end."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
