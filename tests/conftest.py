@@ -53,6 +53,13 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set a blank picture for each figure of a page: what it shows is the tests' of figures and pages."""
+    blank = b'<svg xmlns="http://www.w3.org/2000/svg" width="10" height="5"/>'
+    monkeypatch.setattr("calib.reporting.pages.render", lambda _figure, _form: blank)
+
+
 @pytest.fixture(scope="session")
 def diagnosed_sample(project_root: Path) -> Callable[[str], tuple[Campaign, Diagnosis]]:
     """A sample campaign by name and its diagnosis, made once; nobody changes either."""

@@ -152,6 +152,7 @@ def test_an_export_is_what_the_vehicle_loads(fit: calib.Fit, tmp_path: Path) -> 
     assert load_coefficients(tmp_path / "vehicle.json").law.left.radius_ref_m == fit.left.law.radius_ref_m
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_report_of_a_fit_is_that_of_its_campaign(campaign: calib.Campaign, fit: calib.Fit, tmp_path: Path) -> None:
     """With the same date of issue the bytes are the same."""
     first = calib.report(campaign, tmp_path / "a.pdf", date="2025-03-31")

@@ -233,11 +233,11 @@ class _Linear:
 
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     """Return the solution of the linear problem at known noise, in prior spreads, and its length in sigmas."""
-    step = np.zeros(problem.jacobian.shape[2])
-    jacobian = whitener @ problem.jacobian
-    residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
+    n_free = problem.jacobian.shape[2]
+    step, jacobian = np.zeros(n_free), (whitener @ problem.jacobian).reshape(-1, n_free)
+    residuals = np.einsum("nij,nj->ni", whitener, problem.residuals).ravel()
     for _ in range(INNER):
-        squares = np.square(residuals - jacobian @ step).sum(axis=1)
+        squares = np.square(residuals - jacobian @ step).reshape(-1, 3).sum(axis=1)
         before, step = step, _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
         if float(np.linalg.norm(jacobian @ (step - before))) < CLOSE**2:
             break
@@ -245,13 +245,12 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the weighted least-squares solution of whitened equations."""
-    n_free = jacobian.shape[2]
-    root = np.sqrt(weights)[:, None]
-    flat = (jacobian * root[:, :, None]).reshape(-1, n_free)
-    normal = flat.T @ flat
-    normal[np.diag_indices_from(normal)] += RIDGE * max(float(np.trace(normal)) / max(n_free, 1), 1.0)
-    return np.asarray(np.linalg.solve(normal, flat.T @ (residuals * root).ravel()))
+    """Return the least-squares solution of whitened equations, three of one weight after another."""
+    root = np.repeat(np.sqrt(weights), 3)
+    scaled = jacobian * root[:, None]
+    normal = scaled.T @ scaled
+    normal[np.diag_indices_from(normal)] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
+    return np.asarray(np.linalg.solve(normal, scaled.T @ (residuals * root)))
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
@@ -261,8 +260,8 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
         inverse, whitener = _inverse(kernel, scales, problem.seen)
         rest = problem.residuals - problem.jacobian @ step
         weights = _weights(whitener, rest, problem.size)[0]
-        residuals = np.einsum("nij,nj->ni", whitener, problem.residuals)
-        step = _weighted(whitener @ problem.jacobian, residuals, weights)
+        residuals = np.einsum("nij,nj->ni", whitener, problem.residuals).ravel()
+        step = _weighted((whitener @ problem.jacobian).reshape(-1, len(step)), residuals, weights)
         rest = problem.residuals - problem.jacobian @ step
         pulled = np.einsum("nij,nj->ni", inverse, rest) * np.sqrt(_weights(whitener, rest, problem.size)[0])[:, None]
         better = np.maximum(update_scales(kernel, scales, inverse, pulled), least)

@@ -15,7 +15,7 @@ pytest.importorskip("calib.gap.diagnose")
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Score:
     folder = tmp_path_factory.mktemp("blind") / "set"
-    make(SEEDS / "ci.toml", folder, workers=2)
+    make(SEEDS / "ci.toml", folder, workers=1)
     run(folder, workers=2)
     return score(folder)
 

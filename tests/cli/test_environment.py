@@ -71,6 +71,7 @@ def test_a_lack_of_memory_is_no_bug(error: Exception, capsys: pytest.CaptureFixt
     assert "out of memory" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_logo_that_is_no_picture_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "c")
     (tmp_path / "c" / "logo.png").write_text("no picture")

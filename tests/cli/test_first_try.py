@@ -106,6 +106,7 @@ def test_what_was_passed_over_is_said(tried: tuple[Lab, Path, str]) -> None:
         assert words in said, words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_law_holds_the_truth_and_goes_on_to_the_vehicle(tried: tuple[Lab, Path, str]) -> None:
     _, folder, _ = tried
     _printed(["fit", str(folder / "c"), "--into", str(folder / "f")])

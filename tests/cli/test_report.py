@@ -23,6 +23,7 @@ def sample(project_root: Path) -> Path:
     return project_root / "sample_runs" / "corridor_crossed"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_writes_where_it_says(
     sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -39,6 +40,7 @@ def test_it_writes_where_it_says(
     assert (tmp_path / "reports" / "corridor_crossed.pdf").read_bytes() == first
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_result_folder_gives_the_same_report_as_its_campaign(
     sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,7 +64,7 @@ def test_a_result_folder_gives_the_same_report_as_its_campaign(
     assert ["Dates of measurement", "2025-03-03; 2025-03-05"] in said[0]["head"]
 
 
-@pytest.mark.usefixtures("drawn_once")
+@pytest.mark.usefixtures("drawn_once", "undrawn")
 def test_figures_go_where_asked(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["report", str(sample), "--into", str(tmp_path), "--figures", str(tmp_path / "figures"), *DATE]) == 0
     assert (tmp_path / "corridor_crossed.pdf").is_file()
@@ -111,6 +113,7 @@ def test_a_diagnosis_needs_the_campaign(sample: Path, tmp_path: Path, capsys: py
     assert "campaign folder" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_runs_without_a_law_give_a_report_of_geometry_and_diagnosis(
     project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

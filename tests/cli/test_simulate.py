@@ -61,7 +61,7 @@ def test_corrected_study_gives_fig_16_and_the_headline(tmp_path: Path, capsys: p
 def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    common = ["--draws", "500", "--seed", "4", "--json", "-"]
+    common = ["--draws", "100", "--seed", "4", "--json", "-"]
     assert run(["simulate", "study", "asymmetric", "--law", str(campaign), "--output", str(tmp_path), *common]) == 0
     by_campaign = document(capsys)
     assert run(["simulate", "study", "asymmetric", "--model", str(coefficients), *common]) == 0
@@ -86,7 +86,7 @@ def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "200", "--json", "-"]
+    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "100", "--json", "-"]
     assert run([*common, "--payload", "100,0.5,0.1"]) == 0
     by_payload = document(capsys)["law"]["journeys"][0]
     loads = f"{by_payload['load_left_N']!r},{by_payload['load_right_N']!r}"
@@ -98,7 +98,7 @@ def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest
 def test_a_payload_put_on_the_way_and_taken_off_again(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "200"]
+    common = ["simulate", "journey", "--law", str(coefficients), "--draws", "100"]
     changes = ["--payload-at", "10,0,0,0", "--payload-at", "5,100,0.5,0.1"]
     assert run([*common, *changes, "--output", str(tmp_path), "--json", "-"]) == 0
     path = document(capsys)["law"]["path"]
@@ -220,7 +220,7 @@ def test_the_same_seed_gives_the_same_text_and_another_one_other_draws(
 ) -> None:
     made = []
     for seed in ("9", "9", "10"):
-        arguments = ["simulate", "study", "corrected", "--law", str(coefficients), "--draws", "300", "--seed", seed]
+        arguments = ["simulate", "study", "corrected", "--law", str(coefficients), "--draws", "100", "--seed", seed]
         assert run([*arguments, "--json", "-"]) == 0
         made.append(capsys.readouterr().out)
     assert made[0] == made[1] != made[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.apply import applied_model
-from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
 from calib.gap.observations.from_campaign import observations_of
@@ -25,10 +26,17 @@ from tests.gap.effects.making import Motion, Run, rich_runs
 from tests.gap.effects.making import campaign as campaign_of
 
 
+@cache
 def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 60) -> Campaign:
     rng = np.random.default_rng(seed)
     form = find(effect, "")
     return make_campaign(good_design(rng, n_runs=n_runs, needs=form.needs), {effect: times * form.typical}, rng)
+
+
+@cache
+def diagnosed(effect: str, seed: int) -> Diagnosis:
+    """Return the diagnosis of a campaign of several tests; nobody changes it."""
+    return diagnose_in_full(campaign_with(effect, seed=seed), plan=False)
 
 
 @pytest.mark.parametrize(
@@ -43,12 +51,11 @@ def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 
     ],
 )
 def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, seed: int, tmp_path: Path) -> None:
-    campaign = campaign_with(effect, seed=seed)
-    found = diagnose_in_full(campaign)
+    campaign, found = campaign_with(effect, seed=seed), diagnosed(effect, seed)
     assert effect in {cause.effect for cause in found.causes}
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
-    again = diagnose_in_full(campaign, model=model, applied=sections)
+    again = diagnose_in_full(campaign, model=model, applied=sections, plan=False)
     assert again.kind is VerdictKind.NO_GAP
 
 
@@ -61,8 +68,7 @@ def test_a_zone_of_the_floor_is_named_and_no_part_of_a_recommended_fix() -> None
 
 def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path) -> None:
     """The written model predicts as the fit did."""
-    campaign = campaign_with("temperature_radius")
-    found = diagnose_in_full(campaign)
+    campaign, found = campaign_with("temperature_radius", seed=3), diagnosed("temperature_radius", 3)
     path = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes())
     model, sections = model_of(path, campaign)
     s, notes = with_effects(observations_of(campaign, model), sections)
@@ -74,8 +80,7 @@ def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path
 
 
 def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> None:
-    campaign = campaign_with("load_radius")
-    found = diagnose_in_full(campaign)
+    campaign, found = campaign_with("load_radius", seed=3), diagnosed("load_radius", 3)
     file = applied_model(found, campaign)
     slopes = {cause.effect: cause for cause in found.causes}["load_radius"].parameters
     before = campaign.model

@@ -63,6 +63,7 @@ def test_sound_campaigns_are_within_all_bounds(name: str) -> None:
     assert not list(implausible(read_campaign(ROOT / "sample_runs" / name)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_likely_setting_is_named_and_a_reason_is_written_into_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
