@@ -34,8 +34,6 @@ from calib.coefficients.sections import (
 )
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
-from calib.kinematics.drives import STEERING_SCALE
-from calib.kinematics.model import SIDE_SLIP, UNDERSTEER
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle
@@ -229,6 +227,9 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
     law, values, together = file.law, file.together, file.joint_geometry
     front = mecanum = None
     if together is not None and together.source in STEERED:
+        from calib.kinematics.drives import STEERING_SCALE
+        from calib.kinematics.model import SIDE_SLIP, UNDERSTEER
+
         radius = "front_radius_m" if together.source == "front" else "rear_radius_m"
         names = (radius, "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
         slips = (values.get(name, 0.0) for name in (UNDERSTEER, SIDE_SLIP))

@@ -169,7 +169,7 @@ def test_spoilt_logs_end_in_words_never_in_a_result(
 ) -> None:
     """Geometry is wrong or refused; every command ends with a status of its own, none with a bug."""
     column, change = SPOILT[what]
-    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=4), column, change)
+    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=6), column, change)
     assert calib(["geometry", str(folder), "--json", "-"]) in {1, 2}
     for command in (["check"], ["diagnose"], ["fit"], ["plan", "--most", "1"]):
         assert calib([*command, str(folder)]) in {0, 1, 2}, command
@@ -208,7 +208,7 @@ def test_geometry_finds_slip_in_fast_turns(tmp_path: Path) -> None:
 @pytest.mark.parametrize("play_rad", [0.0, 0.03])
 def test_the_play_of_a_steering_is_the_scatter_of_its_zero_between_recordings(tmp_path: Path, play_rad: float) -> None:
     """Each recording has a steering zero of its own, by a servo's play."""
-    rng, folder = np.random.default_rng(4), campaign(tmp_path / "car", Truth(), runs=4)
+    rng, folder = np.random.default_rng(4), campaign(tmp_path / "car", Truth(), runs=6)
     read = read_campaign(spoilt(folder, "steer_rad", lambda angle: angle + rng.normal(0.0, play_rad)))
     recording = recording_of(read, "shaft")
     drive = drive_of(read, "shaft", recording)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.localise.covariates import covariate_values
 from calib.gap.observations.arrays import Channel
-from calib.gap.predict import residuals
 from calib.reporting.figures.style import (
     BLUE,
     GREY,
@@ -31,6 +28,9 @@ from calib.reporting.figures.style import (
 )
 from calib.reporting.formatting import readable, with_unit
 from calib.types import FloatArray, StrArray
+
+if TYPE_CHECKING:
+    from calib.gap.decision.diagnosis import Diagnosis
 
 #: longest arrow of the map over the larger side of the floor plan
 ARROW_SHARE: Final = 0.12
@@ -69,6 +69,10 @@ class GapArrays:
     @staticmethod
     def of(diagnosis: Diagnosis) -> GapArrays:
         """Return the arrays of a diagnosis."""
+        # a report without a diagnosis needs none of this
+        from calib.gap.localise.covariates import covariate_values
+        from calib.gap.predict import residuals
+
         observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
         usable, starts = observations.usable, observations.starts
         _, along, lateral, *_ = np.where(usable, residuals(nominal, nominal), np.nan).T
