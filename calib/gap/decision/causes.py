@@ -22,6 +22,10 @@ from calib.types import FloatArray
 
 #: causes are ordered by these classes of probability, within one by their signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
+#: a cause below this signal, and below this share of the signal of a larger one whose form may err by so much in its
+#: size (`constancy.SAME_SIZE_SD`), cannot be told from that error; radii and track have no form that errs
+WEAK_SIGNAL: Final = 10.0
+FORM_ERROR_SHARE: Final = 0.05
 #: a mean residual this many standard deviations from zero says where the unexplained residual lies
 LOCATED_SD: Final = 4.0
 #: places and covariates named of the unexplained residual
@@ -92,12 +96,13 @@ def causes_of(
 
 
 def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the effects whose share is negligible beside the largest cause's, or small and not nearly certain.
+    """Return the effects that are negligible beside a larger cause, or small and not nearly certain.
 
     Nearly certain is a cause at more than even odds where its family is by `certain`: which member it is does not make
     it small.
     """
     largest = max((cause.share for cause in causes), default=0.0)
+    strongest = max((cause.signal for cause in causes if cause.effect not in NAMES), default=0.0)
 
     def is_certain(cause: Cause) -> bool:
         if cause.probability <= EVEN_PROBABILITY:
@@ -107,7 +112,8 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
     def too_small(cause: Cause) -> bool:
         # a small error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain(cause)
-        return cause.share < NEGLIGIBLE_SHARE * largest or doubtful
+        weak = cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
+        return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
     return tuple(cause.effect for cause in causes if too_small(cause))
 

@@ -9,6 +9,7 @@ import pytest
 
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
+from calib.gap.decision.causes import negligible
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import _parted, is_named_beside, needed
@@ -123,3 +124,15 @@ def test_a_real_recording_is_no_worse_with_its_law_and_track_than_it_was_by_itse
     assert again.closure.before_rms_m is not None
     # less is left than the recording has of its own, whose scrub the recalibration takes in part
     assert again.closure.before_rms_m < own["closure"]["before_rms_m"]
+
+
+def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
+    """Beside a law of 400 sigma a cause of 6 is too small, of 30 it is not; radii and track have no form that errs."""
+    certain = {"load_radius": 0.96, "radius_scale": 0.96, "payload_position": 0.96}
+    for largest, signal, small in (
+        ("load_radius", 6.0, True),
+        ("load_radius", 30.0, False),
+        ("radius_scale", 6.0, False),
+    ):
+        causes = [cause(largest, signal=400.0), cause("payload_position", signal=signal, share=1e-3)]
+        assert (negligible(causes, certain) == ("payload_position",)) is small
