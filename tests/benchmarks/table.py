@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,31 +21,22 @@ from calib.campaign.model import Campaign
 from calib.campaign.write import write_campaign
 from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses
-from tests.benchmarks import reading_bag, test_odometry
+from tests.benchmarks import measured, reading_bag, test_odometry
+from tests.benchmarks.large_campaign import in_sessions
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows
 from tests.benchmarks.test_startup import NEEDED
 from tests.fleet.speeds import fleet_in, speeds
 
-ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = "sample_runs/corridor_crossed"
 PANDAS = "import pandas, pathlib; [pandas.read_csv(path) for path in sorted(pathlib.Path({!r}, 'logs').iterdir())]"
 #: rows of a log where growth with the number of runs is asked
 GROWTH_ROWS = 200
-PARTS = ("commands", "reading", "odometry", "fleet", "growth")
+PARTS = ("commands", "reading", "sessions", "odometry", "fleet", "growth")
 
 
 def spent(arguments: Sequence[str]) -> float:
     """Return the seconds of the processor that a Python process takes."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_CACHE": "off"}
-    # what is compiled is kept, as that of an installed tool is
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, *arguments]
-    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment, check=False)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if process.returncode not in (0, 1) or process.stderr.startswith("Traceback"):
-        raise RuntimeError(f"{' '.join(arguments)}: {process.stderr[-300:]}")
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return measured.spent(arguments).cpu_s
 
 
 def within(work: Callable[[], object]) -> float:
@@ -76,8 +65,7 @@ def row(what: str, ours: float, reference: str, alone: float) -> None:
 
 def commands(turns: int, into: Path) -> None:
     """Commands on the sample campaign against the imports that they cannot do without."""
-    typer, needed = ["-c", "import typer"], ["-c", NEEDED]
-    ours, alone = least(turns, lambda: spent(["-m", "calib", "--help"]), lambda: spent(typer))
+    ours, alone = least(turns, lambda: spent(["-m", "calib", "--help"]), lambda: spent(["-c", "import typer"]))
     row("`calib --help`", ours, "`import typer`", alone)
     for name, further in {
         "check": [],
@@ -86,9 +74,7 @@ def commands(turns: int, into: Path) -> None:
         "diagnose": [],
         "report": ["--into", str(into / "report.pdf"), "--force"],
     }.items():
-        command = ["-m", "calib", name, SAMPLE, *further]
-        ours, alone = least(turns, lambda command=command: spent(command), lambda: spent(needed))  # type: ignore[misc]
-        row(f"`calib {name}`, 60 runs", ours, "bare imports", alone)
+        row(f"`calib {name}`, 60 runs", *_beside_imports(turns, ["-m", "calib", name, SAMPLE, *further]))
 
 
 def reading(turns: int, into: Path, made: Campaign) -> None:
@@ -106,6 +92,25 @@ def reading(turns: int, into: Path, made: Campaign) -> None:
         *(lambda way=way: within(lambda: reading_bag.read(way, bag)) for way in ways),  # type: ignore[misc]
     )
     row("a bag of 32 MB", ours, "rosbags", alone)
+
+
+def sessions(turns: int, into: Path) -> None:
+    """1,020 runs in many sessions and in few, seconds and memory; 160 runs against the imports."""
+    made = of_rows(campaign_of(1020), 810)
+    few, many = (
+        ["-m", "calib", "diagnose", str(write_campaign(in_sessions(made, n), into / f"s{n}"))] for n in (5, 85)
+    )
+    ours, alone = measured.least(turns, lambda: measured.spent(many), lambda: measured.spent(few))
+    row("`calib diagnose`, 1,020 runs of 810 rows in 85 sessions", ours.cpu_s, "in 5 sessions", alone.cpu_s)
+    row("the same, MB held", ours.peak_MB, "in 5 sessions", alone.peak_MB)
+    command = ["-m", "calib", "diagnose", str(write_campaign(of_rows(campaign_of(160), 600), into / "r160"))]
+    row("`calib diagnose`, 160 runs of 600 rows", *_beside_imports(turns, command))
+
+
+def _beside_imports(turns: int, command: list[str]) -> tuple[float, str, float]:
+    """Return the seconds of a command, and those of the imports that it cannot do without."""
+    ours, alone = least(turns, lambda: spent(command), lambda: spent(["-c", NEEDED]))
+    return ours, "bare imports", alone
 
 
 def odometry(turns: int, into: Path) -> None:
@@ -171,6 +176,8 @@ def main() -> None:
             commands(given.turns, into)
         if "reading" in given.parts:
             reading(given.turns, into, of_rows(campaign_of(160), 4000))
+        if "sessions" in given.parts:
+            sessions(min(given.turns, 3), into)
         if "odometry" in given.parts:
             odometry(given.turns, into)
         if "fleet" in given.parts:
