@@ -81,6 +81,8 @@ CELL_M: Final = 2.0
 #: strips at most, and half as many cells
 MAX_STRIPS: Final = 40
 MIN_RUNS_IN_CELL: Final = 3
+#: cosines of headings further apart are both ways: more than a right angle, by more than rounding
+BOTH_WAYS_COSINE: Final = 1.0 + 1e-6
 #: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
 _GRID_WIDTH: Final = 2**16
 #: lane number of a strip across all lanes
@@ -121,8 +123,9 @@ class FloorZone(Effect):
             return places[path]
 
         nominal = predict(observations)
-        cosine = np.cos(map_heading_rad(nominal))
-        cells = _cells(observations, lane[observations.unit], *floor_place(nominal, far_end), cosine)
+        cosine = nominal.of_parts(lambda part: np.cos(map_heading_rad(part)))
+        x, y = nominal.of_parts(lambda part: np.stack(floor_place(part, part.s.here(far_end)), axis=1)).T
+        cells = _cells(observations, lane[observations.unit], x, y, cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))
 
@@ -189,7 +192,7 @@ def _grid(
     zones = []
     for number in np.flatnonzero(visits.sum(axis=0) >= MIN_RUNS_IN_CELL):
         seen, ways = visits[:, number], in_cell[observations.from_log, number]
-        both_ways = bool(np.ptp(heading[seen, number] / in_cell[seen, number]) > 1.0)
+        both_ways = bool(np.ptp(heading[seen, number] / in_cell[seen, number]) > BOTH_WAYS_COSINE)
         spread, mean = float(np.std(ways)), float(np.mean(ways))
         if spread < 0.05 * mean and not (both_ways and lateral):
             continue

@@ -223,8 +223,11 @@ def _bend_rad(observations: Observations) -> FloatArray:
     long_enough = np.abs(path[last] - path[first]) > 0.5 * SMOOTHING_M
 
     def summed(values: FloatArray) -> FloatArray:
-        running = np.concatenate(([0.0], np.cumsum(values)))
-        return np.asarray(running[last + 1] - running[first])
+        restarted = values.copy()
+        # else the sums of the runs before would round what is left of a difference
+        restarted[observations.starts[1:-1]] -= observations.total(values)[:-1]
+        running = np.cumsum(restarted)
+        return np.asarray(running[last] - running[first] + values[first])
 
     count = last - first + 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
