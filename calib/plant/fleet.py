@@ -174,7 +174,9 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             year, number = divmod(FIRST_MONTH[1] - 1 + month, 12)
             where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
             where.mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.table(table), where / "runs.parquet")
+            # a path is taken for the address of a store, and may be no UTF-8
+            with (where / "runs.parquet").open("wb") as stream:
+                pq.write_table(pa.table(table), stream)
     (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
     lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in fleet.labels["hall"].items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

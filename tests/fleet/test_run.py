@@ -18,7 +18,7 @@ from calib.fleet import run
 from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS
 from calib.fleet.workers import Engine, engine
-from calib.plant.fleet import FleetTruth
+from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
 from calib.radius.fit import fit_campaign
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,6 +93,13 @@ def test_new_journeys_alone_are_read(small: tuple[Path, FleetTruth], tmp_path: P
     grown = fit_fleet(folder, tmp_path / "out")
     assert (grown.n_read, grown.n_kept) == (len(last), len(last))
     assert _bytes(grown) == _bytes(fit_fleet(folder, tmp_path / "fresh"))
+
+
+def test_a_fleet_is_made_in_a_folder_whose_name_is_no_utf_8(tmp_path: Path) -> None:
+    """Nor is a name taken for the address of a store."""
+    folder = tmp_path / os.fsdecode(b"s3:h\xff")
+    make_fleet(folder, np.random.default_rng(1), FleetSize(2, 12, 1, 0, 0, 0))
+    assert len(list(folder.rglob("runs.parquet"))) == 2
 
 
 def test_bad_data_of_one_vehicle_stop_nobody(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
