@@ -395,5 +395,5 @@ def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
     for effect in file.effects:
         yield f"not in the model: effect {effect.effect}; calib.runtime adds it to the motion of a simulator's loop"
     for name, value in file.together.items():
-        if name.startswith(("sensor_", "delay", "steering_")):
+        if value != 0.0 and name.startswith(("sensor_", "delay", "steering_")):
             yield f"not in the model: {name} {value:.6g}"
