@@ -22,6 +22,7 @@ from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
+from calib.gap.effects.simulator import as_simulated
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -214,6 +215,8 @@ def _observed(
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the observations, some effects in their simulated motion, and notes on what had to be assumed."""
     observations = observations_of(campaign, model)
+    if np.isfinite(observations.simulated).any():
+        observations = as_simulated(observations)
     _check_distances(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -220,6 +220,27 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
     reading[:, Channel.ALONG] = c * change[:, 1] + s * change[:, 2]
     reading[:, Channel.LATERAL] = c * change[:, 2] - s * change[:, 1]
     return reading
+
+
+def as_simulated(observations: Observations) -> Observations:
+    """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
+
+    What bends a path is not linear: it is to be taken about the path that the simulator drives, not the model's.
+    """
+    nominal = predict(observations)
+    change = (observations.simulated - nominal.reading)[:, :4]
+    if not np.isfinite(change[observations.usable[:, :4]]).all():
+        # some of it is judged against the model itself
+        return observations
+    change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
+    carried = WheelMotion(nominal, np.zeros(4)).carried(np.nan_to_num(change), 1.0)
+    unit, model = observations.unit, observations.model
+    return replace(
+        observations,
+        roll_left_rad=observations.roll_left_rad * (1.0 + carried.left[unit]),
+        roll_right_rad=observations.roll_right_rad * (1.0 + carried.right[unit]),
+        model=replace(model, track_m=model.track_m * (1.0 + float(carried.track.mean()))),
+    )
 
 
 class HeldCalibration(Effect):

@@ -15,7 +15,7 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, WheelMotion
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, as_simulated
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
@@ -167,24 +167,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
-    return _as_simulated(observations)
-
-
-def _as_simulated(observations: Observations) -> Observations:
-    """Return the observations with wheels that travel as the simulator's do, as far as its ends tell.
-
-    What bends a path is not linear: it is to be taken about the path that the simulator drives, not the model's.
-    """
-    nominal = predict(observations)
-    change = np.nan_to_num(observations.simulated - nominal.reading)[:, :4]
-    carried = WheelMotion(nominal, np.zeros(4)).carried(change, 1.0)
-    unit, model = observations.unit, observations.model
-    return replace(
-        observations,
-        roll_left_rad=observations.roll_left_rad * (1.0 + carried.left[unit]),
-        roll_right_rad=observations.roll_right_rad * (1.0 + carried.right[unit]),
-        model=replace(model, track_m=model.track_m * (1.0 + float(carried.track.mean()))),
-    )
+    return as_simulated(observations)
 
 
 def _check_excluded(
