@@ -38,7 +38,7 @@ from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.next_runs import next_runs
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, predict, residuals
-from calib.types import Progress, silent
+from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
@@ -122,7 +122,7 @@ def diagnose_in_full(
     noise, base, searched = _searched(nominal, effects, settings, progress)
     refined = _refined(situation, searched.fitted)
     if refined is not None:
-        situation = _corrected(given, model, applied, exclude, refined)
+        situation = _corrected(given, model, applied, exclude, refined, situation.as_counted)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
         noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
@@ -164,10 +164,11 @@ def _situation(
     if observations is not None:
         return _counts_corrected(campaign, observations, (), (), exclude)
     observations, notes = _observed(campaign, model, applied)
-    turned = None if ReferenceYaw.id in exclude else find_turned(predict(observations))
+    nominal = predict(observations)
+    turned = None if ReferenceYaw.id in exclude else find_turned(nominal)
     if turned is None:
         return _counts_corrected(campaign, observations, notes, (), exclude)
-    return _corrected(campaign, model, applied, exclude, turned)
+    return _corrected(campaign, model, applied, exclude, turned, residuals(nominal, nominal))
 
 
 def _corrected(
@@ -176,10 +177,11 @@ def _corrected(
     applied: Sequence[EffectSection],
     exclude: tuple[str, ...],
     turned: TurnedReference,
+    as_read: FloatArray | None,
 ) -> Situation:
-    """Return what was driven with the reference's mounting corrected."""
+    """Return what was driven with the reference's mounting corrected; `as_read` is the gap before."""
     campaign = turned.correct(campaign)
-    return _counts_corrected(campaign, *_observed(campaign, model, applied), (turned,), exclude)
+    return _counts_corrected(campaign, *_observed(campaign, model, applied), (turned,), exclude, as_read)
 
 
 def _counts_corrected(
@@ -188,13 +190,15 @@ def _counts_corrected(
     notes: tuple[str, ...],
     faults: tuple[TurnedReference, ...],
     exclude: tuple[str, ...],
+    as_counted: FloatArray | None = None,
 ) -> Situation:
     """Return what was driven with a blunder of the counts, if there is one, corrected."""
     nominal = predict(observations)
     fault = None if EncoderBlunder.id in exclude else find_blunder(observations, nominal)
     if fault is None:
-        return Situation(campaign, observations, notes, faults)
-    as_counted = residuals(nominal, nominal)
+        return Situation(campaign, observations, notes, faults, as_counted)
+    if as_counted is None:
+        as_counted = residuals(nominal, nominal)
     return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 

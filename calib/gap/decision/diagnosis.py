@@ -44,7 +44,7 @@ class Situation:
     observations: Observations
     notes: tuple[str, ...] = ()  #: what had to be assumed
     faults: tuple[Blunder | TurnedReference, ...] = ()  #: blunders of encoders and reference mounting, corrected
-    as_counted: FloatArray | None = None  #: the gap with the counts as they were, shape (n_units, n_channels)
+    as_counted: FloatArray | None = None  #: the gap with counts and reference as they were, shape (n_units, n_channels)
 
 
 @dataclass(frozen=True, eq=False)

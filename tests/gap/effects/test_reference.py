@@ -99,3 +99,5 @@ def test_the_angle_is_the_one_beside_the_other_causes(tmp_path: Path) -> None:
     size = causes[0].parameters["yaw"]
     assert size.value == pytest.approx(-np.radians(30.0), abs=1e-3)  # two and a half of its standard uncertainty
     assert size.ci95[0] <= -np.radians(30.0) <= size.ci95[1]
+    # what the fix is worth is counted from the gap as it was read: metres, not what the turned axes leave
+    assert diagnosis.recommended and diagnosis.closure.before_rms_m == pytest.approx(1.9, abs=0.1)
