@@ -153,38 +153,39 @@ class Signatures:
         return np.asarray(kept.T @ kept)
 
     def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the signal of each effect (n_truths,) and its distance from each other one (n_truths, n_effects).
+        """Return the signal of each effect (..., n_truths) and its distance from each other one (..., n_effects).
 
         The signal is the whitened norm beside a free recalibration (of the calibration's own three: without it). The
         distance is the norm of the residual after the other effect is fitted within what is plausible; infinite from
-        itself. `truths` are the numbers of the effects in question, by default all.
+        itself. `gram`: scalar products of all columns, or several sets of them, shape (..., n_columns, n_columns);
+        `truths`: the numbers of the effects in question, by default all.
         """
         numbers = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
         target = self.first_truth + numbers
-        square = gram[target, target]
-        signal = np.zeros(len(numbers))
-        distances = np.full((len(numbers), len(self.names)), np.inf)
+        square = gram[..., target, target]
+        signal = np.zeros(square.shape)
+        distances = np.full((*square.shape, len(self.names)), np.inf)
         for calibration in (False, True):
             same = self.own_calibration[numbers] == calibration
             free = np.arange(3 if calibration else 0, 4)
 
             def left(beside: IntArray, same: BoolArray = same) -> FloatArray:
-                return np.sqrt(_residual_square(gram, beside, target[same], square[same]))
+                return np.sqrt(_residual_square(gram, beside, target[same], square[..., same]))
 
-            signal[same] = left(free)
+            signal[..., same] = left(free)
             for number, first, last in self.forms:
                 absorbed = self.own_calibration[number] and not calibration
-                near = signal[same] if absorbed else left(np.concatenate([free, np.arange(first, last)]))
-                distances[same, number] = np.minimum(distances[same, number], near)
-        distances[np.arange(len(numbers)), numbers] = np.inf
+                near = signal[..., same] if absorbed else left(np.concatenate([free, np.arange(first, last)]))
+                distances[..., same, number] = np.minimum(distances[..., same, number], near)
+        distances[..., np.arange(len(numbers)), numbers] = np.inf
         return signal, distances
 
 
 def _residual_square(gram: FloatArray, index: np.ndarray, target: np.ndarray, square: FloatArray) -> FloatArray:
     """Return the squares of the columns `target` that remain after those of `index`, of unit prior, are fitted."""
-    inner = gram[np.ix_(index, index)] + np.eye(len(index))
-    cross = gram[np.ix_(index, target)]
-    return np.asarray(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=0), 0.0))
+    inner = gram[..., index[:, None], index] + np.eye(len(index))
+    cross = gram[..., index[:, None], target]
+    return np.asarray(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=-2), 0.0))
 
 
 @dataclass(frozen=True, slots=True)

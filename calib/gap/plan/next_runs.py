@@ -42,6 +42,8 @@ ENOUGH_SD: Final = 2.0 * SEPARATION_SD
 CAP_SD: Final = 4.0 * SEPARATION_SD
 #: a gain below this many standard deviations is not worth naming
 NOTEWORTHY_SD: Final = 0.05
+#: candidates weighed in one go: their small equations are solved together, and their scalar products held twice
+AT_ONCE: Final = 16
 #: runs of a route that show how much they scatter: the noise level of routes that were not repeated is assumed
 REPEATS: Final = 3
 #: a recorded distance outside this is no corridor
@@ -119,7 +121,9 @@ def next_runs(
     task = _Task(signatures, ties)
     chosen: list[PlannedRun] = []
     while len(chosen) < most and grams and not task.done(before := task.distances(base)):
-        after = {number: task.distances(base + gram) for number, gram in grams.items()}
+        numbers, after = list(grams), dict[int, FloatArray]()
+        for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
+            after |= zip(some, task.distances(base + np.stack([grams[number] for number in some])), strict=True)
         best = max(after, key=lambda number: (task.score(after[number]), -number))
         if not (task.score(after[best]) > task.score(before) and task.gains(before, after[best])):
             break
@@ -148,12 +152,15 @@ class _Task:
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of each confounded pair, else of each effect from zero and from its nearest neighbour."""
+        """Return the distance of each confounded pair, else of each effect from zero and from its nearest neighbour.
+
+        `gram`: scalar products of all columns, shape (..., n_columns, n_columns); a set of distances for each.
+        """
         signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
             row = {truth: index for index, truth in enumerate(self.truths)}
-            return np.array([distance[row[a], b] for a, b in self.pairs])
-        return np.asarray(np.minimum(signal, distance.min(axis=1, initial=np.inf)))
+            return np.stack([distance[..., row[a], b] for a, b in self.pairs], axis=-1)
+        return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
 
     def done(self, distances: FloatArray) -> bool:
         """Return whether everything is separated with a margin."""
