@@ -92,9 +92,8 @@ def test_the_angle_is_the_one_beside_the_other_causes(tmp_path: Path) -> None:
     """Odometry that bends the path turns its end: the angle first found is 0.3 degrees off, the one stated is not."""
     recording = plant.tricycle(np.random.default_rng(1))
     axes_turned(30.0)(recording)
-    causes = diagnose_in_full(
-        read_campaign(plant.write(recording, tmp_path / "turned", along=False)), plan=False
-    ).causes
+    diagnosis = diagnose_in_full(read_campaign(plant.write(recording, tmp_path / "turned", along=False)), plan=False)
+    causes = diagnosis.causes
     assert [cause.effect for cause in causes] == ["reference_yaw", "radius_scale", "steering_delay"]
     size = causes[0].parameters["yaw"]
     assert size.value == pytest.approx(-np.radians(30.0), abs=1e-3)  # two and a half of its standard uncertainty
