@@ -119,7 +119,7 @@ class LinearSystem:
         index[selected._n_narrow] = self._n_narrow
         for number, where in selected._common.items():
             index[where] = np.arange(self._common[number].start, self._common[number].stop)
-        selected.whole = self.whole[:, index]
+        selected.whole = self.whole.take(index, axis=1)
         vars(selected)["_gram"] = gram[index[:, None], index]
         return selected
 
