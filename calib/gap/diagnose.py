@@ -306,25 +306,7 @@ def _held_out(
     left_out: HeldOutFit,
     rng: np.random.Generator,
 ) -> HeldOut:
-    """Return the gap before and after on held-out runs: whole sessions, unless the cause is a step between them.
-
-    Parameters
-    ----------
-    situation : Situation
-        The gap with the counts as they were, where these had a blunder.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each observation.
-    searched : Search
-        The most probable hypothesis, and whether a residual is unexplained.
-    effects : sequence of Effect
-        The library.
-    left_out : LeftOut
-        Predicts held-out runs.
-    rng : numpy.random.Generator
-        For the bootstrap.
-    """
+    """Return the gap before and after on held-out runs: whole sessions, unless the cause is a step between them."""
     best = searched.fitted
     # where no cause is missing, the residual is noise, and a better estimate of its level
     factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(nominal.s.usable.sum()))

@@ -62,17 +62,8 @@ def causes_of(
 ) -> list[Cause]:
     """Return the causes of the most probable hypothesis and of the recalibration, most probable first.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        What was measured.
-    probabilities : mapping of str to float
-        Of each effect, from `calib.gap.decision.confounding.effect_probabilities`.
-    certain : mapping of str to float
-        Of each named effect, the probability that it or an effect that it is confounded with is at work: the order is
-        by this, so that an alias, another form of the family above all, does not cost a cause its place.
-    forms_open : mapping of str to tuple of str
-        For each named effect, the effects of its family that it is confounded with.
+    The order is by `certain`, the probability that a cause or an effect that it is confounded with is at work: an alias
+    does not cost a cause its place.
     """
     from scipy.special import stdtrit
 

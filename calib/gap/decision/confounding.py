@@ -174,12 +174,7 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
     The ends are those of the journeys to come where these are given, else of the runs driven. An instrument's error
     moves no vehicle: its correction and that of a radius are as far apart as the radius moves the ends.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        What was measured.
-    groups : sequence of sequence of str
-        Confounded effects, the named one first.
+    `groups` have the named effect first.
 
     Returns
     -------
@@ -238,13 +233,6 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
 
     No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
     linearly, leaves a part of the larger cause that looks like a smaller one.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What was measured.
-    causes : sequence of Cause
-        What would be named.
     """
     if len(causes) < 2:
         return ()

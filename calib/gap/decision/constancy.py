@@ -53,13 +53,6 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     A cause's contribution is given a further factor on each group, beside the recalibration and all fitted effects (a
     test of parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and what each
     condition may deviate from the form by. The statistic follows F; levels are divided by the number of tests.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What was measured.
-    effects : collection of str
-        What may be named, blunders apart.
     """
     fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
     # what has a size of its own in each session has no common one

@@ -109,20 +109,7 @@ def reasons(
 ) -> list[str]:
     """Return what keeps a fix of some causes back, each with its figure and what settles it; empty where nothing does.
 
-    Parameters
-    ----------
-    causes : sequence of Cause
-        What is named.
-    certain : mapping of str to float
-        Of each effect, the probability that it or an effect that it is confounded with is at work.
-    improvement : Improvement or None
-        On held-out runs; None where nothing was compared.
-    trials : sequence of Trial
-        Routes, speeds, loads, directions and sessions held out in turn.
-    unexplained : Unexplained, optional
-        The unexplained residual.
-    differing : mapping of str to SizeDifference, optional
-        Causes whose sizes differ between groups of runs.
+    The parameters are those of `fix_of`.
     """
     single = (text for cause in causes for text in doubts(cause, unexplained, differing))
     helpful = [*unhelpful(improvement), *remaining(improvement, unexplained)]

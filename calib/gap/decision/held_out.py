@@ -288,14 +288,7 @@ def _interval(
 def end_rms_m(values: FloatArray, observations: Observations, units: BoolArray | None = None) -> float | None:
     """Return the root mean square of end positions, else of distances; None where neither was measured.
 
-    Parameters
-    ----------
-    values : array of float, shape (n_units, n_channels)
-        Residuals, or a noise level.
-    observations : Observations
-        The same observations.
-    units : array of bool, shape (n_units,), optional
-        Some of them.
+    `values`, shape (n_units, n_channels): residuals, or a noise level; of the units `units`, all by default.
     """
     on = observations.usable if units is None else observations.usable & units[:, None]
     pose = on[:, POSE].all(axis=1)

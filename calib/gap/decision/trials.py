@@ -49,14 +49,7 @@ class Trial:
 def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial, ...]:
     """Hold out each value of what varies, and try the correction of the others there.
 
-    Parameters
-    ----------
-    left_out : LeftOut
-        Predicts held-out runs.
-    before : array of float, shape (n_units, n_channels)
-        Residuals of the model alone.
-    dof : float
-        Degrees of freedom of the noise level.
+    `before`, shape (n_units, n_channels): residuals of the model alone.
     """
     from scipy.special import fdtri
 

@@ -97,16 +97,7 @@ def _trace(
 ) -> Trace:
     """Return the trace of a log with its reference.
 
-    Parameters
-    ----------
-    log : mapping of str to array of float, shape (n,)
-        Times and reference, of `_complete`.
-    left_m, right_m : array of float, shape (n,)
-        Travel of the wheels.
-    track_m : float
-        Track.
-    labels : tuple
-        Name and kind of the run, and whether it was driven back along a corridor.
+    `labels`: name and kind of the run, and whether it was driven back along a corridor.
     """
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m

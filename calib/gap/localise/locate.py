@@ -210,16 +210,7 @@ def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
 def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
     """Return the regression of a channel's gap on the way and a covariate as a line.
 
-    Parameters
-    ----------
-    windows : array of float, shape (n_windows, 3)
-        Way, covariate and gap.
-    run : array of int, shape (n_windows,)
-        Number of the run of each window.
-    channel : Channel
-        The gap's.
-    where, what : str
-        Kind of place, and what the size counts.
+    `windows`, shape (n_windows, 3): way, covariate and gap.
     """
     from scipy.special import stdtr
 

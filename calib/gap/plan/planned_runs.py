@@ -297,19 +297,7 @@ def _rear(
 def _steered(
     campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel, source: str
 ) -> dict[str, FloatArray]:
-    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Its encoder counts.
-    distance_m, heading_rad : array of float, shape (n,)
-        As of `wheel_counts`.
-    model : FrontModel
-        Radius, wheelbase, and zero and scale of the angle.
-    source : str
-        ``front`` or ``shaft``.
-    """
+    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle."""
     ahead, turn = np.diff(distance_m), np.diff(heading_rad)
     if source == "shaft":
         name, per_rev, rolled_m = "counts_rear", counts_per_rev(campaign.encoder, "shaft")[0], distance_m
