@@ -149,17 +149,14 @@ def inside(
 ) -> Path:
     """Resolve a path found in a data file, which must stay inside `root`.
 
+    Raises BadFileError where the path is absolute or leads out of `root`, symbolic links included.
+
     Parameters
     ----------
-    root, relative : Path, str
+    root, relative
         The folder, and the path as found.
-    named_in, row, column : optional but for the file
+    named_in, row, column
         Where the path was found.
-
-    Raises
-    ------
-    BadFileError
-        Where the path is absolute or leads out of `root`, symbolic links included.
     """
     top = root.resolve()
     try:

@@ -60,23 +60,20 @@ def refuse_beyond(
 ) -> None:
     """Refuse more of something than there may be.
 
+    Raises BadFileError where `count` is above `most`.
+
     Parameters
     ----------
-    count, most : int
+    count, most
         How many there are, and may be.
-    shown : str
+    shown
         The file, for the message.
-    what : str
+    what
         What is counted: ``runs``.
-    remedy : str
+    remedy
         What to do about it.
-    row, column : optional
+    row, column
         Where in the file.
-
-    Raises
-    ------
-    BadFileError
-        Where `count` is above `most`.
     """
     if count > most:
         raise BadFileError(shown, f"{count} {what}", f"at most {most}", remedy, row=row, column=column)
@@ -85,19 +82,16 @@ def refuse_beyond(
 def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
     """Refuse a number asked for that is above what is computed.
 
+    Raises BadInputError where `count` is above `most`.
+
     Parameters
     ----------
-    name : str
+    name
         What was asked for, as the library calls it: ``draws``.
-    count, most : float, int
+    count, most
         How many were asked for, and may be; no number counts as too many.
-    remedy : str
+    remedy
         What to do about it.
-
-    Raises
-    ------
-    BadInputError
-        Where `count` is above `most`.
     """
     if not count <= most:
         raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")
@@ -106,10 +100,7 @@ def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
 def refuse_workers(workers: int) -> None:
     """Refuse more processes than `WORKERS` and twice the processors of this machine: each takes memory of its own.
 
-    Raises
-    ------
-    BadInputError
-        Where there are more.
+    Raises BadInputError where there are more.
     """
     refuse_more("workers", workers, max(WORKERS, 2 * (os.cpu_count() or 1)), "one a processor is enough")
 

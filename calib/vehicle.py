@@ -97,19 +97,17 @@ def check_wheel_loads(
 ) -> None:
     """Refuse wheel loads under which the vehicle would tip or carry too much.
 
+    Raises RefusedError where a wheel would lift off (no load or less) or carry more than is permitted; names the wheel
+    and the load.
+
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle
         Its permissible wheel load is the limit.
     front_N, left_N, right_N : array_like of float
         Wheel loads, any shapes.
-    what : str
+    what
         What causes the loads; begins the message.
-
-    Raises
-    ------
-    RefusedError
-        Where a wheel would lift off (no load or less) or carry more than is permitted; names the wheel and the load.
     """
     for name, load in (("front", front_N), ("left", left_N), ("right", right_N)):
         loads = np.atleast_1d(np.asarray(load, dtype=np.float64))
@@ -149,19 +147,16 @@ def payload_from_wheel_loads(
 ) -> WeighedPayload:
     """Return payload mass and position from three weighed wheels: Eqs (1), (2) and the force balance.
 
+    Raises RefusedError where the wheels carry no more than the vehicle alone: there is then no payload to place.
+
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle
         Geometry and mass without payload.
-    front_N, left_N, right_N : float
+    front_N, left_N, right_N
         Weighed wheel loads.
-    sigma_N : float
+    sigma_N
         Standard uncertainty of each weighing.
-
-    Raises
-    ------
-    RefusedError
-        Where the wheels carry no more than the vehicle alone: there is then no payload to place.
     """
     total = front_N + left_N + right_N
     own = vehicle.mass_kg * GRAVITY_MPS2

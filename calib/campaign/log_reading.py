@@ -130,25 +130,20 @@ def read_logs(
 ) -> tuple[Logs, dict[str, str]]:
     """Read the logs of a campaign and undo the overflow of their counters.
 
+    Returned are the logs of all runs end to end, and the SHA-256 of each by its name.
+
     Parameters
     ----------
-    files : sequence of LogFile
+    files
         Logs there are, in the order of the runs.
-    n_runs : int
+    n_runs
         Rows of the run table.
-    encoder : Encoder
+    encoder
         ``wrap_bits`` where the settings name it; else overflows are looked for.
-    border : Border
+    border
         Takes notes and faults in the order of the runs; a log that cannot be used is a fault.
-    progress : callable
+    progress
         See `calib.types.Progress`.
-
-    Returns
-    -------
-    logs : Logs
-        Of all runs, end to end.
-    hashes : dict of str to str
-        SHA-256 of each log, by its name.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}

@@ -125,23 +125,20 @@ def add_recognised(
 ) -> str:
     """Add the columns that calib knows by their names, in SI units; return the source of the times.
 
+    Raises BadFileError where two columns mean the same.
+
     Parameters
     ----------
     columns : dict of str to array of float, shape (n_samples,)
         Columns that are there already, by calib's names; changed in place.
-    raw : RawTable
+    raw
         The log as read.
-    shown : str
+    shown
         Its name in messages.
-    border : Border
+    border
         Takes what was converted.
-    mapped : collection of str
+    mapped
         Columns of `raw` that are not looked at.
-
-    Raises
-    ------
-    BadFileError
-        Where two columns mean the same.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():

@@ -83,15 +83,15 @@ class Border:
 
         Parameters
         ----------
-        where : str
+        where
             File, row and column.
-        text : str
+        text
             What was found, what was expected, what to do.
-        code : str
+        code
             Name of the fault.
-        level : str
+        level
             ``wrong``, ``suspicious`` or ``info``.
-        run_id : str
+        run_id
             The run concerned; empty where it is none.
         """
         self.notes.append(Note(level, where, text, code, run_id))

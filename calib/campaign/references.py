@@ -46,11 +46,11 @@ def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         As read.
-    shown : str
+    shown
         Name of its run table in messages.
-    border : Border
+    border
         Takes what was done.
     """
     if GYRO in campaign.logs.columns:

@@ -245,13 +245,13 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
 
     Parameters
     ----------
-    logs : Logs
+    logs
         Of all runs.
-    encoder : Encoder
+    encoder
         Counts per revolution of the result.
-    vehicle : Vehicle
+    vehicle
         Nominal radius and track, by which the vehicle computed its speeds.
-    border : Border
+    border
         Takes what was done.
     """
     columns = dict(logs.columns)

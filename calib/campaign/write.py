@@ -87,29 +87,21 @@ def write_campaign(
 ) -> Path:
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
+    Raises BadInputError where a campaign stands there and `force` is False, or the folder cannot be written.
+
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         The campaign.
-    folder : Path
+    folder
         Target folder; other files in it are left alone.
-    force : bool
+    force
         Replace a campaign that stands there.
-    log_decimals : mapping of str to int, optional
+    log_decimals
         Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
         back exactly, and times to the nanosecond.
-    beside : mapping of str to bytes, optional
+    beside
         Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
-
-    Returns
-    -------
-    Path
-        `folder`.
-
-    Raises
-    ------
-    BadInputError
-        Where a campaign stands there and `force` is False, or the folder cannot be written.
     """
 
     def fill(scratch: Path) -> None:

@@ -226,23 +226,20 @@ def ceiling_of(
 ) -> Ceiling | None:
     """Return the ceiling of a campaign, the effects of the library being as likely as each other.
 
+    None where no effect leaves anything.
+
     Parameters
     ----------
     signatures : mapping of str to sequence of array of float, each shape (n_rows, n_directions)
         Effect -> what each of its forms can do, whitened, a recalibration projected out.
-    signal : float
+    signal
         Norm at which the true effect acts.
-    rng : numpy.random.Generator
+    rng
         Draws effects, directions and noise.
-    one_sign : sequence of str
+    one_sign
         Effects of which only positive sizes have a meaning.
-    draws : int
+    draws
         How many.
-
-    Returns
-    -------
-    Ceiling or None
-        None where no effect leaves anything.
     """
     spaces = _spaces(signatures, one_sign)
     if not spaces:
@@ -275,7 +272,7 @@ def ceiling_of_truth(
     ----------
     signatures, signal, rng, one_sign, draws
         As for `ceiling_of`.
-    effect : str
+    effect
         The true one.
     left : array of float, shape (n_rows,)
         What it leaves in this case, whitened, a recalibration projected out. Of an effect that is not among the

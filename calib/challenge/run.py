@@ -126,15 +126,15 @@ def run_case(
 
     Parameters
     ----------
-    folder : Path
+    folder
         The sealed set.
-    case : str
+    case
         Name of the case.
-    exclude : tuple of str
+    exclude
         Effects that the library is denied.
-    seed : int
+    seed
         Seed of the diagnosis.
-    diagnoser : callable
+    diagnoser
         What diagnoses; calib's own diagnosis by default.
     """
     folder = Path(folder)
@@ -167,17 +167,17 @@ def run(
 
     Parameters
     ----------
-    folder : Path
+    folder
         A set made by `calib.challenge.seal.make`.
-    workers : int
+    workers
         Processes; 1 stays in this one.
-    seed : int
+    seed
         Of the diagnosis.
-    limit : int, optional
+    limit
         Only the first so many cases.
-    diagnoser : callable, optional
+    diagnoser
         Instead of the library's own diagnosis; needs ``workers=1``.
-    tick : callable, optional
+    tick
         ``tick(done, total)``.
     """
     folder = Path(folder)

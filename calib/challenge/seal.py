@@ -93,29 +93,26 @@ def make(
 ) -> Sealed:
     """Make a sealed set.
 
+    Raises BadInputError where a set stands there and `force` is False.
+
     Parameters
     ----------
-    seeds_file : Path
+    seeds_file
         Which cases; see ``calib/challenge/seeds``.
-    folder : Path
+    folder
         Gets ``challenge.json``, ``truth.sha256``, ``cases/<case>`` and ``fresh/<case>`` (the same truth, driven again).
-    limit : int, optional
+    limit
         Only so many cases.
-    truth_file : Path, optional
+    truth_file
         Where the truth goes; beside the folder by default.
-    workers : int
+    workers
         Processes.
-    force : bool
+    force
         Replace a set that stands there.
-    tick : callable, optional
+    tick
         ``tick(stage, done, total)``.
-    sealed : callable, optional
+    sealed
         Gets the hash as soon as the truth is sealed, before any campaign is driven.
-
-    Raises
-    ------
-    BadInputError
-        Where a set stands there and `force` is False.
     """
     folder = Path(folder)
     truth_file = Path(truth_file) if truth_file else truth_path(folder)

@@ -154,21 +154,21 @@ def from_law(
 
     Parameters
     ----------
-    law : RadiusLaw
+    law
         Radius by load of each wheel.
-    vehicle : Vehicle
+    vehicle
         Geometry and mass.
-    encoder : Encoder
+    encoder
         Counts of a turn, and where the counters wrap.
-    header : Header
+    header
         Name, origin and date.
     load_table : mapping of str to (float, float)
         Name of a line -> wheel loads left and right in N; lines outside the valid range are omitted.
-    effects : iterable of EffectSection
+    effects
         Diagnosed effects in the model.
-    load_margin_N : float, optional
+    load_margin_N
         How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
-    noise : PoseNoise
+    noise
         Random walk of the pose.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
@@ -230,28 +230,20 @@ def from_geometry(
     the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
     then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
 
+    Raises ImplausibleError where the geometry is doubtful or wrong and no reason is given.
+
     Parameters
     ----------
-    geometry : Geometry
+    geometry
         What was estimated.
-    campaign : Campaign
+    campaign
         The one it was estimated from.
     outside : {"refuse", "clamp"}
         What the vehicle does with a load outside the valid range.
-    created : str
+    created
         Date as YYYY-MM-DD.
-    accept : str
+    accept
         Why a doubtful or wrong geometry is passed on all the same, written into the file.
-
-    Returns
-    -------
-    CoefficientFile
-        With the uncertainties of the geometry.
-
-    Raises
-    ------
-    ImplausibleError
-        Where the geometry is doubtful or wrong and no reason is given.
     """
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)

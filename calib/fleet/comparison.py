@@ -100,12 +100,12 @@ class Quantities:
 
     Parameters
     ----------
-    populations : mapping of str to Population
+    populations
         By quantity, for example ``slope_left_m_per_N``; outliers and drifting vehicles omitted, differences of labels
         removed.
-    outliers : tuple of Outlier
+    outliers
         One a vehicle: what is farthest off; farthest first.
-    common : tuple of LabelDifference
+    common
         Strongest first.
     """
 
@@ -125,13 +125,13 @@ def quantities_of(
 
     Parameters
     ----------
-    vehicles : sequence of str
+    vehicles
         Ids.
     values, std : mapping of str to array of float, each shape (n_vehicles,)
         By quantity, NaN where a vehicle does not have it; `std` its standard uncertainty.
-    labels : mapping of str to mapping of str to str
+    labels
         For each kind of label, that of each vehicle.
-    drifting : frozenset of str
+    drifting
         Vehicles named as drifting: that they have moved is no second finding.
     """
     compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
@@ -207,13 +207,13 @@ class SharedCause:
 
     Parameters
     ----------
-    what : str
+    what
         Effect of a diagnosis, with its place where it has one, or code of a check.
-    label, value : str
+    label, value
         Column of ``vehicles.csv`` and its value; both empty for the whole fleet.
-    n_showing, n_vehicles : int
+    n_showing, n_vehicles
         How many of how many.
-    p_value : float
+    p_value
         Of Fisher's exact test against the other vehicles; 1 for the whole fleet.
     """
 

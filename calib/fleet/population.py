@@ -34,17 +34,17 @@ class Population:
 
     Parameters
     ----------
-    mean : float
+    mean
         Of the population of vehicles.
-    mean_ci95 : tuple of float
+    mean_ci95
         Its interval (Hartung, Knapp, Sidik and Jonkman).
-    spread : float
+    spread
         Standard deviation between vehicles, their own uncertainty taken out (Paule and Mandel).
-    spread_ci95 : tuple of float
+    spread_ci95
         Its interval (Q profile, Viechtbauer 2007).
-    within : float
+    within
         Typical standard uncertainty of one vehicle.
-    n : int
+    n
         Vehicles.
     """
 

@@ -106,11 +106,11 @@ class Fleet:
 
     Parameters
     ----------
-    records : tuple of VehicleRecord
+    records
         By vehicle id.
-    view : FleetView
+    view
         Of all of them.
-    n_read, n_kept : int
+    n_read, n_kept
         Files read now, and files whose sums were kept from before.
     """
 
@@ -136,24 +136,21 @@ def fit_fleet(
 ) -> Fleet:
     """Fit every vehicle of a fleet.
 
+    The result is the same for any engine, number of workers and order.
+
     Parameters
     ----------
-    folder : Path
+    folder
         See `calib.fleet.store.members_of`.
-    into : Path
+    into
         Result folder; holds the sums of what was read, so that only new or changed files are read the next time and an
         interrupted run goes on where it was.
-    workers : int
+    workers
         Processes of this machine.
-    scheduler : str
+    scheduler
         Address of a Dask scheduler, in place of `workers`.
-    progress : callable, optional
+    progress
         Called as files are done.
-
-    Returns
-    -------
-    Fleet
-        The same for any engine, number of workers and order.
     """
     # workers start while this process lists the files
     with engine(workers, scheduler) as opened:

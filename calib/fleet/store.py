@@ -35,16 +35,16 @@ class Part:
 
     Parameters
     ----------
-    name : str
+    name
         Path relative to the fleet's folder; names the part in results.
-    path : Path
+    path
         Where it is.
-    settings : Path
+    settings
         Folder of its ``campaign.toml``.
-    day : float or None
+    day
         Day of its journeys since 1970-01-01 where the partition says a month (its fifteenth); None where only the
         column ``day`` can.
-    why : str
+    why
         Why the file may not be read, on one line; empty where it may.
     """
 
@@ -245,26 +245,21 @@ def renewed(
 ) -> tuple[dict[str, Kept], int]:
     """Do a task for each source that is new or has changed; records of the others are kept.
 
+    Returned are the records of all sources by name, and how many were new or had changed.
+
     Parameters
     ----------
-    path : Path
+    path
         File of records, one line each, appended as they come: an interrupted run goes on where it was. In the end in
         the order of their names, so that the bytes are the same for any order of arrival.
-    sources : mapping of str to Part or Member
+    sources
         By the names of their records.
     opened, task, given_up
         As `calib.fleet.workers.Engine.run` takes them.
-    progress : callable, optional
+    progress
         Called with the number of sources done and the number to do.
-    weigh : callable
+    weigh
         As `calib.fleet.workers.Engine.run` takes it.
-
-    Returns
-    -------
-    records : dict of str to Kept
-        Of all sources, by name.
-    n_new : int
-        Sources that were new or had changed.
     """
     before, keys = _read(path), Keys()
     records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}

@@ -54,22 +54,16 @@ def survey_fleet(
 ) -> Survey:
     """Do a task for every vehicle.
 
+    The result is the same for any engine, number of workers and order.
+
+    Raises BadInputError where the task is not known.
+
     Parameters
     ----------
     folder, into, workers, scheduler, progress
         As in `calib.fleet.run.fit_fleet`.
-    what : str
+    what
         One of `TASKS`.
-
-    Returns
-    -------
-    Survey
-        The same for any engine, number of workers and order.
-
-    Raises
-    ------
-    BadInputError
-        Where the task is not known.
     """
     if what not in TASKS:
         raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")

@@ -30,15 +30,15 @@ class PartSums:
 
     Parameters
     ----------
-    name : str
+    name
         Of the file.
-    key : str
+    key
         By which the file is known again.
-    reference_load_N, radius_m : float
+    reference_load_N, radius_m
         From which loads and radii are counted; the model's reference load, the nominal radius.
-    left, right : WheelSums or None
+    left, right
         None where `why` says what is wrong.
-    why : str
+    why
         One line; empty where the file could be used.
     """
 
@@ -62,11 +62,11 @@ class Drift:
 
     Parameters
     ----------
-    per_day_m, std_m : float
+    per_day_m, std_m
         Slope against the day, and its standard uncertainty.
-    dof : float
+    dof
         Degrees of freedom.
-    last_day : float
+    last_day
         Of the latest session.
     """
 
@@ -82,17 +82,17 @@ class WheelLine:
 
     Parameters
     ----------
-    radius_ref_m, slope_m_per_N : float
+    radius_ref_m, slope_m_per_N
         Effective radius at the reference load, and its change with load.
-    radius_std_m, slope_std_m_per_N : float
+    radius_std_m, slope_std_m_per_N
         Standard uncertainties.
-    radius_ci95_m, slope_ci95_m_per_N : tuple of float
+    radius_ci95_m, slope_ci95_m_per_N
         95 % intervals, as `calib fit` takes them from sessions and runs.
-    run_std_m : float
+    run_std_m
         Scatter of a run.
-    autocorrelation : float
+    autocorrelation
         Of runs that follow each other, by which the intervals are widened; 0 where none is significant.
-    drift : Drift or None
+    drift
         None where the sessions have no day, or are fewer than four.
     """
 
@@ -141,17 +141,14 @@ class VehicleRecord:
 def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     """Return a vehicle's record from the sums of its files.
 
+    Failed where a file could not be used, files count from different origins, or the runs carry no line.
+
     Parameters
     ----------
-    vehicle : str
+    vehicle
         Its id.
-    parts : sequence of PartSums
+    parts
         In the order of their names, so that the sums do not depend on who read what first.
-
-    Returns
-    -------
-    VehicleRecord
-        Failed where a file could not be used, files count from different origins, or the runs carry no line.
     """
     parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")
@@ -217,7 +214,7 @@ class WheelSums:
 
     Parameters
     ----------
-    runs : SessionSums
+    runs
         By session.
     order : array of float, shape (n_sessions, 6)
         Over pairs of runs that follow each other in a session: their number; sums of the products of load and load,

@@ -57,19 +57,16 @@ def batches(
 ) -> list[Sequence[Item]]:
     """Cut items into batches in their order.
 
+    None of them is empty.
+
     Parameters
     ----------
-    items, weigh : sequence, callable
+    items, weigh
         What to do, and how many pieces of work an item stands for.
-    largest, smallest : int
+    largest, smallest
         Pieces of work in a batch, at most (a single item may stand for more) and at least (but for the last).
-    workers : int
+    workers
         How many share them.
-
-    Returns
-    -------
-    list of sequence
-        None of them empty.
     """
     weights = [max(weigh(item), 1) for item in items]
     remaining = sum(weights)
@@ -136,13 +133,13 @@ class Engine:
 
         Parameters
         ----------
-        task : callable
+        task
             Takes some items and returns a result for each; a module's function, since it is sent to others by name.
-        items : sequence
+        items
             What to do.
-        given_up : callable
+        given_up
             Makes the result of an item that took its worker down twice, from the item and the reason.
-        weigh : callable
+        weigh
             Pieces of work that an item stands for, so that batches are alike.
         """
         smallest, largest = self.batch

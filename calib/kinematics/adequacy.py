@@ -151,15 +151,15 @@ def judged(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         States the noise of the reference.
-    fitted : Fitted
+    fitted
         The fit.
-    whole : Model
+    whole
         Whole runs, or the longest windows of long recordings: where the position errors are taken.
-    faults : sequence of Fault
+    faults
         Blunders that were recognised.
-    outliers : sequence of str
+    outliers
         Runs that the noise cannot explain; they are named by themselves and take no part.
     """
     used = _used(whole, outliers)

@@ -70,13 +70,13 @@ def find_blunder(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         States vehicle, encoder and noise of the reference.
-    recording : Recording
+    recording
         As it stands.
     source : {"rear", "front", "wheels", "shaft"}
         Which wheels drive the odometry.
-    divide : callable
+    divide
         Cuts a recording into the segments that are compared, by the nominal vehicle of a campaign.
     """
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)

@@ -54,32 +54,24 @@ def estimate_geometry(
 ) -> Geometry:
     """Estimate radii and track, or what the drive has in their place, together with the reference's sensor.
 
+    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
+
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Runs with logs of the wheels, and end poses or poses along the path.
     using : {"end_poses", "windows"}, optional
         Whole runs, or windows of several lengths. None: end poses where eight runs or more have one, since they ask
         nothing of clocks; else windows where the reference follows the vehicle along the path.
-    kinds : sequence of str
+    kinds
         Kinds of routes to use; none: all.
-    sensor : bool, optional
+    sensor
         Estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it takes
         that to explain them.
     leave_out : {"session", "kind", "run_id"}, optional
         Leave each of these out in turn and say the end position error of the held-out runs, before and after.
-    progress : callable
+    progress
         See `calib.types.Progress`.
-
-    Returns
-    -------
-    Geometry
-        Values with intervals, what stayed undetermined, residuals by route.
-
-    Raises
-    ------
-    RefusedError
-        Where no run has wheels and a reference, or nothing can be determined.
     """
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)

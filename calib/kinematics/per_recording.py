@@ -185,13 +185,13 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted
         The fit with one zero.
-    solution : Solution
+    solution
         At the deviations.
     group : array of int, shape (n_runs,)
         Recording of each run.
-    spread : float
+    spread
         Standard deviation of the deviations, rad.
     deviation : array, shape (n_groups,)
         Of the recordings' zeros from the common one, rad.

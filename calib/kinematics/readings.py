@@ -74,15 +74,15 @@ def readings(
 
     Parameters
     ----------
-    recording : Recording
+    recording
         As it stands.
-    per_rev : float
+    per_rev
         Counts per revolution that are stated.
-    drive : Drive
+    drive
         With its nominal values.
-    turned_rad : float
+    turned_rad
         Angle by which the reference's displacements are turned against those of the wheels.
-    plausible : bool
+    plausible
         Whether lengths are near nominal as it stands.
     """
     yield from _axes(turned_rad)

@@ -164,25 +164,22 @@ def solve(
 ) -> Solution:
     """Return the parameters that the data make most likely.
 
+    `converged` is False where the last step was long.
+
     Parameters
     ----------
-    model : Model
+    model
         Predicts displacements.
-    parameters : Parameters
+    parameters
         Those that are estimated, with the spread of what is possible.
     start : array, shape (n_parameters,)
         Where to begin.
     scales : array, shape (4,)
         Variances of the noise's components to begin with.
-    rounds : int
+    rounds
         Linearisations at most.
-    noise_rounds : int
+    noise_rounds
         Linearisations in which the noise is estimated too.
-
-    Returns
-    -------
-    Solution
-        With `converged` False where the last step was long.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std

@@ -34,6 +34,8 @@ def lay_flat(
 ) -> Flat:
     """Check the input and lay it flat.
 
+    Raises BadInputError where shapes do not fit.
+
     Parameters
     ----------
     travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
@@ -44,11 +46,6 @@ def lay_flat(
         Where runs of unlike length begin and end.
     start : array_like of float, shape (3,) or (runs, 3)
         Start poses.
-
-    Raises
-    ------
-    BadInputError
-        Where shapes do not fit.
     """
     left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
@@ -222,6 +219,8 @@ def end_poses(
 def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
     """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
 
+    A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
+
     Parameters
     ----------
     run_N : array_like of float, shape (runs,)
@@ -230,11 +229,6 @@ def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets
         Load at each sample; NaN where the log does not say: the load before then stays.
     offsets : array_like of int, shape (runs + 1,)
         Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
-
-    Returns
-    -------
-    array of float, shape (n,)
-        A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
@@ -280,21 +274,18 @@ def travel_from_counts(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11).
 
+    It is 0 at the first sample of each run.
+
     Parameters
     ----------
     counts_left, counts_right : array_like of float, shape (n,)
         Unwrapped counter readings of one run, or of runs laid end to end.
-    encoder : Encoder
+    encoder
         Counts a revolution.
     radius_left_m, radius_right_m : array_like of float
         Radii: a number, one a run (with `offsets`), or one a sample.
     offsets : array_like of int, shape (runs + 1,), optional
         Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
-
-    Returns
-    -------
-    left_m, right_m : array of float, shape (n,)
-        0 at the first sample of each run.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
     travels = []

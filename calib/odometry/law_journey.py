@@ -118,27 +118,24 @@ def law_journey(
 ) -> Journey:
     """Simulate a journey under a law without and with the correction.
 
+    Raises BadInputError where `band` is not known or `draws` below 100.
+
     Parameters
     ----------
-    law : RadiusLaw
+    law
         Both wheels, fitted separately and taken as independent.
-    route : Route
+    route
         What the believed pose follows.
     loads_N, reference_N : (float, float)
         Loads (left, right) carried, and those that the uncorrected odometry stands on.
-    track_m : float
+    track_m
         Track, believed and real.
     band : {"mean", "prediction"}
         Uncertainty of the real radii: of the regression mean, or of a single run.
-    draws : int
+    draws
         Draws of the Monte Carlo.
-    rng : numpy.random.Generator
+    rng
         Source of chance.
-
-    Raises
-    ------
-    BadInputError
-        Where `band` is not known or `draws` below 100.
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
@@ -285,23 +282,20 @@ def sweep_loads(
 ) -> LoadSweep:
     """Return the wheel loads of one payload, or of a sweep of its mass or place.
 
+    Raises RefusedError where the vehicle would tip or a wheel carry too much; names the payload at which.
+
     Parameters
     ----------
-    vehicle : Vehicle
+    vehicle
         Geometry and mass.
-    payload_kg, payload_x_m, payload_y_m : float
+    payload_kg, payload_x_m, payload_y_m
         Payload; the swept one is not used.
-    swept : str
+    swept
         What varies, of `SWEPT`; empty for a single payload.
     span : (float, float)
         First and last value.
-    steps : int
+    steps
         Values, both ends included.
-
-    Raises
-    ------
-    RefusedError
-        Where the vehicle would tip or a wheel carry too much; names the payload at which.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):

@@ -219,25 +219,22 @@ def law_path(
 ) -> LawPath:
     """Drive a route under a law, closed on the odometry, with and without the correction.
 
+    Raises BadInputError where the load changes beyond the end of the route.
+
     Parameters
     ----------
-    axle : AxleLaw
+    axle
         Both wheels and the track between them.
-    route : Route
+    route
         What the believed pose follows.
-    loading : Loading
+    loading
         Loads carried along it.
     reference_N : (float, float)
         Loads (left, right) whose radii the uncorrected odometry uses all along.
-    draws : int
+    draws
         Draws for the interval of the ratio.
-    rng : numpy.random.Generator, optional
+    rng
         Their source; None: no interval.
-
-    Raises
-    ------
-    BadInputError
-        Where the load changes beyond the end of the route.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(

@@ -112,23 +112,20 @@ def replay(
 ) -> Replay:
     """Replay the logged runs of a campaign.
 
+    Raises RefusedError where no run has a log, a reference end pose and wheel loads within the valid range.
+
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Runs with logs and reference end poses.
-    coefficients : CoefficientFile
+    coefficients
         Law, track and vehicle.
-    rng : numpy.random.Generator
+    rng
         For the bootstrap.
-    scheme : str
+    scheme
         Integration scheme; see `calib.odometry.integrate.SCHEMES`.
-    runtime_runs : int
+    runtime_runs
         How many runs the runtime is fed.
-
-    Raises
-    ------
-    RefusedError
-        Where no run has a log, a reference end pose and wheel loads within the valid range.
     """
     chosen, left_out, notes = _usable(campaign, coefficients.law)
     if not len(chosen.runs):

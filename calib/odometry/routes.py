@@ -60,10 +60,7 @@ class Route:
     def divided(self, spacing_m: float) -> Route:
         """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees).
 
-        Raises
-        ------
-        BadInputError
-            Where these are more than `calib.limits.ROUTE_POINTS`.
+        Raises BadInputError where these are more than `calib.limits.ROUTE_POINTS`.
         """
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")

@@ -115,23 +115,20 @@ def simulate(
 ) -> Simulation:
     """Run a study by name, or ``custom`` with routes and cases of one's own.
 
+    Raises BadInputError where the study, a route or a case cannot be used.
+
     Parameters
     ----------
-    study : str
+    study
         A name of `STUDIES`, or ``custom``.
-    routes, cases : sequence
+    routes, cases
         In place of the study's own.
-    track_m, real_track_m : float
+    track_m, real_track_m
         Track that the odometry believes, and the real one (None: the same).
-    under : LawJourneys, optional
+    under
         Adds Table 1, Fig. 15 and journeys under a law.
-    rng : numpy.random.Generator
+    rng
         Source of chance.
-
-    Raises
-    ------
-    BadInputError
-        Where the study, a route or a case cannot be used.
     """
     known = STUDIES.get(study)
     if known is None and study != CUSTOM:

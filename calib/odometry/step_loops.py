@@ -56,11 +56,11 @@ def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, 
 
     Parameters
     ----------
-    flat : Flat
+    flat
         The steps.
     x, y, theta : array of float, shape (n,)
         Where the poses go.
-    scheme : str
+    scheme
         How a step is drawn: one of `HEADING_BEHIND`.
     """
     n = len(flat.left)

@@ -101,7 +101,7 @@ def tabulate(
     ----------
     kinds : sequence of str, length n_runs
         Route of each run.
-    length_m, side_m, radius_m : float
+    length_m, side_m, radius_m
         See `segments_of`.
     weaves : sequence of (amplitude_m, wavelength_m), length n_runs
         Weave about the line; amplitude 0 is none.

@@ -212,13 +212,13 @@ def make_posed_fleet(
 
     Parameters
     ----------
-    folder : Path
+    folder
         New folder.
-    rng : numpy.random.Generator
+    rng
         Chance.
-    n_vehicles, n_runs : int
+    n_vehicles, n_runs
         Vehicles, and runs of each.
-    n_outliers, n_common : int
+    n_outliers, n_common
         Vehicles with a track of their own, and in hall B.
     """
     refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")

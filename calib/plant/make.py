@@ -73,25 +73,22 @@ def make_campaign(
 ) -> Campaign:
     """Drive a design in a world with a known truth.
 
+    It is in memory; ``calib.campaign.write.write_campaign`` puts it into a folder.
+
     Parameters
     ----------
-    design : Design
+    design
         The runs.
-    truth : mapping of str to float, or sequence of Cause
+    truth
         ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap.
-    rng : numpy.random.Generator
+    rng
         All chance.
-    noise : Noise, optional
+    noise
         Drawn at random where missing.
-    model : OdometryModel, optional
+    model
         What the simulator believes; drawn at random where missing.
-    name : str
+    name
         Name of the campaign.
-
-    Returns
-    -------
-    Campaign
-        In memory; ``calib.campaign.write.write_campaign`` puts it into a folder.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

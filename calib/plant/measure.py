@@ -137,9 +137,9 @@ def campaign_of(
     ----------
     world, draw, record
         What is true, its noise, and what was driven.
-    noise : Noise
+    noise
         The scales, of which the campaign file states the instruments' (not quite truly).
-    name : str
+    name
         Name of the campaign.
     pick : array of int, optional
         Only these runs.

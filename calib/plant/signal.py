@@ -194,11 +194,11 @@ def strengths(
     ----------
     design, model, noise
         The case.
-    causes : sequence of Cause
+    causes
         What to drive.
-    step_s : float
+    step_s
         Time step.
-    weigh : bool
+    weigh
         Whether to weigh each beside the others too; quadratic in the number of causes.
     """
     n_runs, n_causes = len(design), len(causes)
@@ -252,23 +252,16 @@ def to_signal(
     Where that would take more than about three times the typical size, the case's noise is lowered first (to a
     quarter at most); where it would take hardly anything, the noise is raised (threefold at most).
 
+    Returned are the causes at their sizes, the noise of the case, and what was reached.
+
     Parameters
     ----------
     design, model, noise
         The case.
-    causes : sequence of Cause
+    causes
         At any size, their sign kept.
-    targets : sequence of float
+    targets
         Wanted signal of each; NaN leaves the cause as it is.
-
-    Returns
-    -------
-    causes : list of Cause
-        At their sizes.
-    noise : Noise
-        The case's noise.
-    strength : Strength
-        What was reached.
     """
     wanted = np.asarray(targets, dtype=np.float64)
     sizes = np.array([cause.size for cause in causes])

@@ -29,13 +29,13 @@ def tested(
 
     Parameters
     ----------
-    name, statistic_name : str
+    name, statistic_name
         Of the check and of its statistic.
-    statistic, p_value : float
+    statistic, p_value
         Result of the test.
-    sentences : (str, str)
+    sentences
         Without and with a finding.
-    fails : bool
+    fails
         Whether a clear finding forbids the law; False where the intervals allow for it.
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK

@@ -76,17 +76,14 @@ def weave_excess(
     The path is ``y = A sin(2 pi x / lambda + phase)`` for x from 0 to S_O; the wheels keep half a track from it, so
     that ``S_R,L = S +- (track / 2) (theta_end - theta_start)``.
 
+    Its arrays have the broadcast shape.
+
     Parameters
     ----------
     amplitude_m, wavelength_m, distance_m, phase_rad : array_like of float, shapes that broadcast
         A, lambda, S_O and the phase at the start; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
-    track_m : float
+    track_m
         Distance between the wheels' contact points.
-
-    Returns
-    -------
-    PathExcess
-        Its arrays have the broadcast shape.
     """
     from scipy.special import ellipeinc
 
@@ -156,13 +153,8 @@ def allowed_amplitude_on_run_m(
         Largest relative error of a radius, between 0 and 1.
     wavelength_m, distance_m, phase_rad : array_like of float
         Weave and length of the run, and the phase at its start.
-    track_m : float
+    track_m
         Distance between the wheels' contact points.
-
-    Returns
-    -------
-    array of float
-        In m, of the broadcast shape.
     """
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
@@ -200,13 +192,15 @@ def deviation_rows(
 ) -> list[dict[str, float]]:
     """Return the table of Fig. 9: one mapping for each pair of amplitude and wavelength.
 
+    Raises BadInputError where a length is not positive.
+
     Parameters
     ----------
     amplitudes_m, wavelengths_m : array_like of float, shapes (n,) and (m,)
         A and lambda.
-    distance_m, track_m : float
+    distance_m, track_m
         S_O, and distance between the wheels' contact points; the path starts on the line, at phase 0.
-    tolerance : float
+    tolerance
         Largest relative error of a radius, for the amplitude that is allowed.
 
     Returns
@@ -214,11 +208,6 @@ def deviation_rows(
     list of mapping
         Relative excess over whole periods, exact and by the small-amplitude form; over `distance_m` for centre and both
         wheels; relative errors of radii computed without correction; amplitude allowed.
-
-    Raises
-    ------
-    BadInputError
-        Where a length is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():

@@ -127,13 +127,13 @@ class LineEstimate:
 
         Parameters
         ----------
-        design : str
+        design
             See the field of that name.
         coefficients, covariance : array of float, shapes (2,) and (2, 2)
             Radius at the reference load and slope.
-        dof, variance : float
+        dof, variance
             Degrees of freedom, and variance of a single run.
-        hc3 : bool
+        hc3
             Whether `covariance` is heteroscedasticity-consistent.
         """
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)

@@ -121,13 +121,13 @@ def widened(
 
     Parameters
     ----------
-    estimate : LineEstimate
+    estimate
         With every run of a session counted as independent.
     load_N : array of float, shape (n_runs,), or None
         Load minus the reference load, in the order driven; None for a constant.
     radius_m : array of float, shape (n_runs,)
         Effective radius.
-    groups : Groups
+    groups
         Sessions of the runs.
     """
     n = len(radius_m)

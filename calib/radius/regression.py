@@ -291,26 +291,20 @@ def fit_wheel(
 ) -> WheelFit:
     """Fit the law of one wheel.
 
+    It is a line, or a constant where the runs have one load only; its checks are empty, see `calib.radius.checks`.
+
+    Raises RefusedError with fewer than three runs.
+
     Parameters
     ----------
-    wheel : str
+    wheel
         Name for messages and results.
     load_N, radius_m : array_like of float, shape (n_runs,)
         Load and effective radius of each run.
     session : array_like of str, shape (n_runs,)
         Session of each run.
-    reference_load_N : float
+    reference_load_N
         Load on which the coefficients are centred.
-
-    Returns
-    -------
-    WheelFit
-        A line, or a constant where the runs have one load only. Its checks are empty; see `calib.radius.checks`.
-
-    Raises
-    ------
-    RefusedError
-        With fewer than three runs.
     """
     load, radius = np.asarray(load_N, dtype=np.float64), np.asarray(radius_m, dtype=np.float64)
     if len(load) < 3:

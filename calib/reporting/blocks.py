@@ -157,13 +157,13 @@ def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **opti
 
     Parameters
     ----------
-    name : str
+    name
         Name of the figure and of its file.
-    caption : str
+    caption
         What stands below it.
-    alt : str
+    alt
         What it shows, in words.
-    figure : str
+    figure
         ``module.function`` that draws it.
     *values, **options
         Arguments of that function.

@@ -149,17 +149,17 @@ def report_of(
 
     Parameters
     ----------
-    given : Fit or Campaign
+    given
         A campaign is fitted now.
-    issued : str
+    issued
         Date of issue, YYYY-MM-DD.
-    accept : str
+    accept
         Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
-    seed : int, optional
+    seed
         Of the diagnosis of the gap, which is added; None: none is.
-    where : Path, optional
+    where
         Where a fit was read from, if it was.
-    progress : callable
+    progress
         Told how far it is.
     """
     if not isinstance(given, Campaign):
@@ -237,17 +237,17 @@ def report_without_law(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         What was driven.
-    issued : str
+    issued
         Date of issue, YYYY-MM-DD.
-    why : str
+    why
         Why the runs give no radius law, a sentence without its full stop.
-    geometry : Geometry, optional
+    geometry
         Its estimate, with the traces of the runs in ``paths``; None where the runs allow none.
-    coefficients : bytes, optional
+    coefficients
         Coefficient file, attached; None where the geometry is not passed on.
-    diagnosis : Diagnosis, optional
+    diagnosis
         Has a section of its own and is attached.
     """
     from calib.reporting.topics.diagnosis import gap_section, page_one_notice

@@ -49,17 +49,17 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Whose table it is.
-    run : int
+    run
         Number of the run, from 0.
-    column : str
+    column
         The cell's column.
-    text : str
+    text
         What was found, what was expected, what to do.
-    code : str
+    code
         Name of the check.
-    level : str
+    level
         ``wrong``, ``suspicious`` or ``info``.
     """
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"

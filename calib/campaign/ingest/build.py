@@ -106,30 +106,23 @@ def ingest(
 ) -> Ingested:
     """Make a campaign folder; the sources are only read, and their hashes recorded in ``ingest.json``.
 
+    Raises BadInputError where a source cannot be used, the mapping names a column that is not there, or the target
+    exists.
+
     Parameters
     ----------
-    sources : sequence of Path
+    sources
         The run table first, where there is one, then logs or recordings, or folders of them.
-    into : Path
+    into
         The campaign to make.
-    mapping : Path, optional
+    mapping
         TOML file as the text of `calib.campaign.ingest.mapping` shows.
-    force : bool
+    force
         Replace an existing campaign.
-    dry_run : bool
+    dry_run
         Do everything but write.
-    progress : callable
+    progress
         See `calib.types.Progress`.
-
-    Returns
-    -------
-    Ingested
-        Summary.
-
-    Raises
-    ------
-    BadInputError
-        Where a source cannot be used, the mapping names a column that is not there, or the target exists.
     """
     if not sources:
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")

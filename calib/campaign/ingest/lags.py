@@ -56,23 +56,20 @@ def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[Floa
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
     """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
 
+    The lags are those of ``reference`` and ``range_m``, where there is one.
+
     Parameters
     ----------
-    recording : Recording
+    recording
         With the columns that the mapping names.
-    lines : mapping of str to MappedColumn
+    lines
         Calib's column -> the recording's.
-    base : Stream
+    base
         The wheels' stream.
-    shown : str
+    shown
         The recording's name in messages.
-    border : Border
+    border
         Takes the notes.
-
-    Returns
-    -------
-    dict of str to Lag
-        ``reference`` and ``range_m`` -> the lag, where there is one.
     """
     wheels = [
         base.columns[line.column]
@@ -127,19 +124,16 @@ def estimate_lag(
     Both speeds are taken by central differences on one grid, smoothed alike; the lag is the peak of their correlation,
     found on the grid and then between its points.
 
+    None where the speeds change too little to tell, or do not correlate.
+
     Parameters
     ----------
     time_s, travelled : array of float, shape (n_samples,)
         A travelled distance (or a heading) of the first stream, at its own times.
     other_time_s, other_travelled : array of float, shape (n_other,)
         The same of the second.
-    largest_s : float
+    largest_s
         Largest lag looked for.
-
-    Returns
-    -------
-    Lag or None
-        None where the speeds change too little to tell, or do not correlate.
     """
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student

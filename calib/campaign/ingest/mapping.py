@@ -319,24 +319,16 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
+    Raises BadFileError where it is no section, or at the first key that cannot be used, with what was expected there.
+
     Parameters
     ----------
-    model : type
-        `TableSection`, `LogSection` or `Segmentation`.
-    section : object
-        As TOML gives it.
-    shown, where : str
-        The mapping and the section's name, for messages.
-
-    Returns
-    -------
     model
-        The section.
-
-    Raises
-    ------
-    BadFileError
-        Where it is no section, or at the first key that cannot be used, with what was expected there.
+        `TableSection`, `LogSection` or `Segmentation`.
+    section
+        As TOML gives it.
+    shown, where
+        The mapping and the section's name, for messages.
     """
     if not isinstance(section, dict):
         raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)
@@ -366,11 +358,11 @@ def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> Ba
 
     Parameters
     ----------
-    shown, where, name : str
+    shown, where, name
         The mapping, its section, the line's key.
-    found : object
+    found
         What the line says.
-    expected : str
+    expected
         What it should say.
     """
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")

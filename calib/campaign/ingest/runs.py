@@ -302,30 +302,23 @@ def match_logs(
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Find the log of each run.
 
+    Returned by number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
+    name of a log that was expected and is not there.
+
+    Raises BadFileError where no run finds its log although there are files, or a run finds two.
+
     Parameters
     ----------
-    runs : RunTable
+    runs
         The runs.
-    files : sequence of Path
+    files
         The log files.
-    log : LogSection
+    log
         How they are named.
-    shown : str
+    shown
         The table's name in messages.
-    border : Border
+    border
         Takes notes.
-
-    Returns
-    -------
-    matched : dict of int to dict of str to Path
-        Number of a run -> the files of its log, by the names of ``log.files``, a single one under an empty name.
-    missing : dict of int to str
-        Number of a run whose log was expected and is not there -> the name that was looked for.
-
-    Raises
-    ------
-    BadFileError
-        Where no run finds its log although there are files, or a run finds two.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:

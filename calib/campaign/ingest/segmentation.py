@@ -58,36 +58,25 @@ def segment_recordings(
 ) -> tuple[RunTable, dict[int, MappedLog], dict[str, MappedLog], list[Segment]]:
     """Cut recordings into runs.
 
+    Returned are the rows, the log of each run by its number, the whole recordings by name with their counters
+    unwrapped, and the part of a recording that each run is.
+
+    Raises BadFileError where there are not as many segments as rows.
+
     Parameters
     ----------
-    runs : RunTable or None
+    runs
         Rows that name the runs in the order driven; without it they are numbered.
-    table : RawTable or None
+    table
         The same table as read, for columns of times.
-    recordings : mapping of Path to MappedLog
+    recordings
         In the order driven.
-    mapping : Mapping
+    mapping
         Its section on cutting.
-    settings : Campaign
+    settings
         Vehicle and encoder, for lengths.
-    border : Border
+    border
         Takes notes.
-
-    Returns
-    -------
-    runs : RunTable
-        The rows.
-    logs : dict of int to MappedLog
-        Number of a run -> its log.
-    recordings : dict of str to MappedLog
-        The whole recordings by name, their counters unwrapped.
-    segments : list of Segment
-        The part of a recording that each run is.
-
-    Raises
-    ------
-    BadFileError
-        Where there are not as many segments as rows.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:
@@ -167,21 +156,16 @@ def find_runs(
 
     Parameters
     ----------
-    cut : Segmentation
+    cut
         The rule.
     log : mapping of str to array of float, shape (n_samples,)
         ``t_s`` from the recording's start, the wheels' counts, and ``cut`` where a column tells the runs.
-    m_per_count : float
+    m_per_count
         Nominal travelled distance of a wheel a count.
-    start_ns : int
+    start_ns
         The recording's first time.
-    shown : str
+    shown
         The recording, for messages.
-
-    Returns
-    -------
-    list of slice
-        The samples of each run, in order of time.
     """
     time = log["t_s"]
     if cut.by == "times":

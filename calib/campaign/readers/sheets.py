@@ -73,27 +73,21 @@ def heading(
 ) -> tuple[list[str], int, list[Note]]:
     """Return the names of the columns, with units in brackets, from the header row and those beneath it.
 
+    Returned are the names as found (``column 1``, ``column 2``, ... where no row names them), how many of the rows they
+    take, and what was recognised.
+
     Parameters
     ----------
-    rows : sequence of rows
+    rows
         The header row first, then some of those beneath it, cells as read.
-    lines : sequence of int
+    lines
         The row of each in the file, counted from 1.
-    layout : Layout
+    layout
         Rows that the mapping names; several header rows only in a laboratory's file.
-    shown : str
+    shown
         The file's name in messages.
-    above : sequence of cells
+    above
         The row above the header.
-
-    Returns
-    -------
-    names : list of str
-        As found; ``column 1``, ``column 2``, ... where no row names them.
-    n_rows : int
-        How many of the rows looked at they take.
-    notes : list of Note
-        What was recognised.
     """
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
@@ -242,19 +236,14 @@ def finished(
     ----------
     columns : dict of str to array, shape (n_rows,)
         Cells as read, of the wanted columns.
-    lines : sequence of int
+    lines
         The row of each in the file, counted from 1.
-    wanted : callable, optional
+    wanted
         As `calib.campaign.readers.read_table` takes it.
-    notes : sequence of Note
+    notes
         What was recognised so far.
-    shown : str
+    shown
         The file's name in messages.
-
-    Returns
-    -------
-    RawTable
-        The table.
     """
     line = np.asarray(lines, dtype=np.int64)
     further, epochs = to_numbers(columns, shown, line) if wanted is not None else ([], {})

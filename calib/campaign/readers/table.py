@@ -197,28 +197,20 @@ def numbers(
 ) -> tuple[FloatArray, bool]:
     """Turn cells into numbers without guessing.
 
+    Returned are the values, NaN where a cell is empty, and whether a decimal comma was read.
+
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
+
     Parameters
     ----------
     cells : array, shape (n_rows,)
         Text, numbers or None.
-    shown, column : str
+    shown, column
         File and column, for messages.
     line : array of int, shape (n_rows,)
         Line of each cell.
-    decimal_comma : bool, optional
+    decimal_comma
         What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
-
-    Returns
-    -------
-    values : array of float, shape (n_rows,)
-        NaN where a cell is empty.
-    used_comma : bool
-        Whether a decimal comma was read.
-
-    Raises
-    ------
-    BadFileError
-        At the first cell that is no finite number, or could be read in two ways.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)

@@ -191,23 +191,20 @@ def plants_of(
 ) -> tuple[list[Plant], dict[str, str]]:
     """Return what is planted, and the reason of what is not.
 
+    Raises BadInputError where an effect is unknown.
+
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis
         The campaign's own: its library and its noise.
-    replay : Replay
+    replay
         Its route.
-    wanted : sequence of str
+    wanted
         Effects and outside causes; empty: all that these runs can show.
-    sizes : sequence of Size
+    sizes
         How large.
-    rng : numpy.random.Generator
+    rng
         Draws what else there is to choose of a form.
-
-    Raises
-    ------
-    BadInputError
-        Where an effect is unknown.
     """
     candidates, left_out = _candidates(diagnosis, replay, rng)
     known = {*left_out, *(candidate.effect for candidate in candidates)}

@@ -217,21 +217,17 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
     its own. The same answer comes out for any number of workers, as long as the time is enough.
 
+    Raises RefusedError where the campaign has a blunder of the counters, or cannot be diagnosed; BadInputError where an
+    effect is unknown.
+
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Any that can be diagnosed.
-    asked : Asked, optional
+    asked
         What to plant.
-    tick : callable, optional
+    tick
         ``tick(done, total)``.
-
-    Raises
-    ------
-    RefusedError
-        Where the campaign has a blunder of the counters, or cannot be diagnosed.
-    BadInputError
-        Where an effect is unknown.
     """
     asked = asked or Asked()
     began = time.monotonic()

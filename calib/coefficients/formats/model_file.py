@@ -332,23 +332,20 @@ def patched(
 ) -> tuple[Artifact, ...]:
     """Return the user's model with both wheels and the drive plugins set, and what it cannot express.
 
+    Raises BadInputError where model, names or loads cannot be used.
+
     Parameters
     ----------
-    file : CoefficientFile
+    file
         Radii and track.
-    options : ExportOptions
+    options
         The model, the names of its wheels, and the load.
-    root_tag : str
+    root_tag
         Of the model's outermost element.
-    wheel : callable
+    wheel
         See `FindWheel`.
-    plugins : callable, optional
+    plugins
         Yields name and element of parameters that may be those of `PLUGIN_KEYS`.
-
-    Raises
-    ------
-    BadInputError
-        Where model, names or loads cannot be used.
     """
     if options.model is None or not options.left or not options.right:
         raise BadInputError(

@@ -168,19 +168,14 @@ def gap_by_covariate(
     ----------
     residual : array of float, shape (n,)
         Measured minus simulated; NaN where a run lacks the channel.
-    channel, unit : str
+    channel, unit
         Name of the channel; ``m`` or ``rad``.
     covariates : mapping of str to array of float, shape (n,)
         By name with unit suffix; at most six are drawn.
-    noise_level : float, optional
+    noise_level
         Standard deviation of repeats, as a band about zero.
     group : array of str, shape (n,), optional
         Route or kind of each run, for colours.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel a covariate.
     """
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
