@@ -21,9 +21,8 @@ from calib.campaign.write import write_campaign
 from calib.plant.design import Design
 from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign
-from calib.plant.noise import Noise
-from calib.plant.rivals import rivals
-from calib.plant.signal import strengths
+from calib.plant.signal import rivals, strengths
+from calib.plant.world import Noise
 from calib.vehicle import Vehicle
 
 HERE = Path(__file__).resolve().parent

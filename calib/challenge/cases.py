@@ -21,10 +21,9 @@ from calib.plant.design import Design
 from calib.plant.effects import find
 from calib.plant.effects.form import Cause
 from calib.plant.make import as_causes, make_campaigns, random_model
-from calib.plant.noise import Noise, random_noise
 from calib.plant.plans import good_design, poor_design
-from calib.plant.rivals import rivals, signatures, whitened
-from calib.plant.signal import is_calibration, to_signal
+from calib.plant.signal import is_calibration, rivals, signatures, to_signal, whitened
+from calib.plant.world import Noise, random_noise
 from calib.types import FloatArray
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")

@@ -126,7 +126,7 @@ def check(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
-    from calib.reporting.topics.checks import check_content
+    from calib.reporting.topics.runs import check_content
 
     with terminal.progress("checking") as tick:
         report = check_campaign(read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick), tick)

@@ -81,7 +81,7 @@ def score(
     Example: calib challenge score blind --plot blind.png --json blind-score.json
     """
     from calib.challenge.score import score as score_set
-    from calib.reporting.topics.challenge import score_content
+    from calib.reporting.topics.fleet import score_content
 
     beside = None if plot is None else plot.parent / f"{plot.stem}-confusion{plot.suffix}"
     terminal.refuse_outputs(plot, beside)
@@ -120,7 +120,7 @@ def own(
     from calib.campaign.read import read_campaign
     from calib.challenge.own.plants import parse_sizes
     from calib.challenge.own.run import Asked, challenge_own
-    from calib.reporting.topics.challenge import own_content
+    from calib.reporting.topics.fleet import own_content
 
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
     if effects is not None and not names:

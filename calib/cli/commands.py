@@ -156,7 +156,11 @@ COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
 
 #: commands of one word that share a module, where each is the function that bears its name
-TOGETHER: Final = {"check": "campaigns", "init": "campaigns", "ingest": "campaigns"}
+TOGETHER: Final = {
+    **dict.fromkeys(("check", "init", "ingest"), "campaigns"),
+    **dict.fromkeys(("fit", "geometry"), "fit"),
+    **dict.fromkeys(("effects", "plan"), "effects"),
+}
 
 
 def module_of(name: str) -> str:

@@ -47,7 +47,7 @@ def run(
     Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
     """
     from calib.radius import deviation as table
-    from calib.reporting.topics.checks import arc_content, runs_content, weave_content
+    from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):
         read, judged = _judged(campaign, tolerance)

@@ -61,7 +61,7 @@ def run(
     """
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
-    from calib.reporting.next_step import after_diagnosis
+    from calib.reporting.present import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import diagnosis_full
 

@@ -83,7 +83,7 @@ def run(
 
 
 def _next_step(content: Reported) -> str:
-    from calib.reporting.next_step import after_diagnosis, after_geometry
+    from calib.reporting.present import after_diagnosis, after_geometry
 
     if content.diagnosis is not None:
         return after_diagnosis(content.diagnosis)

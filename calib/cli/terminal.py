@@ -146,10 +146,10 @@ def say(text: str) -> None:
 def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[Path]) -> None:
     """Print what to do now as one line, never wrapped, so that its command can be copied.
 
-    `step`, `names`: see `calib.reporting.next_step`; `aside`: on standard error, also where no JSON takes standard
+    `step`, `names`: see `calib.reporting.present`; `aside`: on standard error, also where no JSON takes standard
     output.
     """
-    from calib.reporting.next_step import next_step
+    from calib.reporting.present import next_step
 
     _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))
 

@@ -14,9 +14,8 @@ import numpy as np
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics.assemble import geometry_of, of_kinds
-from calib.kinematics.blunder_search import find_blunder
+from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.departures import find_departure
 from calib.kinematics.drives import SENSOR, nominal_values, parameters_of
 from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments

@@ -1,4 +1,4 @@
-"""A design and a truth make a campaign."""
+"""A design and a truth make a campaign: a drive, and what instruments and logs make of it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,220 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.campaign.model import Campaign
-from calib.campaign.settings import OdometryModel
+from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.plant.design import Design
-from calib.plant.drive import drive
+from calib.plant.drive import Record, drive
 from calib.plant.effects import find
 from calib.plant.effects.form import Cause
-from calib.plant.measure import campaign_of
-from calib.plant.noise import Noise, draw_noise, random_noise
-from calib.plant.world import REFERENCE_LOAD_N, World, build_world
-from calib.types import FloatArray
+from calib.plant.world import (
+    REFERENCE_LOAD_N,
+    Noise,
+    NoiseDraw,
+    World,
+    build_world,
+    draw_noise,
+    random_noise,
+    wheel_loads,
+)
+from calib.types import FloatArray, IntArray
+
+_STEER_STEP_RAD = 5e-4
+
+
+def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
+    """Return what the pose reference says along the way, without its own reading noise, shape (3, n_frames, n_runs).
+
+    Latency reads the pose of a little earlier; a lever arm carries the target round; a mounting yaw turns the frame
+    that the target's own start pose defines.
+    """
+    late = world.latency_s * record.v_mps
+    # no reading is from before the start
+    late = np.minimum(late, np.hypot(record.x_m, record.y_m))
+    theta = record.theta_rad - np.where(record.v_mps > 0, late * _per(record.omega_radps, record.v_mps), 0.0)
+    x = record.x_m - late * np.cos(record.theta_rad)
+    y = record.y_m - late * np.sin(record.theta_rad)
+    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
+    cos, sin = np.cos(theta), np.sin(theta)
+    x = x + cos * lever_x - sin * lever_y - lever_x
+    y = y + sin * lever_x + cos * lever_y - lever_y
+    turned = world.ref_yaw_rad + noise.start_heading_rad
+    cos, sin = np.cos(turned), np.sin(turned)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, theta + noise.start_heading_rad])
+
+
+def _per(values: FloatArray, by: FloatArray) -> FloatArray:
+    ratio: FloatArray = values / np.where(by > 1e-9, by, 1.0)
+    return ratio
+
+
+def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
+    """Return what the steering sensor says, shape (n_frames, n_runs): late, with play, zero and scale."""
+    steer = record.late_rad
+    if world.steer_backlash_rad.any():
+        half = 0.5 * world.steer_backlash_rad
+        shown = np.empty_like(steer)
+        at = steer[0]
+        for number, angle in enumerate(steer):
+            at = np.clip(at, angle - half, angle + half)
+            shown[number] = at
+        steer = shown
+    steer = world.steer_scale * steer + world.steer_zero_rad + noise.steer_rad
+    if noise.reading_rad:
+        steer = steer + noise.reading_rad * np.random.default_rng([noise.seed, 8]).standard_normal(steer.shape)
+    return np.round(steer / _STEER_STEP_RAD) * _STEER_STEP_RAD if quantise else steer
+
+
+def gross_counts(world: World, counts: FloatArray) -> FloatArray:
+    """Return the counters as recorded, shape (3, n_frames, n_runs), with a blunder where the world has one."""
+    if not world.gross or not world.gross_runs.any():
+        return counts
+    struck = world.gross_runs > 0
+    left, right, front = counts
+    faulty = {
+        "double_left": (2 * left, right),
+        "quad_both": (4 * left, 4 * right),
+        "pi_right": (left, np.round(np.pi * right)),
+        "swapped": (right, left),
+        "sign_left": (-left, right),
+        "half_right": (left, np.floor(0.5 * right)),
+    }[world.gross]
+    return np.stack([np.where(struck, faulty[0], left), np.where(struck, faulty[1], right), front])
+
+
+def simulated_poses(world: World, record: Record) -> FloatArray:
+    """Return an outside simulator's end poses, shape (3, n_runs): the model fed with the record's counts.
+
+    Exact arcs, or (`world.euler`) the heading at the end of each step.
+    """
+    per_rad = world.design.counts_per_rev / (2 * np.pi)
+    left, right = (record.counts[side] / per_rad for side in (0, 1))
+    left_m, right_m = left * world.believed_left_m, right * world.believed_right_m
+    theta = (right_m - left_m) / world.model.track_m
+    way = np.diff(0.5 * (left_m + right_m), axis=0)
+    turn = np.diff(theta, axis=0)
+    middle = 0.5 * (theta[1:] + theta[:-1])
+    heading = np.where(world.euler > 0, theta[1:], middle)
+    chord = np.where(world.euler > 0, way, way * np.sinc(turn / (2 * np.pi)))
+    x, y = np.sum(chord * np.cos(heading), axis=0), np.sum(chord * np.sin(heading), axis=0)
+    return np.stack([x, y, theta[-1]])
+
+
+def _columns(
+    world: World, draw: NoiseDraw, record: Record, end_counts: FloatArray, end_pose: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the columns of the run table: what was set, counted, weighed and measured."""
+    design = world.design
+    laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
+    posed = design.posed
+    stated = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
+    numbers: dict[str, FloatArray] = {name: getattr(design, name) for name in stated}
+    numbers |= {"counts_left": end_counts[0], "counts_right": end_counts[1]}
+    reported = wheel_loads(design.vehicle, design.payload_kg, design.payload_x_m, design.payload_y_m)
+    weighed = (world.load_left_N, world.load_right_N) if design.weighed else reported
+    numbers["load_left_N"], numbers["load_right_N"] = (np.round(load, 2) for load in weighed)
+    if design.laser and design.corridor.any():
+        numbers["distance_m"] = np.where(design.corridor, np.round(laser, 4), np.nan)
+    if posed.any():
+        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), end_pose, strict=True):
+            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+    if design.outside:
+        simulated = simulated_poses(world, record)
+        for column, values in zip(("sim_x_m", "sim_y_m", "sim_theta_rad"), simulated, strict=True):
+            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+        if "distance_m" in numbers:
+            numbers["sim_distance_m"] = np.where(design.corridor, np.round(simulated[0], 5), np.nan)
+    if world.weave_m.any():
+        numbers["amplitude_m"] = np.round(world.weave_m, 4)
+        numbers["wavelength_m"] = np.where(world.weave_m > 0, np.round(world.wavelength_m, 3), np.nan)
+    return numbers | dict(design.columns)
+
+
+def campaign_of(
+    world: World,
+    noise: Noise,
+    draw: NoiseDraw,
+    record: Record,
+    *,
+    name: str = "campaign",
+    pick: IntArray | None = None,
+) -> Campaign:
+    """Return the campaign in memory, as it would be read from its folder.
+
+    Parameters
+    ----------
+    world, draw, record
+        What is true, its noise, and what was driven.
+    noise
+        The scales, of which the campaign file states the instruments' (not quite truly).
+    name
+        Name of the campaign.
+    pick : array of int, optional
+        Only these runs.
+    """
+    design = world.design
+    chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
+    n_runs = len(chosen)
+    counts = gross_counts(world, record.counts)
+    poses = reference_poses(world, draw, record)
+    numbers = _columns(world, draw, record, record.last(counts), record.last(poses) + draw.pose.T)
+    width = max(3, len(str(n_runs)))
+    logged = design.log_period_s > 0
+    run_id = np.array([f"r{number:0{width}d}" for number in range(n_runs)])
+    labels = {"run_id": run_id} | {name: getattr(design, name)[chosen] for name in ("session", "kind", "direction")}
+    if logged:
+        labels["log"] = np.array([f"logs/{run}.csv" for run in run_id])
+    table = RunTable(
+        labels=labels,
+        numbers={column: values[chosen].astype(np.float64) for column, values in numbers.items()},
+        excluded=np.zeros(n_runs, dtype=bool),
+        line=np.arange(2, n_runs + 2, dtype=np.int64),
+    )
+    sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
+    laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
+    return Campaign(
+        root=None,
+        name=name,
+        simulated=True,
+        vehicle=design.vehicle,
+        encoder=Encoder(design.counts_per_rev, design.counts_per_rev),
+        model=world.model,
+        rangefinder=Rangefinder(sigma_m=laser_m),
+        reference=Reference(sigma_xy_m=xy_m, sigma_theta_rad=theta_rad),
+        runs=table,
+        logs=_logs(world, noise, draw, record, counts, poses, chosen) if logged else Logs.empty(n_runs),
+    )
+
+
+def _logs(
+    world: World,
+    noise: Noise,
+    draw: NoiseDraw,
+    record: Record,
+    counts: FloatArray,
+    poses: FloatArray,
+    chosen: IntArray,
+) -> Logs:
+    design = world.design
+    columns = {"t_s": np.round(record.t_s, 3), "counts_left": counts[0], "counts_right": counts[1]}
+    if design.front:
+        columns["steer_rad"] = np.round(steering_readings(world, draw, record), 4)
+        columns["counts_front"] = counts[2]
+    if design.trace:
+        rng = np.random.default_rng([draw.seed, 7])
+        scale = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])[:, None, None]
+        read = poses + scale * rng.standard_normal(poses.shape)
+        read[:, 0] = 0.0
+        # the end pose of the run table is the trace's own last reading
+        read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
+        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), read, strict=True):
+            columns[column] = np.round(values, 5)
+    kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T[chosen]  # (n_runs, n_frames)
+    offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
+    return Logs(
+        offsets=offsets,
+        columns={name: np.ascontiguousarray(values.T[chosen][kept]) for name, values in columns.items()},
+    )
 
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:

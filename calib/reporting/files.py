@@ -20,8 +20,7 @@ from calib.fleet.survey import Survey
 from calib.io import refuse_existing, write_files, write_json, write_text
 from calib.odometry.integrate import integrate, loads_in_steps, radii_under_load, travel_from_counts
 from calib.odometry.poses import Poses, write_tum
-from calib.odometry.replay import Replay
-from calib.odometry.replay_checks import stood_in
+from calib.odometry.replay import Replay, stood_in
 from calib.odometry.simulation import SHOWN, LawPart, Simulation
 from calib.reporting.blocks import Block, Heading, Section
 from calib.reporting.content import Attachment, Report

@@ -1,10 +1,12 @@
-"""Words and figures of each result: where `calib.documents.Result` meets its topic."""
+"""Words and figures of each result, where `calib.documents.Result` meets its topic; and what to do next."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
     from calib.reporting.blocks import Block, Section
+
 
 #: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the
 #: interpreter and a notebook show
@@ -119,3 +122,95 @@ _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
     "Simulation": _simulation,
     "Replay": _replay,
 }
+
+
+_MISSING_RUNS: Final = "'calib plan {c}' names the runs that are missing; drive them, then fit again."
+_AGAIN: Final = "'calib diagnose {runs} --simulator SIM.toml' for what is left."
+_SIMULATOR: Final = "run your simulator with it, then " + _AGAIN
+#: command, and how it ended -> what follows; ``c`` is its campaign or source, ``file`` what was written
+STEPS: Final = {
+    "init": "fill in campaign.toml, and runs.csv with a row a run, then 'calib check {c}'.",
+    "ingest --describe": "save the mapping above as mapping.toml, correct it, then "
+    "'calib ingest {sources} --mapping mapping.toml --into campaign'.",
+    "ingest": "'calib check {c}'.",
+    "ingest --dry-run": "the same without --dry-run, then 'calib check {c}'.",
+    "check wrong": "correct what is wrong above, then 'calib check {c}'.",
+    "check": "'calib fit {c}' for the law of the load, 'calib geometry {c}' for the track.",
+    "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
+    "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
+    "fit failed": _MISSING_RUNS,
+    "geometry": "'calib geometry {c} --output coefficients.json' to use it.",
+    "geometry failed": "correct what is named above, then 'calib geometry {c}'.",
+    "geometry --output": "'calib export {file} --to ros2 --output params'; "
+    "'calib diagnose {c} --model {file}' for what is left.",
+    "diagnose": "'calib plan {c}' names the runs that settle it; drive them, then diagnose again.",
+    "diagnose no_gap": "nothing to correct; 'calib diagnose {c}' again once tyres, floor or loads change.",
+    "diagnose recommended": "'calib diagnose {c} --apply corrected.json' writes the corrected model.",
+    "diagnose simulator": "'calib diagnose {c} --simulator {sim} --apply parameters.json' writes what to set; "
+    "make it the nominal values of {sim}, then diagnose again.",
+    "diagnose simulator lacks": "give your simulator, and {sim}, a parameter for what is named, then "
+    "'calib diagnose {c} --simulator {sim}'.",
+    "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
+    "'calib diagnose {c}'.",
+    "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
+    "plan nothing": "no further run tells causes apart; 'calib diagnose {c}' has the verdict.",
+    "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
+    "report": "'calib export {c} --to dcc --output certificate.xml' for the certificate.",
+    "report failed": _MISSING_RUNS,
+    "export json": "'calib diagnose {runs} --model {file}' for what is left.",
+    "export ros2": "pass it after the controllers' own parameter file (--params-file {file}).",
+    "export c": "cc -fsyntax-only -x c {file} checks it with your compiler; then include it.",
+    "export c_effects": "include it in your simulator's loop, then " + _AGAIN,
+    "export csv": "'calib export {c} --to json --output coefficients.json' has the law itself.",
+    "export mjcf": _SIMULATOR,
+    "export urdf": _SIMULATOR,
+    "export sdf": _SIMULATOR,
+    "export dcc": "'calib report {c}' has the same for people; sign both.",
+    "export mcap": "open {file} in Foxglove.",
+    "export nav2": "pass it after the navigation's own parameter file (--params-file {file}).",
+    "deviation": "'calib deviation CAMPAIGN' judges the paths of runs driven.",
+    "deviation CAMPAIGN": "'calib fit {c}' corrects every radius for its path.",
+    "loads": "write them into runs.csv as load_left_N and load_right_N, then 'calib check CAMPAIGN'.",
+    "simulate": "'calib simulate journey --law CAMPAIGN' drives under a law that was measured.",
+    "simulate --law": "'calib export {c} --to json --output coefficients.json' for the vehicle.",
+    "simulate replay": "'calib diagnose {c}' for the causes of the errors that remain.",
+    "effects": "'calib effects EFFECT' for one of them in full.",
+    "effects EFFECT": "'calib diagnose {c}' says whether the runs show it.",
+    "fleet": "'calib fleet run {c} --what {other} --into fleet-{other}'.",
+    "fleet vehicle failed": "'calib check {first}', then 'calib fleet run {c} --what {what} --into fleet' again.",
+    "fleet file failed": "correct the files named above, then 'calib fleet run {c} --what {what} --into fleet' again.",
+    "fleet simulate": "'calib fleet run {c} --into fleet'.",
+    "fleet simulate --poses": "'calib fleet run {c} --what geometry --into fleet'.",
+    "challenge make": "'calib challenge run {c}'.",
+    "challenge run": "'calib challenge score {c}'.",
+    "challenge score": "'calib challenge own CAMPAIGN' for what your own runs would show.",
+    "challenge own": "'calib diagnose {c}' for the campaign itself.",
+}
+
+
+def next_step(step: str, **names: str | Path | Iterable[Path]) -> str:
+    """Return the line after a step of `STEPS`; names of files stand in braces, quoted for the shell.
+
+    ``runs`` is the campaign `c`: a source that has no runs cannot be diagnosed.
+    """
+    campaign = Path(str(names.get("c", "")))
+    names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
+    quoted = {
+        name: shlex.join(map(str, [value] if isinstance(value, str | Path) else value)) for name, value in names.items()
+    }
+    return "Next: " + STEPS[step].format(**quoted)
+
+
+def after_geometry(geometry: Geometry, output: Path | None) -> str:
+    """Return the step that a geometry was; `output`: the coefficient file that was written."""
+    return "geometry failed" if not geometry.passed else "geometry" if output is None else "geometry --output"
+
+
+def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
+    """Return the step that a diagnosis was, by its verdict and fix; `simulator`: whether it was of the user's own."""
+    kind = "recommended" if diagnosis.recommended else diagnosis.kind.value
+    if simulator and diagnosis.recommended:
+        kind = "simulator" if diagnosis.fix.parameters else "simulator lacks"
+    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else kind
+    step = f"diagnose {kind}"
+    return step if step in STEPS else "diagnose"

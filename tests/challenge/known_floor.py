@@ -26,9 +26,8 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.predict import Path
 from calib.plant.drive import drive
-from calib.plant.noise import quiet
 from calib.plant.signal import covariance
-from calib.plant.world import build_world
+from calib.plant.world import build_world, quiet
 from calib.types import FloatArray
 
 SEED = 771155

@@ -12,11 +12,9 @@ from calib.plant.drive import drive
 from calib.plant.effects import ALL, find
 from calib.plant.effects.form import Cause
 from calib.plant.make import as_causes, make_campaign, random_model
-from calib.plant.noise import Noise, draw_noise, quiet
 from calib.plant.plans import good_design
-from calib.plant.rivals import rivals
-from calib.plant.signal import covariance, outputs, recalibration, strength, strengths, to_signal
-from calib.plant.world import build_world
+from calib.plant.signal import covariance, outputs, recalibration, rivals, strength, strengths, to_signal
+from calib.plant.world import Noise, build_world, draw_noise, quiet
 
 NORMAL = Noise(tail=np.inf, stated_ratio=1.0)
 

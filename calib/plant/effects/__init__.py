@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from calib.errors import BadInputError
-from calib.plant.effects import instruments, motion, surroundings, wheels
+from calib.plant.effects import surroundings, wheels
 from calib.plant.effects.form import Form
 
 # the order is part of a sealed set: what is drawn from a seed follows it
 ALL: Final[tuple[Form, ...]] = (
     *wheels.FORMS,
-    *motion.FORMS,
+    *wheels.MOVING,
     *surroundings.FLOOR,
-    *instruments.FORMS,
+    *surroundings.INSTRUMENTS,
     *surroundings.OUTSIDE,
 )
 
