@@ -64,16 +64,12 @@ def refuse_beyond(
 
     Parameters
     ----------
-    count, most
-        How many there are, and may be.
-    shown
-        The file, for the message.
-    what
-        What is counted: ``runs``.
+    count, most, what
+        How many there are, and may be, of what (``runs``).
+    shown, row, column
+        Where in which file.
     remedy
         What to do about it.
-    row, column
-        Where in the file.
     """
     if count > most:
         raise BadFileError(shown, f"{count} {what}", f"at most {most}", remedy, row=row, column=column)
@@ -82,16 +78,9 @@ def refuse_beyond(
 def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
     """Refuse a number asked for that is above what is computed.
 
-    Raises BadInputError where `count` is above `most`.
+    `name` is what was asked for, as the library calls it (``draws``); no number counts as too many.
 
-    Parameters
-    ----------
-    name
-        What was asked for, as the library calls it: ``draws``.
-    count, most
-        How many were asked for, and may be; no number counts as too many.
-    remedy
-        What to do about it.
+    Raises BadInputError where `count` is above `most`.
     """
     if not count <= most:
         raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")

@@ -102,10 +102,8 @@ def check_wheel_loads(
 
     Parameters
     ----------
-    vehicle
-        Its permissible wheel load is the limit.
-    front_N, left_N, right_N : array_like of float
-        Wheel loads, any shapes.
+    vehicle, front_N, left_N, right_N
+        Its permissible wheel load is the limit; arrays of any shapes.
     what
         What causes the loads; begins the message.
     """

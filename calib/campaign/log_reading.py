@@ -134,16 +134,13 @@ def read_logs(
 
     Parameters
     ----------
-    files
-        Logs there are, in the order of the runs.
-    n_runs
-        Rows of the run table.
+    files, n_runs
+        Logs there are, in the order of the runs, and rows of the run table.
     encoder
         ``wrap_bits`` where the settings name it; else overflows are looked for.
-    border
-        Takes notes and faults in the order of the runs; a log that cannot be used is a fault.
-    progress
-        See `calib.types.Progress`.
+    border, progress
+        Takes notes and faults in the order of the runs (a log that cannot be used is a fault); see
+        `calib.types.Progress`.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}

@@ -129,16 +129,12 @@ def add_recognised(
 
     Parameters
     ----------
-    columns : dict of str to array of float, shape (n_samples,)
-        Columns that are there already, by calib's names; changed in place.
-    raw
-        The log as read.
-    shown
-        Its name in messages.
-    border
-        Takes what was converted.
-    mapped
-        Columns of `raw` that are not looked at.
+    columns
+        Columns that are there already, by calib's names, each of shape (n_samples,); changed in place.
+    raw, shown
+        The log as read, and its name in messages.
+    border, mapped
+        Takes what was converted; columns of `raw` that are not looked at.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():

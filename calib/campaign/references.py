@@ -44,14 +44,7 @@ class Bias:
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
     """Return the campaign with the turns by a gyro, and the end poses of closed loops, in its run table.
 
-    Parameters
-    ----------
-    campaign
-        As read.
-    shown
-        Name of its run table in messages.
-    border
-        Takes what was done.
+    `shown` is the name of its run table in messages; `border` takes what was done.
     """
     if GYRO in campaign.logs.columns:
         campaign = _with_gyro(campaign, shown, border)

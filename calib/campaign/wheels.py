@@ -243,16 +243,8 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
     the speeds v -+ omega track / 2 of its wheels. Between samples a speed changes linearly (trapezoids). Counts that
     were logged are kept.
 
-    Parameters
-    ----------
-    logs
-        Of all runs.
-    encoder
-        Counts per revolution of the result.
-    vehicle
-        Nominal radius and track, by which the vehicle computed its speeds.
-    border
-        Takes what was done.
+    `encoder` says the counts per revolution of the result, `vehicle` the nominal radius and track by which the vehicle
+    computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
     for name, speed_mps, per_rev in _wheel_speeds(columns, encoder, vehicle):

@@ -91,12 +91,8 @@ def write_campaign(
 
     Parameters
     ----------
-    campaign
-        The campaign.
-    folder
-        Target folder; other files in it are left alone.
-    force
-        Replace a campaign that stands there.
+    campaign, folder, force
+        What is written and where (other files there are left alone); whether it replaces a campaign that stands there.
     log_decimals
         Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
         back exactly, and times to the nanosecond.

@@ -229,16 +229,12 @@ def ceiling_of(
 
     Parameters
     ----------
-    signatures : mapping of str to sequence of array of float, each shape (n_rows, n_directions)
-        Effect -> what each of its forms can do, whitened, a recalibration projected out.
-    signal
-        Norm at which the true effect acts.
-    rng
-        Draws effects, directions and noise.
-    one_sign
-        Effects of which only positive sizes have a meaning.
-    draws
-        How many.
+    signatures
+        Effect -> what each of its forms can do, whitened, a recalibration projected out: shape (n_rows, n_directions).
+    signal, one_sign
+        Norm at which the true effect acts; effects of which only positive sizes have a meaning.
+    rng, draws
+        Draws effects, directions and noise, so many times.
     """
     spaces = _spaces(signatures, one_sign)
     if not spaces:

@@ -126,16 +126,10 @@ def run_case(
 
     Parameters
     ----------
-    folder
-        The sealed set.
-    case
-        Name of the case.
-    exclude
-        Effects that the library is denied.
-    seed
-        Seed of the diagnosis.
-    diagnoser
-        What diagnoses; calib's own diagnosis by default.
+    folder, case
+        The sealed set, and one of it.
+    exclude, seed, diagnoser
+        Effects that the library is denied, the seed of the diagnosis, and what diagnoses.
     """
     folder = Path(folder)
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
@@ -169,14 +163,10 @@ def run(
     ----------
     folder
         A set made by `calib.challenge.seal.make`.
-    workers
-        Processes; 1 stays in this one.
-    seed
-        Of the diagnosis.
-    limit
-        Only the first so many cases.
-    diagnoser
-        Instead of the library's own diagnosis; needs ``workers=1``.
+    workers, limit
+        Processes (1 stays in this one), and only the first so many cases.
+    seed, diagnoser
+        Of the diagnosis; one in place of the library's own needs ``workers=1``.
     tick
         ``tick(done, total)``.
     """

@@ -160,6 +160,8 @@ TOGETHER: Final = {
     **dict.fromkeys(("check", "init", "ingest"), "campaigns"),
     **dict.fromkeys(("fit", "geometry"), "fit"),
     **dict.fromkeys(("effects", "plan"), "effects"),
+    **dict.fromkeys(("export", "report"), "export"),
+    **dict.fromkeys(("deviation", "loads"), "deviation"),
 }
 
 

@@ -154,22 +154,14 @@ def from_law(
 
     Parameters
     ----------
-    law
-        Radius by load of each wheel.
-    vehicle
-        Geometry and mass.
-    encoder
-        Counts of a turn, and where the counters wrap.
-    header
-        Name, origin and date.
-    load_table : mapping of str to (float, float)
+    law, vehicle, encoder, header
+        What the file holds.
+    load_table
         Name of a line -> wheel loads left and right in N; lines outside the valid range are omitted.
-    effects
-        Diagnosed effects in the model.
+    effects, noise
+        Diagnosed effects in the model, and the random walk of the pose.
     load_margin_N
         How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
-    noise
-        Random walk of the pose.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(

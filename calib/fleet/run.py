@@ -145,10 +145,8 @@ def fit_fleet(
     into
         Result folder; holds the sums of what was read, so that only new or changed files are read the next time and an
         interrupted run goes on where it was.
-    workers
-        Processes of this machine.
-    scheduler
-        Address of a Dask scheduler, in place of `workers`.
+    workers, scheduler
+        Processes of this machine, or the address of a Dask scheduler in their place.
     progress
         Called as files are done.
     """

@@ -143,12 +143,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
 
     Failed where a file could not be used, files count from different origins, or the runs carry no line.
 
-    Parameters
-    ----------
-    vehicle
-        Its id.
-    parts
-        In the order of their names, so that the sums do not depend on who read what first.
+    `parts` are in the order of their names, so that the sums do not depend on who read what first.
     """
     parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")

@@ -151,16 +151,13 @@ def judged(
 
     Parameters
     ----------
-    campaign
-        States the noise of the reference.
-    fitted
-        The fit.
+    campaign, fitted
+        The first states the noise of the reference.
     whole
         Whole runs, or the longest windows of long recordings: where the position errors are taken.
-    faults
-        Blunders that were recognised.
-    outliers
-        Runs that the noise cannot explain; they are named by themselves and take no part.
+    faults, outliers
+        Blunders that were recognised; runs that the noise cannot explain, which are named by themselves and take no
+        part.
     """
     used = _used(whole, outliers)
     seen = whole.segments.seen

@@ -227,16 +227,11 @@ class Promise:
 def promised(campaign: Campaign, scales: FloatArray | None = None, driven: Campaign | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
-    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
+    The runs are driven as the model says; driven ones may be among them. `scales`, shape (4,), are variances of the
+    components of the noise: by default the stated sigmas and small random walks. Runs of `driven` show the random
+    walks.
 
-    Parameters
-    ----------
-    campaign
-        Runs driven as the model says; driven ones may be among them.
-    scales : array of float, shape (4,), optional
-        Variances of the noise's components; by default the stated sigmas and small random walks.
-    driven
-        Runs that show the random walks.
+    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
     if scales is None:
         scales = first_scales(campaign.reference)

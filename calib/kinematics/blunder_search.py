@@ -76,16 +76,9 @@ def find_blunder(
 ) -> tuple[Campaign, Recording, Fault] | None:
     """Return settings and recording corrected, and the blunder; None where no reading explains the data.
 
-    Parameters
-    ----------
-    campaign
-        States vehicle, encoder and noise of the reference.
-    recording
-        As it stands.
-    source : {"rear", "front", "wheels", "shaft"}
-        Which wheels drive the odometry.
-    divide
-        Cuts a recording into the segments that are compared, by the nominal vehicle of a campaign.
+    The campaign states vehicle, encoder and noise of the reference. `source` says which wheels drive the odometry
+    (``rear``, ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into the segments that are compared, by the
+    nominal vehicle of a campaign.
     """
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)

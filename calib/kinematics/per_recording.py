@@ -183,18 +183,8 @@ def _turned(recording: Recording, added_rad: FloatArray) -> Recording:
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
     """Return the random effect of the recordings' zeros.
 
-    Parameters
-    ----------
-    fitted
-        The fit with one zero.
-    solution
-        At the deviations.
-    group : array of int, shape (n_runs,)
-        Recording of each run.
-    spread
-        Standard deviation of the deviations, rad.
-    deviation : array, shape (n_groups,)
-        Of the recordings' zeros from the common one, rad.
+    `solution`, at the deviations, is of the `fitted` with one zero; `group` is the recording of each run; `spread` the
+    standard deviation of `deviation`, that of the zero of each recording from the common one, in rad.
     """
     names = fitted.parameters.names
     # a deviation is added to the angle before its scale

@@ -74,12 +74,8 @@ def readings(
 
     Parameters
     ----------
-    recording
-        As it stands.
-    per_rev
-        Counts per revolution that are stated.
-    drive
-        With its nominal values.
+    recording, per_rev, drive
+        As it stands, with the stated counts per revolution and nominal values.
     turned_rad
         Angle by which the reference's displacements are turned against those of the wheels.
     plausible

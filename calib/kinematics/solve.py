@@ -168,18 +168,12 @@ def solve(
 
     Parameters
     ----------
-    model
-        Predicts displacements.
-    parameters
-        Those that are estimated, with the spread of what is possible.
-    start : array, shape (n_parameters,)
-        Where to begin.
-    scales : array, shape (4,)
-        Variances of the noise's components to begin with.
-    rounds
-        Linearisations at most.
-    noise_rounds
-        Linearisations in which the noise is estimated too.
+    model, parameters
+        What predicts displacements, and what is estimated, with the spread of what is possible.
+    start, scales : array, shapes (n_parameters,) and (4,)
+        Where to begin, also with the variances of the noise's components.
+    rounds, noise_rounds
+        Linearisations at most, and those in which the noise is estimated too.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std

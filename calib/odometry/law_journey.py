@@ -286,16 +286,12 @@ def sweep_loads(
 
     Parameters
     ----------
-    vehicle
-        Geometry and mass.
-    payload_kg, payload_x_m, payload_y_m
-        Payload; the swept one is not used.
+    vehicle, payload_kg, payload_x_m, payload_y_m
+        The swept one is not used.
     swept
         What varies, of `SWEPT`; empty for a single payload.
-    span : (float, float)
-        First and last value.
-    steps
-        Values, both ends included.
+    span, steps
+        First and last value, and how many, both ends included.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):

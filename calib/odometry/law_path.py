@@ -223,18 +223,12 @@ def law_path(
 
     Parameters
     ----------
-    axle
-        Both wheels and the track between them.
-    route
-        What the believed pose follows.
-    loading
-        Loads carried along it.
-    reference_N : (float, float)
-        Loads (left, right) whose radii the uncorrected odometry uses all along.
-    draws
-        Draws for the interval of the ratio.
-    rng
-        Their source; None: no interval.
+    axle, route
+        Both wheels and the track between them, and what the believed pose follows.
+    loading, reference_N
+        Loads carried along it, and those (left, right) whose radii the uncorrected odometry uses all along.
+    draws, rng
+        Draws for the interval of the ratio; None: no interval.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(

@@ -148,14 +148,11 @@ def campaign_of(
 
     Parameters
     ----------
-    world, draw, record
-        What is true, its noise, and what was driven.
-    noise
-        The scales, of which the campaign file states the instruments' (not quite truly).
-    name
-        Name of the campaign.
-    pick : array of int, optional
-        Only these runs.
+    world, noise, draw, record
+        What is true, the scales of its noise (the campaign file states the instruments', not quite truly), and what was
+        driven.
+    name, pick
+        Of the campaign; only these runs.
     """
     design = world.design
     chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
@@ -281,18 +278,14 @@ def make_campaign(
 
     Parameters
     ----------
-    design
-        The runs.
+    design, rng
+        The runs, and all chance.
     truth
         ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap.
-    rng
-        All chance.
-    noise
-        Drawn at random where missing.
-    model
-        What the simulator believes; drawn at random where missing.
+    noise, model
+        Its noise, and what the simulator believes; drawn at random where missing.
     name
-        Name of the campaign.
+        Of the campaign.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

@@ -119,16 +119,8 @@ def widened(
 ) -> tuple[LineEstimate, Autocorrelation]:
     """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
 
-    Parameters
-    ----------
-    estimate
-        With every run of a session counted as independent.
-    load_N : array of float, shape (n_runs,), or None
-        Load minus the reference load, in the order driven; None for a constant.
-    radius_m : array of float, shape (n_runs,)
-        Effective radius.
-    groups
-        Sessions of the runs.
+    `estimate` counts every run of a session as independent. `load_N` is the load minus the reference load of each run,
+    in the order driven, None for a constant; `radius_m` the effective radius; `groups` the sessions of the runs.
     """
     n = len(radius_m)
     by_session = estimate.dof_between > 0

@@ -49,18 +49,10 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
 
     Parameters
     ----------
-    campaign
-        Whose table it is.
-    run
-        Number of the run, from 0.
-    column
-        The cell's column.
-    text
-        What was found, what was expected, what to do.
-    code
-        Name of the check.
-    level
-        ``wrong``, ``suspicious`` or ``info``.
+    campaign, run, column
+        Where the cell is, runs counted from 0.
+    text, code, level
+        What was found, what was expected, what to do; the name of the check; ``wrong``, ``suspicious`` or ``info``.
     """
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"
     return Note(level, where, text, code, str(campaign.runs.run_id[run]))

@@ -113,16 +113,10 @@ def ingest(
     ----------
     sources
         The run table first, where there is one, then logs or recordings, or folders of them.
-    into
-        The campaign to make.
-    mapping
-        TOML file as the text of `calib.campaign.ingest.mapping` shows.
-    force
-        Replace an existing campaign.
-    dry_run
-        Do everything but write.
-    progress
-        See `calib.types.Progress`.
+    into, mapping
+        The campaign to make, and a TOML file as the text of `calib.campaign.ingest.mapping` shows.
+    force, dry_run, progress
+        Replace an existing campaign; do everything but write; see `calib.types.Progress`.
     """
     if not sources:
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")

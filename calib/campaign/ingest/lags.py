@@ -60,16 +60,12 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
 
     Parameters
     ----------
-    recording
-        With the columns that the mapping names.
-    lines
-        Calib's column -> the recording's.
+    recording, lines
+        A recording with the columns that the mapping names: calib's column -> the recording's.
     base
-        The wheels' stream.
-    shown
-        The recording's name in messages.
-    border
-        Takes the notes.
+        The stream of the wheels.
+    shown, border
+        The recording's name in messages, and what takes the notes.
     """
     wheels = [
         base.columns[line.column]

@@ -319,16 +319,10 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
-    Raises BadFileError where it is no section, or at the first key that cannot be used, with what was expected there.
+    `model` is `TableSection`, `LogSection` or `Segmentation`; `section` is as TOML gives it; `shown` and `where` name
+    the mapping and the section in messages.
 
-    Parameters
-    ----------
-    model
-        `TableSection`, `LogSection` or `Segmentation`.
-    section
-        As TOML gives it.
-    shown, where
-        The mapping and the section's name, for messages.
+    Raises BadFileError where it is no section, or at the first key that cannot be used, with what was expected there.
     """
     if not isinstance(section, dict):
         raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)
@@ -360,9 +354,7 @@ def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> Ba
     ----------
     shown, where, name
         The mapping, its section, the line's key.
-    found
-        What the line says.
-    expected
-        What it should say.
+    found, expected
+        What the line says, and should say.
     """
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")

@@ -309,16 +309,10 @@ def match_logs(
 
     Parameters
     ----------
-    runs
-        The runs.
-    files
-        The log files.
-    log
-        How they are named.
-    shown
-        The table's name in messages.
-    border
-        Takes notes.
+    runs, files, log
+        The runs, the log files, and how they are named.
+    shown, border
+        The table's name in messages, and what takes notes.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:

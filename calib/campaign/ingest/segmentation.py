@@ -65,18 +65,13 @@ def segment_recordings(
 
     Parameters
     ----------
-    runs
-        Rows that name the runs in the order driven; without it they are numbered.
-    table
-        The same table as read, for columns of times.
-    recordings
-        In the order driven.
-    mapping
-        Its section on cutting.
-    settings
-        Vehicle and encoder, for lengths.
-    border
-        Takes notes.
+    runs, table
+        Rows that name the runs in the order driven (None: they are numbered), and the table as read, for columns of
+        times.
+    recordings, mapping
+        In the order driven, and how they are cut.
+    settings, border
+        Vehicle and encoder, for lengths; what takes notes.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:

@@ -78,16 +78,12 @@ def heading(
 
     Parameters
     ----------
-    rows
-        The header row first, then some of those beneath it, cells as read.
-    lines
-        The row of each in the file, counted from 1.
+    rows, lines
+        The header row first, then some of those beneath it, cells as read; the row of each in the file, counted from 1.
     layout
         Rows that the mapping names; several header rows only in a laboratory's file.
-    shown
-        The file's name in messages.
-    above
-        The row above the header.
+    shown, above
+        The file's name in messages, and the row above the header.
     """
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
@@ -234,16 +230,12 @@ def finished(
 
     Parameters
     ----------
-    columns : dict of str to array, shape (n_rows,)
-        Cells as read, of the wanted columns.
-    lines
-        The row of each in the file, counted from 1.
+    columns, lines
+        Cells as read, of the wanted columns; the row of each in the file, counted from 1.
     wanted
         As `calib.campaign.readers.read_table` takes it.
-    notes
-        What was recognised so far.
-    shown
-        The file's name in messages.
+    notes, shown
+        What was recognised so far; the file's name in messages.
     """
     line = np.asarray(lines, dtype=np.int64)
     further, epochs = to_numbers(columns, shown, line) if wanted is not None else ([], {})

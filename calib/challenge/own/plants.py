@@ -195,14 +195,10 @@ def plants_of(
 
     Parameters
     ----------
-    diagnosis
-        The campaign's own: its library and its noise.
-    replay
-        Its route.
-    wanted
-        Effects and outside causes; empty: all that these runs can show.
-    sizes
-        How large.
+    diagnosis, replay
+        The campaign's own: its library, its noise, its route.
+    wanted, sizes
+        Effects and outside causes (empty: all that these runs can show), and how large.
     rng
         Draws what else there is to choose of a form.
     """

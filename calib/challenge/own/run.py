@@ -217,17 +217,10 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
     its own. The same answer comes out for any number of workers, as long as the time is enough.
 
+    `asked` says what to plant; `tick` is called as ``tick(done, total)``.
+
     Raises RefusedError where the campaign has a blunder of the counters, or cannot be diagnosed; BadInputError where an
     effect is unknown.
-
-    Parameters
-    ----------
-    campaign
-        Any that can be diagnosed.
-    asked
-        What to plant.
-    tick
-        ``tick(done, total)``.
     """
     asked = asked or Asked()
     began = time.monotonic()
