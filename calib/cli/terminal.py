@@ -112,7 +112,7 @@ def emit_text(text: str) -> None:
 
 def show(blocks: Iterable[Block | Section]) -> None:
     """Print blocks for people; to standard error where standard output belongs to JSON."""
-    from calib.reporting.text import text_lines
+    from calib.reporting.formatting import text_lines
 
     heed()
     stream = sys.stderr if wants_stdout() else sys.stdout

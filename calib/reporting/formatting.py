@@ -1,11 +1,16 @@
-"""Values as texts: numbers to the digits that their uncertainty allows, units, names of columns."""
+"""Results as plain text: values to the digits that their uncertainty allows, and blocks fitted to the width."""
 
 from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, zip_longest
 from typing import Final
+
+from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 
 MISSING: Final = "–"
 #: metres or radians from which on thousandths are not printed
@@ -158,3 +163,226 @@ def in_words(name: str) -> str:
     stem, _, suffix = name.rpartition("_")
     text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else name
     return _NAMED.get(name, text).replace("_", " ")
+
+
+WIDTH: Final = 80
+#: widest column of names in a list of facts
+_NAME: Final = 26
+_SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
+EQUATIONS: Final = {
+    "effective_radius": "rₑ = Sₒ (1 + e) / (2 π n)",
+    "law": "rₑ(F) = r₀ + s (F − F₀)",
+    "law_uncertainty": "u²(rₑ) = u²(r₀) + 2 (F − F₀) u(r₀, s) + (F − F₀)² u²(s)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of text and its style: empty, ``heading``, ``caption``, ``dim``, ``good``, ``note``, ``bad``."""
+
+    text: str
+    style: str = ""
+
+
+def plain(text: str) -> str:
+    """Return a text with the minus sign and blanks that a terminal's users can copy and search for."""
+    return text.translate(_SIGNS)
+
+
+def to_text(blocks: Iterable[Block | Section], width: int = WIDTH) -> str:
+    """Return blocks as plain text of at most `width` columns, with a final newline."""
+    return "".join(f"{line.text.rstrip()}\n" for line in text_lines(blocks, width))
+
+
+def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Line]:
+    """Return blocks as lines of at most `width` columns.
+
+    Pictures and columns of detail are omitted. `width`: columns; a single word longer than
+    that is not broken.
+    """
+    lines: list[Line] = []
+    for block in blocks:
+        if isinstance(block, Section):
+            inner = [Line(""), Line(plain(block.title), "heading"), *text_lines(block.blocks, width)]
+        else:
+            inner = _lines(block, width)
+        apart = isinstance(block, (Heading, Table, Section))
+        if lines and apart and lines[-1].text and inner and inner[0].text:
+            lines.append(Line(""))
+        lines += inner
+    while lines and not lines[0].text:
+        lines.pop(0)
+    return lines
+
+
+def _lines(block: Block, width: int) -> list[Line]:
+    match block:
+        case Heading():
+            return [Line(plain(block.text), "heading")]
+        case Text():
+            return _wrapped(block.text, width, style="dim" if block.small else "")
+        case Facts():
+            return _facts(block.rows, width)
+        case Items():
+            return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", rest="  ")]
+        case Equation():
+            return [Line(f"    {EQUATIONS[block.name]}")]
+        case Notice():
+            words = f"{block.title}: {block.text}" if block.text else f"{block.title}."
+            return _wrapped(words, width, style=block.level)
+        case Table():
+            return [*_wrapped(block.caption, width, style="caption"), *table_lines(block, width), Line("")]
+    assert isinstance(block, Picture)
+    return []
+
+
+def _wrapped(text: str, width: int, *, lead: str = "", rest: str = "", style: str = "") -> list[Line]:
+    wrap = textwrap.TextWrapper(width, lead, rest, break_long_words=False, break_on_hyphens=False)
+    return [Line(line, style) for line in wrap.wrap(plain(text))]
+
+
+def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
+    room = min(max((len(name) for name, _ in rows), default=0), _NAME)
+    lines: list[Line] = []
+    for name, value in rows:
+        lead = f"  {plain(name):<{room}}  "
+        lines += _wrapped(value or " ", width, lead=lead, rest=" " * (room + 4)) or [Line(lead)]
+    return lines
+
+
+GAP: Final = 2
+#: a column of texts beyond this width may be wrapped between words
+LONG: Final = 30
+#: least width of a column of sentences
+NARROW: Final = 24
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """A column with its cells, the width at which nothing is wrapped, and the least that splits no word."""
+
+    head: Column
+    cells: tuple[str, ...]
+    width: int
+    least: int
+
+
+def table_lines(table: Table, width: int) -> list[Line]:
+    """Return header, rule and rows of a table, without columns of detail.
+
+    Where the table is wider than `width` its columns are dealt out to several tables below each other, the first
+    column in each.
+    """
+    fitted = [
+        _fit(column, [plain(row[number]) for row in table.rows])
+        for number, column in enumerate(table.columns)
+        if not column.detail
+    ]
+    lines: list[str] = []
+    for part in _parts(_with_room_for_groups(fitted), width):
+        lines += ["", *_drawn(part, _widths(part, width))]
+    return [Line(text, "dim" if set(text.strip()) <= {"─", " "} else "") for text in lines[1:]]
+
+
+def columns_of(text: str) -> int:
+    """Return how many columns a text takes; signs of East Asian scripts take two."""
+    from rich.cells import cell_len
+
+    return len(text) if text.isascii() else cell_len(text)
+
+
+def _unit(column: Column) -> str:
+    return f"({column.unit})" if column.unit else ""
+
+
+def _fit(column: Column, cells: list[str]) -> _Fitted:
+    if column.align == "right" and column.group == "" and not column.wide:
+        cells = [cell.rstrip() for cell in cells]
+    longest = max((columns_of(cell) for cell in cells), default=0)
+    words = [columns_of(word) for word in [*column.title.split(), _unit(column)]]
+    width = max([longest, *words, 1])
+    if not column.wide and not (column.align == "left" and longest > LONG):
+        return _Fitted(column, tuple(cells), max(width, columns_of(column.title)), width)
+    unbroken = max((columns_of(word) for cell in cells for word in cell.split()), default=0)
+    return _Fitted(column, tuple(cells), width, min(width, max(NARROW, unbroken, *words)))
+
+
+def _with_room_for_groups(fitted: Sequence[_Fitted]) -> list[_Fitted]:
+    """Widen the columns of a group whose common title is longer than they are."""
+    widened = list(fitted)
+    for group in dict.fromkeys(column.head.group for column in fitted if column.head.group):
+        members = [number for number, column in enumerate(fitted) if column.head.group == group]
+        room = sum(fitted[number].least for number in members) + GAP * (len(members) - 1)
+        for k in range(max(0, columns_of(group) - room)):
+            number = members[k % len(members)]
+            column = widened[number]
+            widened[number] = replace(column, width=max(column.width, column.least + 1), least=column.least + 1)
+    return widened
+
+
+def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
+    parts: list[list[_Fitted]] = []
+    part: list[_Fitted] = []
+    for column in fitted:
+        taken = sum(other.least + GAP for other in part) + column.least
+        if part and taken > width and len(part) > (1 if parts else 0):
+            parts.append(part)
+            part = [fitted[0]]
+        part.append(column)
+    return [*parts, part] if part else parts
+
+
+def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
+    """Return the widths: the least, and the free width for sentences."""
+    free = width - sum(column.least for column in part) - GAP * (len(part) - 1)
+    widths = []
+    for column in part:
+        more = max(0, min(column.width - column.least, free))
+        free -= more
+        widths.append(column.least + more)
+    return widths
+
+
+def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
+    groups = [column.head.group for column in part]
+    heads = [
+        textwrap.wrap(column.head.title, width, break_long_words=False)
+        for column, width in zip(part, widths, strict=True)
+    ]
+    height = max(map(len, heads))
+    rows = list(zip(*([""] * (height - len(head)) + head for head in heads), strict=True))
+    if any(column.head.unit for column in part):
+        rows.append(tuple(_unit(column.head) for column in part))
+    lines = _group_lines(groups, widths) if any(groups) else []
+    lines += [_row(words, part, widths) for words in rows]
+    lines.append("─" * (sum(widths) + GAP * (len(widths) - 1)))
+    for cells in zip(*(column.cells for column in part), strict=True):
+        wrapped = (
+            textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
+            if columns_of(cell) > width
+            else [cell]
+            for cell, width in zip(cells, widths, strict=True)
+        )
+        lines += [_row(words, part, widths) for words in zip_longest(*wrapped, fillvalue="")]
+    return lines
+
+
+def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
+    titles, rules = "", ""
+    columns = zip(groups, widths, strict=True)
+    for title, members in groupby(columns, key=lambda column: column[0]):
+        taken = [width for _, width in members]
+        room = sum(taken) + GAP * (len(taken) - 1)
+        titles += f"{title[:room]:^{room}}" + " " * GAP
+        rules += ("─" if title else " ") * room + " " * GAP
+    return [titles.rstrip(), rules.rstrip()]
+
+
+def _row(words: Sequence[str], part: Sequence[_Fitted], widths: Sequence[int]) -> str:
+    cells = []
+    for word, column, width in zip(words, part, widths, strict=True):
+        # str.center would count a sign of two columns as one
+        blank = max(0, width - columns_of(word))
+        before = {"left": 0, "right": blank, "center": blank // 2}[column.head.align]
+        cells.append(" " * before + word + " " * (blank - before))
+    return (" " * GAP).join(cells).rstrip()

@@ -25,7 +25,7 @@ from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
 from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
-from calib.reporting.text import EQUATIONS
+from calib.reporting.formatting import EQUATIONS
 from calib.types import Progress, silent, stepped
 
 if TYPE_CHECKING:

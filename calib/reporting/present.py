@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from calib.documents import Result
 from calib.errors import BadInputError
 from calib.reporting.blocks import Drawings, drawn
-from calib.reporting.text import to_text
+from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

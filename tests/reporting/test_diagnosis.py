@@ -15,9 +15,9 @@ from calib.gap.observations.arrays import Channel
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.reporting.blocks import Notice, Picture, Section, Table
 from calib.reporting.content import compose
+from calib.reporting.formatting import to_text
 from calib.reporting.pages import blocks_html, to_pdf
 from calib.reporting.source import Source
-from calib.reporting.text import to_text
 from calib.reporting.topics.diagnosis import diagnosis_content
 from calib.reporting.topics.fit import diagnosis_section
 from tests.reporting.making import findings, with_findings
