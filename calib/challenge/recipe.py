@@ -114,7 +114,7 @@ def _library() -> list[str]:
 
 
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
-    """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; gross."""
+    """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; blunders."""
     faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):

@@ -70,11 +70,11 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
     return np.round(steer / _STEER_STEP_RAD) * _STEER_STEP_RAD if quantise else steer
 
 
-def gross_counts(world: World, counts: FloatArray) -> FloatArray:
+def counts_with_blunder(world: World, counts: FloatArray) -> FloatArray:
     """Return the counters as recorded, shape (3, n_frames, n_runs), with a blunder where the world has one."""
-    if not world.gross or not world.gross_runs.any():
+    if not world.blunder or not world.blunder_runs.any():
         return counts
-    struck = world.gross_runs > 0
+    struck = world.blunder_runs > 0
     left, right, front = counts
     faulty = {
         "double_left": (2 * left, right),
@@ -83,7 +83,7 @@ def gross_counts(world: World, counts: FloatArray) -> FloatArray:
         "swapped": (right, left),
         "sign_left": (-left, right),
         "half_right": (left, np.floor(0.5 * right)),
-    }[world.gross]
+    }[world.blunder]
     return np.stack([np.where(struck, faulty[0], left), np.where(struck, faulty[1], right), front])
 
 
@@ -157,7 +157,7 @@ def campaign_of(
     design = world.design
     chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
     n_runs = len(chosen)
-    counts = gross_counts(world, record.counts)
+    counts = counts_with_blunder(world, record.counts)
     poses = reference_poses(world, draw, record)
     numbers = _columns(world, draw, record, record.last(counts), record.last(poses) + draw.pose.T)
     width = max(3, len(str(n_runs)))

@@ -214,12 +214,12 @@ class World:
     wavelength_m: FloatArray
     rise: FloatArray  #: shape (n_runs,): surplus of the path over its plan, from an uneven floor
     euler: FloatArray  #: shape (n_runs,): 1 where the outside simulator takes the heading at the end of its steps
-    gross_runs: FloatArray  #: shape (n_runs,): 1 for the runs that it strikes
+    blunder_runs: FloatArray  #: shape (n_runs,): 1 for the runs that it strikes
     #: payload_scale, payload_dx_m, payload_dy_m: shape (n_runs,): true payload against the reported one
     payload_scale: FloatArray
     payload_dx_m: FloatArray
     payload_dy_m: FloatArray
-    gross: str = ""  #: a blunder of the counters in the record; empty is none
+    blunder: str = ""  #: a blunder of the counters in the record; empty is none
     during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
 
     def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:

@@ -190,10 +190,10 @@ def _lost_constant(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -
     now.lose_counts(size, right=bool(knobs["right"]))
 
 
-def _gross(kind: str) -> Act:
+def _blunder(kind: str) -> Act:
     def act(world: World, size: FloatArray, _knobs: Knobs) -> None:
-        world.gross = kind
-        world.gross_runs = np.maximum(world.gross_runs, size)
+        world.blunder = kind
+        world.blunder_runs = np.maximum(world.blunder_runs, size)
 
     return act
 
@@ -241,7 +241,7 @@ INSTRUMENTS = (
     Form("lost_counts", "threshold", 1e-3, "1", _lost_above, frozenset({"speeds", "poses"}), either_side),
     Form("lost_counts", "constant", 2e-3, "1", _lost_constant, frozenset({"poses"}), either_side),
     *(
-        Form("encoder_gross", kind, 1.0, "1", _gross(kind), frozenset({"poses", "turns"}))
+        Form("encoder_gross", kind, 1.0, "1", _blunder(kind), frozenset({"poses", "turns"}))
         for kind in ("double_left", "quad_both", "pi_right", "swapped", "sign_left", "half_right")
     ),
     Form("steering_zero", "plain", 5e-3, "rad", added("steer_zero_rad"), _FRONT),
