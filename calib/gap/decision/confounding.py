@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence
+from calib.gap.decision.sentences import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
@@ -232,7 +233,8 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     """Return the causes whose part a second form of a larger cause explains as well.
 
     No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
-    linearly, leaves a part of the larger cause that looks like a smaller one.
+    linearly, leaves a part of the larger cause that looks like a smaller one. A form that acts the other way is no
+    error of the fitted one: counts that both wheels lose are a radius that follows the speed.
     """
     if len(causes) < 2:
         return ()
@@ -241,9 +243,14 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     fitted_labels = {(form.effect, form.label) for form in fitted.forms}
     least = _refitted(evidence, fitted.forms, ())[0] + window
     for cause in causes:
-        larger = {other.effect for other in causes if other.share > cause.share}
-        offered = (form for name in larger for form in evidence.search.forms.get(name, ()))
-        second = [form for form in offered if (form.effect, form.label) not in fitted_labels]
+        larger = [other for other in causes if other.share > cause.share]
+        offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
+        second = [
+            form
+            for form, other in offered
+            if (form.effect, form.label) not in fitted_labels
+            and (cause.share <= SMALL_SHARE * other.share or not _acts_opposite(evidence, form))
+        ]
         if not second:
             continue
         kept = [form for form in fitted.forms if form.effect != cause.effect]
@@ -251,6 +258,16 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
         if any(_refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least for form in second):
             errors.append(cause.effect)
     return tuple(errors)
+
+
+def _acts_opposite(evidence: Evidence, form: Form) -> bool:
+    """Return whether a second form with the sizes of the fitted one acts the other way, recalibration projected out."""
+    fitted, system = evidence.fitted, evidence.system
+    for own, theta in zip(fitted.forms, fitted.theta, strict=True):
+        if own.effect == form.effect and len(own.parameters) == len(form.parameters):
+            acting = [(system.columns(each) @ (theta / own.typical))[:, None] for each in (own, form)]
+            return float(Nuisance.of(system.calibration).scalar(*acting)[0, 0]) < 0.0
+    return False
 
 
 def gap_probability(evidence: Evidence) -> float:

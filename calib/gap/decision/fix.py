@@ -86,7 +86,7 @@ def fix_of(
         *disagreement(apart_m, on, evidence.held_out.closure, tied),
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, tied, unexplained, differing)),
-        *unsized(evidence, unexplained),
+        *unsized(evidence, causes, unexplained),
     ]
     return Fix(
         recommended=not why,
@@ -168,12 +168,19 @@ def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
 
 
-def unsized(evidence: Evidence, unexplained: Unexplained | None) -> Iterator[str]:
-    """Yield that an unexplained residual is probable where it is too small to be given a size."""
-    if unexplained is None and evidence.search.rest >= EVEN_PROBABILITY:
+def unsized(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None) -> Iterator[str]:
+    """Yield that an unexplained residual is probable that has no size, where a cause is not strong beside it.
+
+    Two standard deviations of chi square hide a signal of (8 n)^(1/4) in n readings.
+    """
+    if unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
+        return
+    hidden = (8.0 * float(evidence.observations.usable.sum())) ** 0.25
+    weak = [c for c in causes if c.share > SMALL_SHARE and c.signal < SIGNAL_OVER_UNEXPLAINED * hidden]
+    if weak or not causes:
         yield (
             f"the probability of an unexplained residual is {evidence.search.rest:.2f}, though it is too small to be "
-            "located; repeat the routes with the largest gap"
+            f"located (a signal below {hidden:.0f}); repeat the routes with the largest gap"
         )
 
 
@@ -333,7 +340,7 @@ def sure_part(
         *harm(tried),
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
         *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
-        *unsized(evidence, unexplained),
+        *unsized(evidence, kept, unexplained),
     ]
     if why:
         # without a cause beside a blunder there are no reasons yet

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
@@ -16,10 +17,13 @@ from calib.gap.decision.fix import _parted, is_named_beside, needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.inference.local_search import EVEN_PROBABILITY
+from tests.gap import workshop
 from tests.real import recordings
 from tests.real.manipulations import POSES
 from tests.real.plants import calibrated
 
+#: ramps are a tenth of a corridor at most
+RAMPS = 0.1
 LEFT = Unexplained(share=0.2, signal=20.0, where=())
 
 
@@ -124,6 +128,17 @@ def test_a_real_recording_is_no_worse_with_its_law_and_track_than_it_was_by_itse
     assert again.closure.before_rms_m is not None
     # less is left than the recording has of its own, whose scrub the recalibration takes in part
     assert again.closure.before_rms_m < own["closure"]["before_rms_m"]
+
+
+def test_a_radius_that_follows_the_speed_is_no_error_of_lost_counts(tmp_path: Path) -> None:
+    """Counts that the other wheel loses too would explain it: that acts the other way, so it is a second cause."""
+    sizes = {"lost_counts": 2e-3, "speed_radius": -3e-3}
+    campaign = read_campaign(workshop.write(tmp_path / "c", "corridor", sizes, np.random.default_rng(5)))
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    assert {one.effect for one in diagnosis.causes} == set(sizes) and diagnosis.recommended
+    (by_speed,) = (one.parameters["per_mps"] for one in diagnosis.causes if one.effect == "speed_radius")
+    # the world's radius follows the speed of the run, the effect's that of each step
+    assert by_speed.value == pytest.approx(sizes["speed_radius"], rel=RAMPS)
 
 
 def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
