@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Border, Logs, RunTable
+from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Border, LogColumns, Logs, RunTable
 from calib.campaign.readers import READERS, RawTable, read_table
 from calib.campaign.settings import Encoder, Recognised, converted, recognise, second_column
 from calib.errors import BadFileError
@@ -289,7 +289,7 @@ class LogStack:
         the log, for messages. Of all runs, end to end.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
-        columns: dict[str, FloatArray] = {}
+        columns = LogColumns(self._size, len(self._columns))
         for name in LOG_COLUMNS:
             column = self._columns.pop(name, None)
             if column is None:
@@ -303,5 +303,5 @@ class LogStack:
                     how = _STATED if encoder.wrap_bits else _DETECTED
                     text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
                     border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
-            columns[name] = column
+            columns.add(name, column)
         return Logs(offsets=offsets, columns=columns)

@@ -5,12 +5,16 @@ Arrays over all runs, and logs of all runs laid end to end, so that later stages
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, Final
+from weakref import finalize
 
 import numpy as np
 import numpy.typing as npt
@@ -168,6 +172,64 @@ class RunTable:
         )
 
 
+#: columns that come to more are kept in a temporary file
+HELD_BYTES: Final = 128 << 20
+
+
+class LogColumns(Mapping[str, FloatArray]):
+    """Columns of logs laid end to end, shape (n_samples,) each: in memory, or large ones in a temporary file.
+
+    What is in the file is read anew each time, so that no more is held than was asked for. `n_columns` may come.
+    """
+
+    def __init__(self, n_samples: int, n_columns: int) -> None:
+        self._n_samples, self._file = n_samples, -1
+        self._columns: dict[str, FloatArray | int] = {}
+        if 8 * n_samples * n_columns > HELD_BYTES and hasattr(os, "preadv"):
+            # where nothing can be written, or the disk is full, columns are held
+            with suppress(OSError), TemporaryFile() as file:
+                self._file = os.dup(file.fileno())
+                finalize(self, os.close, self._file)
+
+    def add(self, name: str, column: FloatArray) -> None:
+        """Add a column."""
+        self._columns[name] = column
+        if self._file >= 0:
+            with suppress(OSError):
+                place = os.fstat(self._file).st_size
+                _all_bytes(column, lambda data, done: os.pwrite(self._file, data, place + done))
+                self._columns[name] = place
+
+    def part(self, name: str, samples: slice) -> FloatArray:
+        """Return some samples of a column."""
+        column = self._columns[name]
+        if not isinstance(column, int):
+            return column[samples]
+        values, place = np.empty(samples.stop - samples.start), column + 8 * samples.start
+        _all_bytes(values, lambda data, done: os.preadv(self._file, [data], place + done))
+        return values
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.part(name, slice(0, self._n_samples))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __reduce__(self) -> tuple[type[dict[str, FloatArray]], tuple[dict[str, FloatArray]]]:
+        # another process, or a copy, has no part in the file
+        return dict, (dict(self),)
+
+
+def _all_bytes(column: FloatArray, move: Callable[[memoryview, int], int]) -> None:
+    """Read or write a column by a call that may move fewer bytes than it is asked to."""
+    done, data = 0, column.data.cast("B")
+    while done < len(data):
+        done += move(data[done:], done)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Logs:
     """The logs of all runs laid end to end."""
@@ -192,8 +254,11 @@ class Logs:
 
     def of(self, run: int) -> dict[str, FloatArray]:
         """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are omitted."""
-        part = slice(int(self.offsets[run]), int(self.offsets[run + 1]))
-        cut = {name: column[part] for name, column in self.columns.items()}
+        part, columns = slice(int(self.offsets[run]), int(self.offsets[run + 1])), self.columns
+        if isinstance(columns, LogColumns):
+            cut = {name: columns.part(name, part) for name in columns}
+        else:
+            cut = {name: column[part] for name, column in columns.items()}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
     def select(self, keep: npt.ArrayLike) -> Logs:
@@ -210,10 +275,9 @@ class Logs:
             for runs in np.split(index, breaks)
             if len(runs)
         ]
-        columns = {
-            name: np.concatenate([column[:0], *(column[stretch] for stretch in stretches)])
-            for name, column in self.columns.items()
-        }
+        columns = LogColumns(int(offsets[-1]), len(self.columns))
+        for name, column in self.columns.items():
+            columns.add(name, np.concatenate([column[:0], *(column[stretch] for stretch in stretches)]))
         return Logs(offsets=offsets, columns=columns)
 
     @staticmethod

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.campaign import log_reading
+from calib.campaign import log_reading, model
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
@@ -156,3 +158,35 @@ def test_the_first_fault_in_the_order_of_runs_is_named(
         f"logs/{logs[8].name}",
     ]
     _same(read_campaign(source), read_campaign(source))
+
+
+@pytest.mark.parametrize("world", ["all in the file", "the disk fills up", "nowhere to write"])
+def test_columns_in_a_file_are_the_columns(source: Path, monkeypatch: pytest.MonkeyPatch, world: str) -> None:
+    """What is asked for is the same, of all runs, of one, of some, and of a copy; held where it must be."""
+    expected, write = read_campaign(source), os.pwrite
+
+    def pwrite(file: int, data: bytes, place: int) -> int:
+        if world == "the disk fills up" and place:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        # a call may write less than it is asked to
+        return write(file, data[:1000], place)
+
+    def nowhere() -> None:
+        raise FileNotFoundError(errno.ENOENT, "no usable temporary directory")
+
+    monkeypatch.setattr(model, "HELD_BYTES", 0)
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    if world == "nowhere to write":
+        monkeypatch.setattr(model, "TemporaryFile", nowhere)
+    found = read_campaign(source)
+    _same(found, expected)
+    _same(deepcopy(found), expected)
+    _same(found.select([1, 2, 7]), expected.select([1, 2, 7]))
+    for run in range(N_RUNS):
+        ours, theirs = found.logs.of(run), expected.logs.of(run)
+        assert list(ours) == list(theirs)
+        for name, column in ours.items():
+            np.testing.assert_array_equal(column, theirs[name])
+    columns = found.logs.columns
+    held = [np.shares_memory(columns[name], columns[name]) for name in columns]
+    assert any(held) == (world != "all in the file")

@@ -45,10 +45,9 @@ MIN_WINDOW_SAMPLES: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """A run with its log and the reference's poses in it."""
+    """A run with the reference's poses in its log."""
 
     unit: Observation
-    log: Mapping[str, FloatArray]
     reference: ReferencePoses | None
 
 
@@ -77,9 +76,10 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
     A front wheel is kept where it drives the odometry; else it is compared over whole runs only.
     """
-    reference, log = recorded.reference, recorded.log
+    reference = recorded.reference
     if reference is None:
         return []
+    log = setup.campaign.logs.of(recorded.unit.run)
     edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
     rows = log_rows(log)
     windows: list[Observation] = []
@@ -222,7 +222,7 @@ def _recorded(run: int, setup: Setup) -> Recorded | None:
     pose = np.full(3, np.nan) if setup.in_map else poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated))
-    return Recorded(unit, log, reference_poses(log, setup) if logged else None)
+    return Recorded(unit, reference_poses(log, setup) if logged else None)
 
 
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
@@ -230,11 +230,12 @@ def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
     unit, reference = run.unit, run.reference
     if reference is None or not np.isnan(unit.measured[1:]).all():
         return unit
-    rows = log_rows(run.log)
+    log = setup.campaign.logs.of(unit.run)
+    rows = log_rows(log)
     inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
-    if len(inside) < len(rows) and _rolled_outside_m(run.log, rows, inside, setup) > END_TOLERANCE_M:
+    if len(inside) < len(rows) and _rolled_outside_m(log, rows, inside, setup) > END_TOLERANCE_M:
         # the reference saw a part of the run only: that part is what can be compared
-        part = observation_from_log(unit.run, run.log, inside, setup.per_rad)
+        part = observation_from_log(unit.run, log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
     if reference.from_first:
         return _between(unit, reference, 0, len(reference.rows) - 1, setup.campaign.reference)
