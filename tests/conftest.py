@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 # small matrices gain nothing from threads, and tests that run side by side lose by them; before numpy is imported
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -20,8 +21,11 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from xdist.scheduler import WorkStealingScheduling
+
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
+    from tests.campaign.ingest.lab import Lab
 
 # the same examples every time, so that one commit has one outcome; HYPOTHESIS_PROFILE=explore looks further.
 # No deadline: a busy machine is no fault of the code.
@@ -36,6 +40,14 @@ def pytest_collection_finish() -> None:
     """Leave modules and tests out of every later search for garbage: they are many and stay to the end."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> WorkStealingScheduling:
+    """Give each process a part of the suite, so that what a module's tests share is made once, and even out the end."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="session")
@@ -72,3 +84,54 @@ def diagnosed_sample(project_root: Path) -> Callable[[str], tuple[Campaign, Diag
         return campaign, diagnose_in_full(campaign)
 
     return diagnosed
+
+
+@pytest.fixture(scope="session")
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Lab, str]]:
+    """A laboratory's export, ``german`` or ``plain``, and the mapping that its description proposes, made once."""
+    from calib.campaign.ingest.describe import describe
+    from tests.campaign.ingest import lab
+
+    @cache
+    def written(variant: str) -> tuple[Lab, str]:
+        files = {"german": lab.german, "plain": lab.plain}[variant](tmp_path_factory.mktemp(variant))
+        return files, describe([files.table, files.logs]).to_toml()
+
+    return written
+
+
+@pytest.fixture(scope="session")
+def diagnoses() -> dict[str, Diagnosis]:
+    """What `diagnosed_once` has made, by what was asked for."""
+    return {}
+
+
+@pytest.fixture
+def diagnosed_once(monkeypatch: pytest.MonkeyPatch, diagnoses: dict[str, Diagnosis]) -> None:
+    """Let commands and functions that ask for the same diagnosis share it: how it is made is the tests' of `gap`."""
+    from calib.campaign.model import Campaign
+    from calib.gap.diagnose import diagnose_in_full
+
+    def diagnosed(campaign: Campaign, *, plan: bool = True, progress: object = None, **options: Any) -> Diagnosis:
+        given = {name: value for name, value in {**options, "of": campaign}.items() if value}
+        asked = repr({name: _digest(value) if isinstance(value, Campaign) else value for name, value in given.items()})
+        key = f"{asked} planned"
+        if key not in diagnoses:
+            key = key if plan else asked
+        if key not in diagnoses:
+            diagnoses[key] = diagnose_in_full(campaign, plan=plan, **options)
+        return diagnoses[key]
+
+    monkeypatch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosed)
+
+
+def _digest(campaign: Campaign) -> str:
+    """Return a hash of everything that a campaign holds."""
+    runs, logs = campaign.runs, campaign.logs
+    settings = (campaign.name, campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder)
+    digest = hashlib.sha256(repr((*settings, campaign.reference, campaign.odometry, campaign.extra)).encode())
+    for columns in (runs.labels, runs.numbers, logs.columns):
+        for name, column in columns.items():
+            digest.update(name.encode() + column.tobytes())
+    digest.update(runs.excluded.tobytes() + logs.offsets.tobytes() + repr((campaign.notes, campaign.hashes)).encode())
+    return digest.hexdigest()

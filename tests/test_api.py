@@ -17,6 +17,8 @@ from calib.cli.main import run
 from calib.errors import BadInputError
 from calib.radius.result import Fit
 
+pytestmark = pytest.mark.usefixtures("diagnosed_once")
+
 
 @pytest.fixture(scope="module")
 def campaign(project_root: Path) -> calib.Campaign:
@@ -31,8 +33,8 @@ def fit(campaign: calib.Campaign) -> calib.Fit:
     return calib.fit(campaign)
 
 
-@pytest.fixture(scope="module")
-def diagnosis(campaign: calib.Campaign) -> calib.Diagnosis:
+@pytest.fixture
+def diagnosis(campaign: calib.Campaign, diagnosed_once: None) -> calib.Diagnosis:
     return calib.diagnose(campaign)
 
 

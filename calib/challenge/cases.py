@@ -22,7 +22,7 @@ from calib.plant.effects import find
 from calib.plant.effects.form import Cause
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.plans import good_design, poor_design
-from calib.plant.signal import is_calibration, rivals, signatures, to_signal, whitened
+from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Noise, random_noise
 from calib.types import FloatArray
 
@@ -138,9 +138,10 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
         causes, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":
-            near = tuple(rivals(design, model, noise, causes[0])[:8])
-        if recipe.group == "single":
-            best, own = _ceilings(design, model, noise, causes[0], recipe, seed)
+            among = alternatives(design, model, noise, causes[0])
+            near = tuple(rivals(among)[:8])
+            if recipe.group == "single":
+                best, own = _ceilings(among, recipe, seed)
     return Truth(
         recipe=recipe,
         seed=seed,
@@ -160,20 +161,20 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
 
 
 def _ceilings(
-    design: Design, model: OdometryModel, noise: Noise, cause: Cause, recipe: Recipe, seed: int
+    among: Alternatives, recipe: Recipe, seed: int
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return what the best rule reaches on the runs of a case, for any effect and for the true one."""
 
     def rounded(ceiling: Ceiling | None) -> tuple[float, float] | None:
         return None if ceiling is None else (round(ceiling.free, 3), round(ceiling.gated, 3))
 
-    known, signal = signatures(design, model, noise), recipe.targets[0]
+    known, signal = signatures(among), recipe.targets[0]
     drawn = np.random.default_rng([seed, recipe.number, 3])
     best = rounded(ceiling_of(known, signal, drawn, one_sign=ONE_SIGN))
-    if is_calibration(cause):
+    if is_calibration(among.cause):
         return best, None
-    drawn, left = np.random.default_rng([seed, recipe.number, 4]), whitened(design, model, noise, [cause])[0]
-    return best, rounded(ceiling_of_truth(known, cause.effect, left, signal, drawn, one_sign=ONE_SIGN))
+    drawn = np.random.default_rng([seed, recipe.number, 4])
+    return best, rounded(ceiling_of_truth(known, among.cause.effect, among.left(0), signal, drawn, one_sign=ONE_SIGN))
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:

@@ -42,6 +42,18 @@ class Record:
     #: quantised
     counts: FloatArray
     odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
+    ends: FloatArray  #: shape (15, n_driven): the last frame of every run driven, also of those that are not logged
+
+    @staticmethod
+    def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> Record:
+        """Return the record of frames as `_Runs.frame` gives them, shape (15, n_frames, n_runs)."""
+        motion = dict(zip(_MOTION, stacked[:8], strict=True))
+        return Record(frames=frames, **motion, counts=stacked[8:11], odo=stacked[11:15], ends=ends)
+
+    @property
+    def end(self) -> Record:
+        """The ends of all runs driven, a frame each."""
+        return Record.of(np.ones(self.ends.shape[1], dtype=np.int64), self.ends[:, None], self.ends)
 
     def last(self, values: FloatArray) -> FloatArray:
         """Return the last frame of each run of an array of shape (..., n_frames, n_runs), shape (..., n_runs)."""
@@ -49,42 +61,52 @@ class Record:
         return end
 
 
-def drive(world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: float = STEP_S) -> Record:
+def drive(
+    world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: float = STEP_S, logged: int | None = None
+) -> Record:
     """Drive all runs of a world.
 
     The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll
-    on the true radii and track, and the floor's texture makes a random walk of every wheel. Counts are whole, or, for
-    derivatives, keep their fractions. Frames stand every `design.log_period_s` (0.25 s where that is 0).
+    on the true radii and track, and the floor's texture makes a random walk of every wheel. Frames stand every
+    `design.log_period_s` (0.25 s where that is 0).
+
+    Parameters
+    ----------
+    world, noise
+        What is true, and one draw of everything random.
+    quantise
+        Whether counts are whole; for derivatives they keep their fractions.
+    step_s
+        Time step.
+    logged
+        Only the first so many runs have frames, `Record.end` has the ends of all; by default all have them.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))
     runs = _Runs(world, noise, quantise, step_s)
-    frames = [runs.frame()]
-    final = np.zeros_like(frames[0])
+    kept = slice(logged)
+    frames = [runs.frame(kept)]
+    final = np.zeros((len(frames[0]), len(design)))
     before_end = np.zeros(len(design), dtype=np.int64)
     longest = float(np.max(runs.tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
     for number in range(1, int(longest / step_s) + 1):
         rolling = runs.steer()
         arrived, held = runs.accelerate(number)
         runs.count(*runs.roll(rolling, number))
-        ended = runs.arrive(arrived, held)
-        framed, ending = number % every == 0, ended.any()
-        if framed or ending:
-            frame = runs.frame()
-            if ending:
-                final = np.where(ended, frame, final)
-                before_end = np.where(ended, len(frames), before_end)
-                runs.halt(ended)
-            if framed:
-                frames.append(frame)
-            if runs.done.all():
-                break
-    final = np.where(runs.done, final, runs.frame())
-    before_end = np.where(runs.done, before_end, len(frames))
-    stacked = np.stack([*frames, final], axis=1)
-    stacked = np.where(np.arange(stacked.shape[1])[:, None] >= before_end, final[:, None], stacked)
-    motion = dict(zip(_MOTION, stacked[:8], strict=True))
-    return Record(frames=before_end + 1, **motion, counts=stacked[8:11], odo=stacked[11:15])
+        ended = np.flatnonzero(runs.arrive(arrived, held))
+        if len(ended):
+            final[:, ended], before_end[ended] = runs.frame(ended), len(frames)
+            runs.halt(ended)
+        framed = number % every == 0
+        if framed:
+            frames.append(runs.frame(kept))
+        if (framed or len(ended)) and runs.done.all():
+            break
+    on_the_way = np.flatnonzero(~runs.done)
+    final[:, on_the_way], before_end[on_the_way] = runs.frame(on_the_way), len(frames)
+    stacked = np.stack([*frames, final[:, kept]], axis=1)
+    behind = np.arange(stacked.shape[1])[:, None] >= before_end[kept]
+    return Record.of(before_end[kept] + 1, np.where(behind, final[:, None, kept], stacked), final)
 
 
 class _PastAngles:
@@ -106,10 +128,10 @@ class _PastAngles:
         self.number += 1
         self.angles[self.number % len(self.angles)] = angle
 
-    def read(self) -> FloatArray:
-        """Return the angle that a late sensor reads now, shape (n_runs,)."""
-        places = (self.number - self.whole - np.arange(3)[:, None]) % len(self.angles)
-        past: FloatArray = (self.weights * self.angles[places, np.arange(len(self.whole))]).sum(axis=0)
+    def read(self, at: slice | IntArray) -> FloatArray:
+        """Return the angle that a late sensor of these runs reads now."""
+        places = (self.number - self.whole[at] - np.arange(3)[:, None]) % len(self.angles)
+        past: FloatArray = (self.weights[:, at] * self.angles[places, np.arange(len(self.whole))[at]]).sum(axis=0)
         return past
 
 
@@ -151,15 +173,16 @@ class _Runs:
         self.done = np.zeros(n_runs, dtype=bool)
         self.past = _PastAngles(world.steer_delay_s, step_s)
 
-    def frame(self) -> FloatArray:
-        """Return what a record has of this moment, shape (15, n_runs)."""
-        now, counted = self.now, self.angle * self.per_rad
+    def frame(self, at: slice | IntArray) -> FloatArray:
+        """Return what a record has of these runs at this moment, shape (15, n_runs)."""
+        now, counted = self.now, self.angle[:, at] * self.per_rad
         if self.quantise:
-            counted = np.floor(counted + self.noise.phase)
-        omega = now.v_mps * now.curvature_per_m
-        time = np.full(len(omega), now.t_s)
-        motion = (time, now.x_m, now.y_m, now.theta_rad, now.v_mps, omega, self.steering, self.past.read())
-        return np.stack([*motion, *counted, self.odo_x, self.odo_y, self.odo_theta, self.odo_s])
+            counted = np.floor(counted + self.noise.phase[:, at])
+        speed = now.v_mps[at]
+        pose = (now.x_m[at], now.y_m[at], now.theta_rad[at])
+        motion = (np.full(len(speed), now.t_s), *pose, speed, speed * now.curvature_per_m[at])
+        odometry = (self.odo_x[at], self.odo_y[at], self.odo_theta[at], self.odo_s[at])
+        return np.stack([*motion, self.steering[at], self.past.read(at), *counted, *odometry])
 
     def steer(self) -> FloatArray:
         """Let the follower steer by the odometry; return the wheel's angle in the middle of the step."""
@@ -268,10 +291,10 @@ class _Runs:
         self.target_m = np.where(ended, self.target_m, following)
         return np.asarray(ended | flown)
 
-    def halt(self, ended: BoolArray) -> None:
-        """Stop the runs that have come to their end."""
-        self.done = self.done | ended
-        self.speed = np.where(ended, 0.0, self.speed)
+    def halt(self, ended: IntArray) -> None:
+        """Stop the runs that have come to their end; the moment keeps the speed with which they came."""
+        self.speed = self.speed.copy()
+        self.done[ended], self.speed[ended] = True, 0.0
 
 
 def _stops(world: World, tables: RouteTables) -> FloatArray:

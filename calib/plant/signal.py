@@ -39,12 +39,12 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
 
     Channels: laser distance, x, y, theta of the end pose in the start's frame, front wheel's distance and heading.
     """
-    design = world.design
-    poses = record.last(reference_poses(world, draw, record)) + draw.pose.T
-    own = record.last(record.odo)
+    design, end = world.design, record.end
+    poses = reference_poses(world, draw, end)[:, 0] + draw.pose.T
+    own = end.odo[:, 0]
     if design.outside:
         own = np.concatenate([simulated_poses(world, record), own[3:]])
-    laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
+    laser = world.laser_scale * end.x_m[0] + world.laser_offset_m + draw.laser_m
     out = np.full((len(design), 6), np.nan)
     corridor = design.corridor
     if design.laser:
@@ -198,7 +198,7 @@ def strengths(
     step_s
         Time step.
     weigh
-        Whether to weigh each beside the others too; quadratic in the number of causes.
+        Whether to weigh each, alone and beside the others; quadratic in the number of causes.
     """
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
@@ -211,19 +211,23 @@ def strengths(
         blocks[number, number + 1] = 1.0
     apply_causes(world, causes, blocks.reshape(n_causes, -1))
     still = quiet(n_runs).tile(n_causes + 1)
-    record = drive(world, still, quantise=False, step_s=step_s)
+    # what an outside simulator and the front wheel say is summed over the log
+    logged = None if design.front or design.outside else n_runs
+    record = drive(world, still, quantise=False, step_s=step_s, logged=logged)
     out = outputs(world, still, record).reshape(n_causes + 1, n_runs, 6)
     change = out[1:] - out[0]
     base_world = build_world(design, model)
     first = _cut(record, n_runs)
     cov, absorbed = covariance(base_world, noise, first), recalibration(base_world, first)
+    if not weigh:
+        return Strength((), (), 0.0, change, cov, absorbed)
     plain = any(is_calibration(cause) for cause in causes)
     nothing = None if plain else absorbed
     alone = tuple(
         _alone(change[number], cov, None if is_calibration(causes[number]) else absorbed) for number in range(n_causes)
     )
     beside = []
-    for number in range(n_causes if weigh else 0):
+    for number in range(n_causes):
         others = [change[other][:, :, None] for other in range(n_causes) if other != number]
         parts = [] if is_calibration(causes[number]) else [absorbed]
         extra = np.concatenate([*parts, *[np.nan_to_num(other) for other in others]], axis=2) if others else None
@@ -277,6 +281,8 @@ def to_signal(
             noise = noise.times(float(quieter * louder))
             factor = np.where(np.isfinite(wanted), factor * quieter * louder, factor)
         if np.all(np.abs(factor - 1) < 0.02):
+            if attempt:
+                return scaled, noise, reached_by
             break
         # these act with the square of their size; everything else in proportion
         power = np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
@@ -321,56 +327,61 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
     return variants
 
 
-def rivals(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> list[tuple[str, float]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternatives:
+    """A cause, and small sizes of everything that the effects can do on its runs."""
+
+    cause: Cause
+    variants: list[Cause]
+    driven: Strength  #: of the cause first, then of each variant
+
+    def families(self) -> dict[tuple[str, str], list[int]]:
+        """Return the numbers of the variants that add up to one form of one effect; the cause is number 0."""
+        families: dict[tuple[str, str], list[int]] = {}
+        for number, variant in enumerate(self.variants, start=1):
+            # one wheel or the other, never both: alternatives, while the other variants of an effect add up
+            which = str(variant.knobs["right"]) if "right" in variant.knobs else ""
+            families.setdefault((variant.effect, variant.form + which), []).append(number)
+        return families
+
+    def left(self, number: int) -> FloatArray:
+        """Return what one leaves, whitened, a recalibration projected out, shape (n_rows,)."""
+        white, absorbed = whiten(self.driven.change[number], self.driven.cov, self.driven.absorbed)
+        return white if absorbed is None else white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
+
+
+def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> Alternatives:
+    """Drive a cause and every effect that the design can show, all in one stack."""
+    variants = _variants(design, model.slope_left_m_per_N)
+    driven = strengths(design, model, noise, [cause, *variants], step_s=0.08, weigh=False)
+    return Alternatives(cause, variants, driven)
+
+
+def rivals(among: Alternatives) -> list[tuple[str, float]]:
     """Return the other effects that the design can show, nearest first, each with its distance from the cause.
 
     The distance, by the best of its forms, is the norm of what it cannot imitate in standard deviations of the noise, a
     recalibration being free.
     """
-    others = [other for other in _variants(design, model.slope_left_m_per_N) if other.effect != cause.effect]
-    strong = strengths(design, model, noise, [cause, *others], step_s=0.08, weigh=False)
-    truth = strong.change[0]
-    families = _families(others, first=1)
+    driven = among.driven
     nearest: dict[str, float] = {}
-    base = None if is_calibration(cause) else strong.absorbed
-    for (effect, _), numbers in families.items():
-        columns = np.stack([np.nan_to_num(strong.change[number]) for number in numbers], axis=-1)
-        free = columns if base is None else np.concatenate((base, columns), axis=-1)
-        distance = strength(truth, strong.cov, free)
+    base = [] if is_calibration(among.cause) else [driven.absorbed]
+    for (effect, _), numbers in among.families().items():
+        if effect == among.cause.effect:
+            continue
+        columns = np.stack([np.nan_to_num(driven.change[number]) for number in numbers], axis=-1)
+        distance = strength(driven.change[0], driven.cov, np.concatenate((*base, columns), axis=-1))
         nearest[effect] = min(nearest.get(effect, np.inf), distance)
     return [(effect, round(nearest[effect], 3)) for effect in sorted(nearest, key=nearest.__getitem__)]
 
 
-def _families(causes: list[Cause], first: int) -> dict[tuple[str, str], list[int]]:
-    """Return the numbers of the causes, from `first`, that add up to one form of one effect."""
-    families: dict[tuple[str, str], list[int]] = {}
-    for number, cause in enumerate(causes, start=first):
-        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
-        which = str(cause.knobs["right"]) if "right" in cause.knobs else ""
-        families.setdefault((cause.effect, cause.form + which), []).append(number)
-    return families
-
-
-def signatures(design: Design, model: OdometryModel, noise: Noise) -> dict[str, list[FloatArray]]:
+def signatures(among: Alternatives) -> dict[str, list[FloatArray]]:
     """Return what each effect, without calibration, can do on a design: whitened, a recalibration projected out.
 
     Effect -> its forms, each (n_rows, n_directions).
     """
-    causes = [cause for cause in _variants(design, model.slope_left_m_per_N) if not is_calibration(cause)]
-    columns = whitened(design, model, noise, causes)
-    columns_by_effect: dict[str, list[FloatArray]] = {}
-    for (effect, _), numbers in _families(causes, first=0).items():
-        columns_by_effect.setdefault(effect, []).append(np.stack([columns[number] for number in numbers], axis=1))
-    return columns_by_effect
-
-
-def whitened(design: Design, model: OdometryModel, noise: Noise, causes: list[Cause]) -> list[FloatArray]:
-    """Return what each cause leaves on a design, whitened, a recalibration projected out, each shape (n_rows,)."""
-    strong = strengths(design, model, noise, causes, step_s=0.08, weigh=False)
-    columns = []
-    for change in strong.change:
-        white, absorbed = whiten(change, strong.cov, strong.absorbed)
-        if absorbed is not None:
-            white = white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
-        columns.append(white)
-    return columns
+    by_effect: dict[str, list[FloatArray]] = {}
+    for (effect, _), numbers in among.families().items():
+        if not is_calibration(among.variants[numbers[0] - 1]):
+            by_effect.setdefault(effect, []).append(np.stack([among.left(number) for number in numbers], axis=1))
+    return by_effect

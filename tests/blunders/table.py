@@ -204,12 +204,17 @@ def geometry(place: Path, reference: str) -> Answer:
 
 
 def rows(
-    names: Collection[str], *, diagnose: bool, folder: Path, references: Collection[str] = tuple(REFERENCES)
+    names: Collection[str],
+    *,
+    diagnose: bool,
+    folder: Path,
+    references: Collection[str] = tuple(REFERENCES),
+    repeats: int = 3,
 ) -> list[Row]:
-    """Return the rows of the named blunders."""
+    """Return the rows of the named blunders, each route driven so often."""
     found = []
     for changes, make in PLANTS:
-        sound = make(np.random.default_rng(1))
+        sound = make(np.random.default_rng(1), repeats)
         for name in (name for name in changes if name in names):
             altered = sound.copy()
             changes[name](altered)

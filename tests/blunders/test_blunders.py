@@ -30,5 +30,5 @@ NAMES = (
 @pytest.mark.parametrize("name", NAMES)
 def test_a_blunder_never_passes_and_is_not_named_otherwise(name: str, tmp_path: Path) -> None:
     """The plant shares no code with the package."""
-    (at_end,) = rows([name], diagnose=False, folder=tmp_path, references=["end poses"])
+    (at_end,) = rows([name], diagnose=False, folder=tmp_path, references=["end poses"], repeats=2)
     assert at_end.outcome in {Outcome.NAMED, Outcome.REFUSED}

@@ -9,6 +9,7 @@ import pytest
 
 from calib.cli.main import run
 
+pytestmark = pytest.mark.usefixtures("diagnosed_once")
 FIELDS = {
     "verdict",
     "causes",

@@ -8,7 +8,7 @@ import pytest
 
 from calib.cli.main import run
 from tests.campaign.ingest.continuous import mapping_text, recorded, write
-from tests.campaign.ingest.lab import german, plain
+from tests.campaign.ingest.test_lab import Laboratory
 
 
 @pytest.fixture
@@ -53,10 +53,12 @@ def test_without_a_target_the_options_are_named(table: Path, capsys: pytest.Capt
     assert "--describe" in err
 
 
-@pytest.mark.parametrize("make", [german, plain])
-def test_a_description_is_a_mapping(make: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("variant", ["german", "plain"])
+def test_a_description_is_a_mapping(
+    variant: str, laboratory: Laboratory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Standard output is TOML that ingest takes; as JSON the same and what was found in each file."""
-    lab = make(tmp_path)  # type: ignore[operator]
+    lab, _ = laboratory(variant)
     assert run(["ingest", "--describe", str(lab.table), str(lab.logs)]) == 0
     text = capsys.readouterr().out
     assert tomllib.loads(text)["encoder"]["wrap_bits"] == 16
@@ -72,13 +74,12 @@ def test_a_description_is_a_mapping(make: object, tmp_path: Path, capsys: pytest
 
 
 def test_the_screen_of_24_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    laboratory: Laboratory, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At 80 columns the notes on the export fit on two screens, and no line is longer."""
     monkeypatch.setenv("COLUMNS", "80")
-    lab = german(tmp_path)
-    run(["ingest", "--describe", str(lab.table), str(lab.logs)])
-    (tmp_path / "m.toml").write_text(capsys.readouterr().out, encoding="utf-8")
+    lab, proposed = laboratory("german")
+    (tmp_path / "m.toml").write_text(proposed, encoding="utf-8")
     arguments = ["ingest", str(lab.table), str(lab.logs), "--mapping", str(tmp_path / "m.toml")]
     assert run([*arguments, "--into", str(tmp_path / "c")]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.ingest.describe import describe
 from calib.cli.main import run
 from calib.runtime import Coefficients, Odometer, Status
-from tests.campaign.ingest.lab import N_RUNS, SWAPPED, Lab, german, plain
-from tests.campaign.ingest.test_lab import edited
+from tests.campaign.ingest.lab import N_RUNS, SWAPPED, Lab
+from tests.campaign.ingest.test_lab import Laboratory, edited
 
 DRIVER = Path(__file__).parents[1] / "runtime" / "driver.c"
 #: distances of the runs against the runtime's: the radii's scatter of 2e-5 over 40 m, five times, and the straight path
@@ -24,8 +23,8 @@ DISTANCE_M = 0.01
 SAME_M = 1e-9
 
 
-#: what the laboratory writes, and what it calls a run
-VARIANTS = {"german": (german, "Lauf {}"), "plain": (plain, "run{:02}")}
+#: variant -> what it calls a run
+VARIANTS = {"german": "Lauf {}", "plain": "run{:02}"}
 #: radius at 300 N and slope of the wheels that the export was made of
 TRUE = {"left": (0.0990, 1.3e-6), "right": (0.0993, 1.2e-6)}
 #: lines of a mapping at most, without remarks and empty ones
@@ -33,13 +32,14 @@ MOST_LINES = 30
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
-def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Lab, Path]:
+def exported(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, laboratory: Laboratory
+) -> tuple[Lab, Path]:
     """One description, one edited mapping, one ingestion; then fit, report and export."""
     folder = tmp_path_factory.mktemp("lab")
-    write, name = VARIANTS[request.param]
-    lab = write(folder)
-    text = edited(describe([lab.table, lab.logs]))
-    text = text.replace("[log]", f'[log]\nswapped = ["{name.format(SWAPPED)}"] #')
+    lab, proposed = laboratory(request.param)
+    name = VARIANTS[request.param].format(SWAPPED)
+    text = edited(proposed).replace("[log]", f'[log]\nswapped = ["{name}"] #')
     assert sum(bool(line.strip()) and not line.startswith("#") for line in text.splitlines()) <= MOST_LINES
     (folder / "m.toml").write_text(text, encoding="utf-8")
     mapping, campaign, fit = folder / "m.toml", folder / "c", folder / "f"
@@ -51,12 +51,12 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return lab, folder
 
 
-def _samples(folder: Path, number: int) -> list[tuple[float, int, int]]:
+def _samples(lab: Lab, number: int) -> list[tuple[float, int, int]]:
     """A logger's file as the vehicle counts: 16 bits, overflowing."""
-    if (folder / "runs").is_dir():
-        rows = [line.split(",") for line in (folder / "runs" / f"run{number:02}.csv").read_text().splitlines()[1:]]
+    if lab.logs.name == "runs":
+        rows = [line.split(",") for line in (lab.logs / f"run{number:02}.csv").read_text().splitlines()[1:]]
         return [(1e-3 * float(ms), int(left), int(right)) for ms, left, right in rows]
-    lines = (folder / "logger" / f"Lauf_{number:02}.csv").read_text(encoding="cp1252").splitlines()[7:]
+    lines = (lab.logs / f"Lauf_{number:02}.csv").read_text(encoding="cp1252").splitlines()[7:]
     cells = [line.split(";") for line in lines]
     seconds = [float(time[17:23]) + 60 * float(time[14:16]) + 3600 * float(time[11:13]) for time, *_ in cells]
     return [(t - seconds[0], int(left), int(right)) for t, (_, left, right, _) in zip(seconds, cells, strict=True)]
@@ -82,7 +82,7 @@ def test_the_header_has_the_width_and_the_report_is_there(exported: tuple[Lab, P
 def test_the_runtime_drives_on_across_overflows(number: int, exported: tuple[Lab, Path]) -> None:
     """No sample is refused, and the distance is the rangefinder's."""
     lab, folder = exported
-    samples = _samples(folder, number)
+    samples = _samples(lab, number)
     jumps = np.abs(np.diff([left for _, left, _ in samples])) > 2**15
     assert jumps.sum() >= 3
     odometer = Odometer(Coefficients.parse((folder / "coefficients.json").read_text()))
@@ -101,7 +101,7 @@ def test_the_compiled_header_drives_the_same(exported: tuple[Lab, Path], tmp_pat
     command = [compiler, "-std=c99", "-I", str(folder), str(DRIVER), "-lm", "-o", str(tmp_path / "driver")]
     subprocess.run(command, check=True, capture_output=True)
     loads = [float(lab.truth.runs.number(f"load_{side}_N")[0]) for side in ("left", "right")]
-    samples = _samples(folder, 1)
+    samples = _samples(lab, 1)
     script = f"L {loads[0]!r} {loads[1]!r}\n" + "".join(f"T {a} {b} {t!r}\n" for t, a, b in samples)
     out = subprocess.run([str(tmp_path / "driver")], input=script, capture_output=True, text=True, check=True).stdout
     lines = [line.split() for line in out.splitlines()]

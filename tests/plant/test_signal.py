@@ -13,7 +13,7 @@ from calib.plant.effects import ALL, find
 from calib.plant.effects.form import Cause
 from calib.plant.make import as_causes, make_campaign, random_model
 from calib.plant.plans import good_design
-from calib.plant.signal import covariance, outputs, recalibration, rivals, strength, strengths, to_signal
+from calib.plant.signal import alternatives, covariance, outputs, recalibration, rivals, strength, strengths, to_signal
 from calib.plant.world import Noise, build_world, draw_noise, quiet
 
 NORMAL = Noise(tail=np.inf, stated_ratio=1.0)
@@ -140,7 +140,7 @@ def test_rivals_know_the_exact_alias() -> None:
     design = good_design(rng, n_runs=24, needs=find("beam_misalignment").needs)
     model = random_model(design, rng)
     made, noise, _ = to_signal(design, model, NORMAL, [Cause("beam_misalignment", 0.05)], [15.0])
-    found = rivals(design, model, noise, made[0])
+    found = rivals(alternatives(design, model, noise, made[0]))
     (nearest, distance), (_, next_distance) = found[:2]
     assert nearest == "rangefinder_scale"
     assert distance < 0.05

@@ -6,6 +6,7 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
 from typing import Any, Final
 
 import numpy as np
@@ -36,6 +37,7 @@ _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?"
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _HALF_DAY_NS: Final = 43_200 * NS_PER_S
+_DAYS_TO_1970: Final = date(1970, 1, 1).toordinal()
 #: name of a time format -> its form
 _TIMES: Final = {
     "iso8601": re.compile(
@@ -353,7 +355,7 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
     year, month, day = (int(part[name]) for name in ("year", "month", "day"))
     if month_first and match.re is _TIMES["slashes"]:
         month, day = day, month
-    days = int(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(np.int64))
+    days = date(year, month, day).toordinal() - _DAYS_TO_1970
     zone_s = 0
     if part["zone"] not in {None, "Z", "UTC"}:
         digits = part["zone"][1:].replace(":", "").ljust(4, "0")
