@@ -101,7 +101,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     )
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
-    return replace(diagnosis, sentence=blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis))
+    said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
+    return replace(diagnosis, sentence=said + _on_scatter(evidence))
 
 
 def _misfit(evidence: Evidence) -> float:
@@ -151,6 +152,18 @@ def _on_small(small: Sequence[str]) -> tuple[str, ...]:
         return ()
     listed = ", ".join(small)
     return (f"too small beside the largest cause to be named: {listed}; correct that first, then diagnose again",)
+
+
+def _on_scatter(evidence: Evidence) -> str:
+    """Return the sentence on radii that scatter from recording to recording, which their windows have in common."""
+    weighting = evidence.search.weighting
+    size = sum(kind.relative for kind in weighting.system.kinds if kind.name == weighting.name) * weighting.scale
+    if not size:
+        return ""
+    return (
+        f" The wheels' radii scatter by about {100 * size:.1g} % from recording to recording: no correction takes that "
+        "away, and all intervals hold it."
+    )
 
 
 def _beside_blunder(kind: VerdictKind) -> VerdictKind:

@@ -22,6 +22,10 @@ from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
 INTERACTION: Final = "interaction"
+#: radii that scatter from recording to recording: noise that the windows of one recording share, not an unexplained gap
+SCATTER: Final = "recordings"
+#: fewest recordings that show a scatter beside their mean
+MIN_RECORDINGS: Final = 3
 #: offsets of fewer conditions than this are no sample of a lack of fit: a recalibration and an effect make them as well
 MIN_CELLS: Final = 8
 #: standard deviation of the lack of fit, in noise levels of one run
@@ -105,16 +109,24 @@ class LackOfFit:
         Whitened columns that each block has of its own, scaled to about the noise level of one run.
     common : array of float, shape (n_rows, q), or None
         Whitened columns common to all blocks.
+    relative : float
+        By what radii that scatter from recording to recording differ at a scale of 1.
     """
 
     name: str
     by_block: tuple[FloatArray, ...] | None = None
     common: FloatArray | None = None
+    relative: float = 0.0
 
     @property
     def is_interaction(self) -> bool:
         """Whether it is a trend under other loads, speeds or turns, which is looked for last."""
         return self.name == INTERACTION
+
+    @property
+    def is_scatter(self) -> bool:
+        """Whether it is noise that windows of a recording share."""
+        return self.name == SCATTER
 
 
 def row_blocks(s: Observations) -> Blocks:
@@ -177,6 +189,10 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
                 for rows_b in blocks.slices()
             )
             kinds.append(LackOfFit(f"{name} by {grouping}", by_block=parts))
+    run = s.run[blocks.unit]
+    if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():
+        columns = _spread(own[:, :2], run, np.ones(len(run), dtype=bool))
+        kinds.append(LackOfFit(SCATTER, common=columns, relative=float(np.mean(CALIBRATION_SD[:2] / norm[:2]))))
     for number, trend in enumerate((ambient_trends(path).columns(), *ambient_interactions(path))):
         if trend.shape[2]:
             white = whitened_rows(path, noise, trend)[blocks.order]

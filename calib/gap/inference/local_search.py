@@ -17,7 +17,7 @@ from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
 from calib.gap.inference.scalar_products import Sums
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 #: forms of an effect that are kept beside the best
 _FORMS_PER_EFFECT: Final = 2
@@ -121,6 +121,11 @@ class LocalSearch:
     def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
         """Return the log weights of models, shape (n_scales, n_models)."""
         return log_weights(sums or self.sums, self.columns, models)
+
+    @property
+    def is_noise(self) -> BoolArray:
+        """Scales without a lack of fit, shape (n_scales,): none, or what windows of a recording share."""
+        return np.array([*(kind.is_scatter for kind in self.system.kinds), True])[self.sums.kind]
 
     def active(self) -> Sums:
         """Return the sums at the scales that matter for the current hypothesis."""

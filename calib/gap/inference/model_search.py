@@ -17,7 +17,7 @@ from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, S
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
 from calib.gap.predict import Path
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 #: passes: linearise, search, fit
 _MAX_PASSES: Final = 7
@@ -126,7 +126,7 @@ def search(
         models=tuple(order),
         probabilities=np.array([by_set[key] for key in order]),
         alternatives=local.alternatives(weighed.models, by_model),
-        rest=float(weighed.probability[1:].sum()),
+        rest=float(weighed.probability[~local.is_noise].sum()),
         weighting=local.weighting(),
         nothing=at_base.nothing,
     )
@@ -231,6 +231,7 @@ class _WeighedModels:
 
     models: list[Model]
     probability: FloatArray  #: shape (n_scales, n_models)
+    is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
     #: probability that the calibration is what it is believed to be, if no effect is at work; 1 where that is unlikely
     as_believed: float
     #: log weight of the current model, all scales of the lack of fit and all of the calibration together
@@ -239,7 +240,7 @@ class _WeighedModels:
     @property
     def nothing(self) -> float:
         """Probability that neither an effect nor a lack of fit is there, a recalibration left free."""
-        return float(self.probability[0, self.models.index(())])
+        return float(self.probability[self.is_noise, self.models.index(())].sum())
 
 
 def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
@@ -265,7 +266,7 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
-    return _WeighedModels(models, probability / probability.sum(), as_believed, current_weight)
+    return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight)
 
 
 def _most_probable(

@@ -280,13 +280,16 @@ def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
     """Return the calibration derivatives (n_units, 6, 3), within a group their mean over its units.
 
     Each unit's own derivatives differ by its own scatter: by them a group's calibration takes up noise, in squares a
-    quarter of that of the radii. Groups that drive no way along keep their own.
+    quarter of that of the radii. Groups that drive no way along keep their own, and so do windows of unlike shape:
+    there a wrong radius of the recording would pass for scatter.
     """
     own: FloatArray = path.calibration[:, :, :3].copy()
     size = np.diff(np.append(grouped.first, len(grouped.units)))
     mean = grouped.summed(own[grouped.units]) / size[:, None, None]
+    condition = path.s.condition[grouped.units]
+    alike = grouped.summed((condition != condition[grouped.first][grouped.group]).astype(np.int64)) == 0
     along = grouped.summed(np.abs(path.way_m[grouped.units])) > 0
-    on = along[grouped.group]
+    on = (along & (alike | (not path.s.windowed)))[grouped.group]
     own[grouped.units[on]] = mean[grouped.group[on]]
     return own
 

@@ -289,13 +289,15 @@ def scalar_products(
         taken = np.linalg.solve(lower[place], across[:, :m].T / root[place][:, None])
         return own - taken.T @ taken, across[:, m:] - taken.T @ cross[place]
 
-    share = float(np.log(prior_rest / max(len(kinds) * len(scales), 1)))
+    # noise that the windows of a recording share is as likely as none, a lack of fit is not
+    others = sum(not kind.is_scatter for _, kind in kinds)
+    odds = np.array([1.0 if kind.is_scatter else prior_rest / others for _, kind in kinds]) / len(scales)
     return Sums(
         gram=left[:, :-1, :-1],
         right=left[:, :-1, -1],
         square=left[:, -1, -1],
         log_det=np.array(log_dets) + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1),
-        log_prior=np.array([0.0] + [share] * (len(labels) - 1)),
+        log_prior=np.log([1.0, *np.repeat(odds, len(scales))]),
         kind=np.array([number for number, _ in labels]),
         scale=np.array([scale for _, scale in labels]),
         n_rows=n_rows,

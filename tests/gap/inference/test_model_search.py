@@ -168,7 +168,7 @@ def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_pat
     def weigh(local: Sets) -> _WeighedModels:
         models = [each[local.current_effects], local.current_effects]
         at_hand = 1.0 if (local.current_effects == other) is better else 0.0
-        return _WeighedModels(models, np.array([[0.6, 0.4]]), 1.0, at_hand)  # type: ignore[arg-type]
+        return _WeighedModels(models, np.array([[0.6, 0.4]]), np.array([True]), 1.0, at_hand)  # type: ignore[arg-type]
 
     start = Sets(("a",) if first else other)
     settle = lambda local: (local, None)  # noqa: E731
