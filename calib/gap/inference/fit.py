@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -263,42 +263,54 @@ def linear_rest(fitted: Fitted, noise: Noise) -> float:
     return float(gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(normal, gram[:-1, -1]))
 
 
-def whitened_rows(path: Path, noise: Noise, columns: FloatArray) -> FloatArray:
-    """Whiten columns (n_units, 6, k) and lay the usable rows end to end, shape (n_rows, k)."""
-    masked = np.where(path.s.usable[:, :, None], columns, 0.0)
-    whitened: FloatArray = (noise.whitener @ masked)[path.s.usable]
+def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = slice(None)) -> FloatArray:
+    """Whiten columns (n_units, 6, k) of all observations, or some, and lay the usable rows end to end, (n_rows, k)."""
+    usable = path.s.usable[units]
+    masked = np.where(usable[:, :, None], columns, 0.0)
+    whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
     return whitened
 
 
 def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
-    """Return the signatures of each form's parameters times their typical sizes, each (n_units, 6, n_parameters).
-
-    Every part of the path is gone through once for all forms.
-    """
-    if not forms:
-        return []
+    """Return the signatures of each form's parameters times their typical sizes, each (n_units, 6, n_parameters)."""
     columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
-    along_path: list[tuple[Form, list[Perturbation | None], FloatArray]] = []
-    for form, column in zip(forms, columns, strict=True):
+    for number, units, some in signatures_by_part(path, forms):
+        columns[number][units] = some
+    return columns
+
+
+def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
+    """Yield number of a form, observations, and the signatures of these times typical sizes, (n, 6, n_parameters).
+
+    Every part of the path is gone through once for all forms; a form whose signature needs no steps comes as a whole.
+    """
+    n_channels = path.s.usable.shape[1]
+    along_path: list[tuple[int, list[Perturbation | None], dict[int, FloatArray]]] = []
+    for number, form in enumerate(forms):
         whole: list[Perturbation | None] = [None] * len(form.parameters)
+        known: dict[int, FloatArray] = {}
         if not form.by_parts:
             whole = list(form.perturbations(path))
-            for number, (push, typical) in enumerate(zip(whole, form.typical, strict=True)):
+            for place, (push, typical) in enumerate(zip(whole, form.typical, strict=True)):
                 # what is the same in all steps of an observation needs none of them
                 if push is not None and push.is_of_observations(path.s):
-                    column[:, :, number], whole[number] = signature(path, push) * typical, None
+                    known[place], whole[place] = signature(path, push) * typical, None
         if form.by_parts or any(push is not None for push in whole):
-            along_path.append((form, whole, column))
-    if not along_path:
-        return columns
-    for units, part in path.parts():
-        for form, whole, column in along_path:
+            along_path.append((number, whole, known))
+        else:
+            yield number, slice(0, len(path.s)), np.stack([known[place] for place in range(len(whole))], axis=2)
+    for units, part in path.parts() if along_path else ():
+        for number, whole, known in along_path:
+            form = forms[number]
+            column = np.zeros((units.stop - units.start, n_channels, len(form.parameters)))
+            for place, values in known.items():
+                column[:, :, place] = values[units]
             pushes = form.perturbations(part) if form.by_parts else whole
-            for number, (push, typical) in enumerate(zip(pushes, form.typical, strict=True)):
+            for place, (push, typical) in enumerate(zip(pushes, form.typical, strict=True)):
                 if push is not None:
                     some = push if form.by_parts else push.part(units, path.s)
-                    column[units, :, number] = signature(part, some) * typical
-    return columns
+                    column[:, :, place] = signature(part, some) * typical
+            yield number, units, column
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:

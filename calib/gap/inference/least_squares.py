@@ -52,8 +52,9 @@ class Weighting:
         Component of lack of fit; empty where there is none.
     scale : float
         Its standard deviation in noise levels of one run; 0 where there is none.
-    covariance : tuple of array, each shape (n_b, n_b)
-        Of each block's rows.
+    own : tuple of array, each shape (n, length, k)
+        What each block of one length may have of its own, scaled to unit prior variance, beside noise of variance 1: a
+        covariance of its rows would grow with their square.
     common : array of float, shape (n_rows, q)
         Columns of a lack of fit common to all blocks, scaled to unit prior variance.
     """
@@ -61,26 +62,48 @@ class Weighting:
     system: LinearSystem
     name: str
     scale: float
-    covariance: tuple[FloatArray, ...]
+    own: tuple[FloatArray, ...]
     common: FloatArray
 
     @staticmethod
     def from_component(system: LinearSystem, kind: int, scale: float, deviations: FloatArray) -> Weighting:
         """Build from a component of lack of fit (-1: none), its scale and deviations of each block, (n_rows, k)."""
         rest = system.kinds[kind] if kind >= 0 else None
-        blocks = []
-        for number, rows_b in enumerate(system.blocks.slices()):
-            own = deviations[rows_b]
-            covariance = np.eye(len(own)) + own @ own.T
+        groups = []
+        for group, (numbers, places) in enumerate(system.blocks.alike):
+            own = [system.blocks.alike_rows(deviations, group)]
             if rest is not None and rest.by_block is not None:
-                part = rest.by_block[number]
-                covariance += scale**2 * part @ part.T
-            # what a form far beyond its size may deviate by leaves the noise below rounding
-            blocks.append(covariance + _ROUNDING * np.diag(np.diag(covariance)))
+                parts = [rest.by_block[number] for number in numbers]
+                own.append(np.zeros((*places.shape, max(part.shape[1] for part in parts))))
+                for padded, part in zip(own[1], parts, strict=True):
+                    padded[:, : part.shape[1]] = scale * part
+            groups.append(np.concatenate(own, axis=2))
         common = np.zeros((len(system.gap), 0))
         if rest is not None and rest.common is not None:
             common = scale * rest.common
-        return Weighting(system, "" if rest is None else rest.name, scale, tuple(blocks), common)
+        return Weighting(system, "" if rest is None else rest.name, scale, tuple(groups), common)
+
+    def _noise(self, own: FloatArray) -> FloatArray:
+        """Return the variance of the noise of each row (n, length) beside columns (n, length, k) of the blocks."""
+        # what a form far beyond its size may deviate by leaves the noise below rounding
+        return np.asarray(1.0 + _ROUNDING * (1.0 + (own**2).sum(axis=2)))
+
+    def _products(self, columns: FloatArray, on: FloatArray | None = None) -> FloatArray:
+        """Return X^T V^-1 X, X (n_rows, p), V of what blocks have of their own; `on` (n_rows,): 1 where used."""
+        blocks, products = self.system.blocks, np.zeros((columns.shape[1],) * 2)
+        for group, own in enumerate(self.own):
+            part = blocks.alike_rows(columns, group)
+            if on is not None:
+                # a row that is omitted says nothing
+                used = blocks.alike_rows(on[:, None], group)
+                part, own = part * used, own * used
+            deviation = np.sqrt(self._noise(own))[:, :, None]
+            white, turned = part / deviation, (own / deviation).transpose(0, 2, 1)
+            lower = np.linalg.cholesky(np.eye(own.shape[2]) + turned @ turned.transpose(0, 2, 1))
+            for rows, sign in ((white, 1.0), (np.linalg.solve(lower, turned @ white), -1.0)):
+                flat = rows.reshape(-1, len(products))
+                products += sign * (flat.T @ flat)
+        return products
 
     def solve(
         self, columns: FloatArray, precision: FloatArray, use: BoolArray | None = None
@@ -100,21 +123,9 @@ class Weighting:
         whole = np.concatenate([columns, self.common, system.gap[:, None]], axis=1)
         n = whole.shape[1] - 1
         normal = np.diag(np.concatenate([precision, np.ones(self.common.shape[1])]))
-        right = np.zeros(n)
-        for numbers, places in system.blocks.alike:
-            part = whole[places]
-            covariance = np.stack([self.covariance[number] for number in numbers])
-            if use is not None:
-                on = use[system.blocks.unit[places]]
-                some = on.any(axis=1)
-                part, covariance, on = part[some], covariance[some], on[some]
-                # a row that is omitted stands alone, and says nothing
-                part = part * on[:, :, None]
-                covariance = covariance * (on[:, :, None] & on[:, None, :]) + np.eye(on.shape[1]) * ~on[:, :, None]
-            solved = np.linalg.solve(covariance, part).reshape(-1, n + 1)
-            weighed = part.reshape(-1, n + 1)[:, :n].T @ solved
-            normal += weighed[:, :n]
-            right += weighed[:, n]
+        weighed = self._products(whole, None if use is None else use[system.blocks.unit].astype(np.float64))
+        normal += weighed[:n, :n]
+        right = weighed[:n, n]
         # scaled to a unit diagonal, a little added: columns exactly alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
@@ -123,23 +134,18 @@ class Weighting:
 
     def square(self, gap: FloatArray) -> float:
         """Return y^T V^-1 y of a gap y, shape (n_rows,)."""
-        inside = np.zeros((1 + self.common.shape[1],) * 2)
-        whole = np.concatenate([gap[:, None], self.common], axis=1)
-        for numbers, places in self.system.blocks.alike:
-            part = whole[places]
-            solved = np.linalg.solve(np.stack([self.covariance[number] for number in numbers]), part)
-            inside += part.reshape(-1, part.shape[2]).T @ solved.reshape(-1, part.shape[2])
+        inside = self._products(np.concatenate([gap[:, None], self.common], axis=1))
         common = inside[0, 1:] @ np.linalg.solve(np.eye(len(inside) - 1) + inside[1:, 1:], inside[1:, 0])
         return float(inside[0, 0] - common)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
         """Return the standard deviation of the gap along a change (n_rows,) of some units: sqrt(change^T V change)."""
-        system, total = self.system, 0.0
-        for rows_b, covariance in zip(system.blocks.slices(), self.covariance, strict=True):
-            on = units[system.blocks.unit[rows_b]]
-            part = change[rows_b] * on
-            total += float(part @ covariance @ part)
-        along = (self.common * (change * units[system.blocks.unit])[:, None]).sum(axis=0)
+        blocks, total = self.system.blocks, 0.0
+        used = change * units[blocks.unit]
+        for group, own in enumerate(self.own):
+            part = blocks.alike_rows(used[:, None], group)
+            total += float((self._noise(own)[:, :, None] * part**2).sum() + ((own * part).sum(axis=1) ** 2).sum())
+        along = self.common.T @ used
         return float(np.sqrt(total + along @ along))
 
 

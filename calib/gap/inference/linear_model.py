@@ -19,6 +19,7 @@ from calib.gap.inference.fit import (
     Fitted,
     recalibration_columns,
     signature_columns,
+    signatures_by_part,
     whitened_rows,
 )
 from calib.gap.inference.lack_of_fit import (
@@ -70,10 +71,12 @@ class LinearSystem:
         self.layout = Layout.of(self.forms)
         self.whole = np.empty((len(order), self._width))
         self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]
-        signatures = signature_columns(path, self.forms)
-        for number in reversed(range(len(self.forms))):
-            # taken off, as they are as many again
-            self.of(number)[:] = whitened_rows(path, noise, signatures.pop())[order]
+        place = np.argsort(order)
+        edges = np.concatenate(([0], np.cumsum(path.s.usable.sum(axis=1))))
+        for number, units, some in signatures_by_part(path, self.forms):
+            # as they come: all of them before they are whitened would be as many again
+            rows = place[edges[units.start] : edges[units.stop]]
+            self.of(number)[rows] = whitened_rows(path, noise, some, units)
         gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
         self.left = gap
         gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)

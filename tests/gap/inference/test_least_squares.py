@@ -28,15 +28,33 @@ def _system() -> LinearSystem:
 
 @pytest.mark.parametrize("kind", [-1, 0, -2])
 def test_a_square_is_that_of_the_whole_covariance(kind: int) -> None:
-    """Without a lack of fit, beside one of each condition's own, and beside one common to all conditions."""
+    """Without a lack of fit, beside one of each condition's own, and beside one common to all conditions.
+
+    So are the spread along a change, and estimates without some of the runs.
+    """
     system, rng = _system(), np.random.default_rng(5)
     number = kind if kind != -2 else next(k for k, one in enumerate(system.kinds) if one.common is not None)
     deviations, y = 0.3 * rng.standard_normal((len(system.gap), 2)), rng.standard_normal(len(system.gap))
     weighting = Weighting.from_component(system, number, 3.0, deviations)
-    covariance = weighting.common @ weighting.common.T
-    for rows_b, of_block in zip(system.blocks.slices(), weighting.covariance, strict=True):
-        covariance[rows_b, rows_b] += of_block
+    covariance = np.eye(len(y)) + weighting.common @ weighting.common.T
+    by_block = system.kinds[number].by_block if number >= 0 else None
+    for block, rows_b in enumerate(system.blocks.slices()):
+        covariance[rows_b, rows_b] += deviations[rows_b] @ deviations[rows_b].T
+        if by_block is not None:
+            covariance[rows_b, rows_b] += 9.0 * by_block[block] @ by_block[block].T
     assert weighting.square(y) == pytest.approx(float(y @ np.linalg.solve(covariance, y)), rel=ROUNDING)
+    used = rng.random(len(system.path.s)) < 0.7
+    rows = used[system.blocks.unit]
+    assert weighting.spread(y, used) == pytest.approx(
+        float(np.sqrt((y * rows) @ covariance @ (y * rows))), rel=ROUNDING
+    )
+    columns = np.concatenate([system.calibration[:, :3], system.of(0)], axis=1)
+    of_rows, gap = columns[rows], system.gap[rows]
+    normal = np.eye(4) + of_rows.T @ np.linalg.solve(covariance[np.ix_(rows, rows)], of_rows)
+    expected = np.linalg.solve(normal, of_rows.T @ np.linalg.solve(covariance[np.ix_(rows, rows)], gap))
+    estimates, spread = weighting.solve(columns, np.ones(4), use=used)
+    np.testing.assert_allclose(estimates, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(spread, np.linalg.inv(normal), rtol=1e-6)
 
 
 def _warm_system() -> LinearSystem:
