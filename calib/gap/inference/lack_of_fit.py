@@ -26,6 +26,8 @@ INTERACTION: Final = "interaction"
 SCATTER: Final = "recordings"
 #: fewest recordings that show a scatter beside their mean
 MIN_RECORDINGS: Final = 3
+#: and that radii scatter by, relative: more is no tyre's (the largest step between sessions that is plausible)
+LARGEST_SCATTER: Final = 1e-2
 #: offsets of fewer conditions than this are no sample of a lack of fit: a recalibration and an effect make them as well
 MIN_CELLS: Final = 8
 #: standard deviation of the lack of fit, in noise levels of one run
@@ -128,6 +130,10 @@ class LackOfFit:
         """Whether it is noise that windows of a recording share."""
         return self.name == SCATTER
 
+    def is_plausible(self, scale: float) -> bool:
+        """Whether radii scatter by so much at all."""
+        return self.relative * scale <= LARGEST_SCATTER
+
 
 def row_blocks(s: Observations) -> Blocks:
     """Return the rows of a campaign by condition, conditions of as many rows side by side."""
@@ -191,7 +197,9 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
             kinds.append(LackOfFit(f"{name} by {grouping}", by_block=parts))
     run = s.run[blocks.unit]
     if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():
-        columns = _spread(own[:, :2], run, np.ones(len(run), dtype=bool))
+        # both wheels stand for the one that drives the odometry, if it is steered
+        radii = own[:, :2].sum(axis=1, keepdims=True) if s.by_front else own[:, :2]
+        columns = _spread(radii, run, np.ones(len(run), dtype=bool))
         kinds.append(LackOfFit(SCATTER, common=columns, relative=float(np.mean(CALIBRATION_SD[:2] / norm[:2]))))
     for number, trend in enumerate((ambient_trends(path).columns(), *ambient_interactions(path))):
         if trend.shape[2]:

@@ -291,13 +291,19 @@ def scalar_products(
 
     # noise that the windows of a recording share is as likely as none, a lack of fit is not
     others = sum(not kind.is_scatter for _, kind in kinds)
-    odds = np.array([1.0 if kind.is_scatter else prior_rest / others for _, kind in kinds]) / len(scales)
+    odds = [
+        float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others
+        for _, kind in kinds
+        for scale in scales
+    ]
+    with np.errstate(divide="ignore"):
+        log_prior = np.log([1.0, *np.array(odds) / len(scales)])
     return Sums(
         gram=left[:, :-1, :-1],
         right=left[:, :-1, -1],
         square=left[:, -1, -1],
         log_det=np.array(log_dets) + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1),
-        log_prior=np.log([1.0, *np.repeat(odds, len(scales))]),
+        log_prior=log_prior,
         kind=np.array([number for number, _ in labels]),
         scale=np.array([scale for _, scale in labels]),
         n_rows=n_rows,
