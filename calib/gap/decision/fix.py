@@ -373,6 +373,9 @@ def _parted(
 ) -> tuple[list[Cause], dict[str, str], bool]:
     """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
+    # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
+    kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
+    dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause but radii and track may be a part of that
     other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
     for cause in causes:

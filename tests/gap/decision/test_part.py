@@ -64,6 +64,15 @@ def test_a_cause_weaker_than_one_whose_size_differs_may_be_a_part_of_that() -> N
     assert [one.effect for one in kept] == ["wear"]
 
 
+def test_a_step_of_each_session_keeps_itself_out_and_no_other_cause() -> None:
+    """It says nothing of the next session; a zone of the floor, which looks like nearly anything, keeps others back."""
+    certain = {"load_radius": 0.95, "session_step": 0.95, "floor_zone": 0.95}
+    kept, dropped, by_odds = _parted([cause("load_radius"), cause("session_step")], certain, None)
+    assert [one.effect for one in kept] == ["load_radius"] and not by_odds
+    assert "calibrate in each" in dropped["session_step"]
+    assert _parted([cause("load_radius"), cause("floor_zone")], certain, None)[1] == {}
+
+
 def test_beside_the_fix_of_a_part_only_a_nearly_certain_cause_stays_named() -> None:
     fix = Fix(recommended=True, corrects=("a",))
     named = [one.effect for one in map(cause, "abc") if is_named_beside(one, fix, {"a": 0.7, "b": 0.95, "c": 0.7})]
