@@ -289,23 +289,29 @@ def scalar_products(
         taken = np.linalg.solve(lower[place], across[:, :m].T / root[place][:, None])
         return own - taken.T @ taken, across[:, m:] - taken.T @ cross[place]
 
-    # noise that the windows of a recording share is as likely as none, a lack of fit is not
-    others = sum(not kind.is_scatter for _, kind in kinds)
-    odds = [
-        float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others
-        for _, kind in kinds
-        for scale in scales
-    ]
-    with np.errstate(divide="ignore"):
-        log_prior = np.log([1.0, *np.array(odds) / len(scales)])
     return Sums(
         gram=left[:, :-1, :-1],
         right=left[:, :-1, -1],
         square=left[:, -1, -1],
         log_det=np.array(log_dets) + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1),
-        log_prior=log_prior,
+        log_prior=_log_priors([kind for _, kind in kinds], scales, prior_rest),
         kind=np.array([number for number, _ in labels]),
         scale=np.array([scale for _, scale in labels]),
         n_rows=n_rows,
         wide=WideSums(wide, np.arange(len(labels))) if w else None,
     )
+
+
+def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float], prior_rest: float) -> FloatArray:
+    """Return the log prior odds of no lack of fit, then of each kind at each scale, shape (1 + n_kinds * n_scales,).
+
+    Noise that the windows of a recording share is as likely as none; a lack of fit is not.
+    """
+    others = sum(not kind.is_scatter for kind in kinds)
+    odds = [
+        float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others
+        for kind in kinds
+        for scale in scales
+    ]
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log([1.0, *np.array(odds) / len(scales)]))
