@@ -35,7 +35,6 @@ from calib.gap.localise.locate import locate
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import undetectable
-from calib.gap.plan.next_runs import next_runs
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, predict, residuals
 from calib.types import FloatArray, Progress, silent
@@ -147,6 +146,8 @@ def diagnose_in_full(
     diagnosis = replace(decide(evidence), undetectable=undetectable(recalibrated, effects, searched.forms))
     if not plan or not diagnosis.groups:
         return diagnosis
+    from calib.gap.plan.next_runs import next_runs
+
     progress(0, 0, "next runs")
     ties = [group.effects for group in diagnosis.groups]
     runs = next_runs(campaign, effects, noise, ties, searched.fitted, model=model)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import comb, log
 from typing import Final
 
@@ -74,17 +75,33 @@ class FormPriors:
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
         """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
-        parts = [[self.layout.of_form(form) for form in model] for model in models]
-        width = max((sum(map(len, part)) for part in parts), default=0)
-        columns = np.full((len(models), width), -1)
-        owner = np.full((len(models), width), -1)
-        for row, (model, part) in enumerate(zip(models, parts, strict=True)):
-            at = 0
-            for form, places in zip(model, part, strict=True):
-                columns[row, at : at + len(places)], owner[row, at : at + len(places)] = places, form
-                at += len(places)
-        return columns, owner
+        form, row = _forms_of(models)
+        counts = self.layout.counts[form]
+        at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
+        # number of each column within its form, and within its model
+        at += _within(np.repeat(np.arange(len(form)), counts))
+        place = _within(row)
+        table = np.full((2, len(models), int(place.max(initial=-1)) + 1), -1)
+        table[:, row, place] = at, owner
+        return table[0], table[1]
+
+    def widths(self, models: Sequence[tuple[int, ...]]) -> IntArray:
+        """Return the number of columns of each model, shape (n_models,)."""
+        form, row = _forms_of(models)
+        return np.bincount(row, self.layout.counts[form], len(models)).astype(np.int64)
 
     def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
         """Return the log prior of each model, shape (n_models,)."""
-        return np.array([self.log_prior[list(model)].sum() + self.by_count[len(model)] for model in models])
+        form, row = _forms_of(models)
+        return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[[len(model) for model in models]]
+
+
+def _forms_of(models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
+    """Return the forms of all models end to end, and the number of the model of each."""
+    form = np.fromiter(chain.from_iterable(models), dtype=np.int64)
+    return form, np.repeat(np.arange(len(models)), [len(model) for model in models])
+
+
+def _within(row: IntArray) -> IntArray:
+    """Return the number of each place among those of its row; rows ascend."""
+    return np.arange(len(row)) - np.searchsorted(row, row)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -229,22 +229,27 @@ class LocalSearch:
         hypotheses would alternate.
         """
         refused: set[frozenset[int]] = set()
+        models, value = self._weighed_around(refused)
         for _ in range(_MAX_STEPS):
-            models = self.neighbours(self.current)
-            if not self.current:
-                models += self._pairs()
-            models = [self.current, *(m for m in models[1:] if frozenset(m) not in refused)]
-            value = _total(self.weigh(models, self.active()))
             best = int(np.argmax(value))
             if best == 0 or value[best] < value[0] + 1e-6:
                 break
             before = self.current, dict(self.sizes), self.sums
             self.make_current(models[best])
-            value = _total(self.weigh([self.current, before[0]], self.active()))
-            if value[0] <= value[1]:
+            own, other = _total(self.weigh([self.current, before[0]], self.active()))
+            if own > other:
+                models, value = self._weighed_around(refused)
+            else:
                 refused.add(frozenset(self.current))
                 self.current, self.sizes, self.sums = before
+                value[best] = -np.inf
         return self.current
+
+    def _weighed_around(self, refused: Collection[frozenset[int]]) -> tuple[list[Model], FloatArray]:
+        """Return the current model, then its neighbours but those refused, and their log weights (n_models,)."""
+        models = self.neighbours(self.current) + ([] if self.current else self._pairs())
+        models = [self.current, *(model for model in models[1:] if frozenset(model) not in refused)]
+        return models, _total(self.weigh(models, self.active()))
 
     def make_current(self, model: Model) -> None:
         """Take a model as the current one, new effects at the sizes that suit it."""

@@ -19,7 +19,7 @@ FLOOR_DOF: Final = 20.0
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
 #: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
-_BATCH_ENTRIES: Final = 2**19
+_BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
 #: smallest prior scale of a column, in typical sizes, and ridge beside which sizes are fitted to choose it
@@ -27,6 +27,8 @@ _LEAST_SCALE: Final = 0.1
 _RIDGE: Final = 1e-2
 #: a scale of the lack of fit less probable than this adds nothing to an average
 _NO_WEIGHT: Final = 1e-15
+#: pivot of a matrix with ones on its diagonal: smaller ones are rounding
+_LEAST_PIVOT: Final = 1e-12
 #: a hypothesis of a wide form is not weighed where it cannot come within this log-evidence window of the best
 _NEGLIGIBLE: Final = 60.0
 
@@ -113,7 +115,13 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     """
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
-    return np.asarray(np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size)
+    if gram.ndim == 2:
+        return np.asarray(np.linalg.solve(scaled, right / size) / size)
+    pivots, rows = _eliminated(scaled, (right / size)[..., None])
+    sizes = rows[:, -1] / pivots
+    for j in range(len(rows) - 2, -1, -1):
+        sizes[j] -= (rows[j, j + 1 : -1] * sizes[j + 1 :]).sum(axis=0) / pivots[j]
+    return np.moveaxis(sizes, 0, -1) / size
 
 
 def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
@@ -130,37 +138,39 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
     """
     value = np.full((len(sums.square), len(models)), -np.inf)
     wide = np.array([columns.layout.wide in model for model in models], dtype=bool)
-    widths = np.array([int(columns.layout.counts[list(model)].sum()) for model in models])
+    prior, widths = columns.priors(models), columns.widths(models)
     # models of like width together: padding a narrow one to the widest would cost the cube of it
     group = np.where(wide, -1, np.searchsorted(_WIDTH_CLASSES, widths))
     for number in np.unique(group[~wide]):
         places = np.flatnonzero(group == number)
-        entries = max(int(widths[places].max()), 1) ** 2
+        index, owner = columns.index([models[k] for k in places.tolist()])
+        entries = max(index.shape[1], 1) ** 2
         size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
         n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
         for first in range(0, len(places), size):
-            some = places[first : first + size]
+            some = slice(first, first + size)
             for low in range(0, len(value), n_scales):
                 scales = slice(low, low + n_scales)
-                value[scales, some] = _batch(sums.pick(scales), columns, [models[k] for k in some])
+                value[scales, places[some]] = _batch(sums.pick(scales), columns, index[some], owner[some])
+    value += sums.log_prior[:, None] + prior
     if wide.any():
         with_wide = [model for model, is_wide in zip(models, wide, strict=True) if is_wide]
         value[:, wide] = _beside_wide(sums, columns, with_wide, float(value[:, ~wide].max(initial=-np.inf)))
     return value
 
 
-def _batch(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
-    index, owner = columns.index(models)
-    base = sums.log_prior[:, None] + columns.priors(models)[None, :]
+def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
+    """Return the log evidence (n_scales, n_models) of models by their columns, see `FormPriors.index`."""
     if index.shape[1] == 0:
-        empty: FloatArray = base + log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
-        return empty
+        return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     there = index >= 0
-    gram, right = _padded(sums.gram[:, index[:, :, None], index[:, None, :]], sums.right[:, index], there)
+    # in memory the models stand last: what is done to a column of all of them is done at once
+    places = index.T
+    gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
+    gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
     variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns.most[index])
     sign, square, log_det = np.where(there, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
-    value = _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
-    return np.asarray(base + value)
+    return _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
 
 
 def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -267,7 +277,7 @@ def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatAr
     """Return the prior scale of each column: its form's root mean square size, from a tenth to what is plausible."""
     alike = (owner[:, :, None] == owner[:, None, :]).astype(np.float64)
     alike /= alike.sum(axis=2, keepdims=True)
-    mean_square = np.einsum("mab,...mb->...ma", alike, sizes**2)
+    mean_square = np.moveaxis(np.einsum("mab,...mb->a...m", alike, sizes**2), 0, -1)
     return np.asarray(np.clip(np.sqrt(mean_square), _LEAST_SCALE, most))
 
 
@@ -282,15 +292,9 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
     """Return log |I + S G| and g^T (S^-1 + G)^-1 g, each shape (...)."""
     root = np.sqrt(variance)
     inner, size = _inner(gram, root)
-    k = inner.shape[-1]
-    # one factor gives both: below it the products stand as a further row, which becomes the solution. Its own square
-    # has to exceed that of the solution, and does, for I + S G is no less than the identity
-    below = np.zeros((*inner.shape[:-2], k + 1, k + 1))
-    below[..., :k, :k], below[..., k, :k] = inner, root * right / size
-    below[..., k, k] = 1.0 + ((root * right) ** 2).sum(axis=-1)
-    lower = np.linalg.cholesky(below)
-    log_det = 2 * (np.log(np.diagonal(lower, axis1=-2, axis2=-1)[..., :k]) + np.log(size)).sum(axis=-1)
-    return log_det, (lower[..., k, :k] ** 2).sum(axis=-1)
+    pivots, rows = _eliminated(inner, (root * right / size)[..., None])
+    log_det = np.log(pivots).sum(axis=0) + 2.0 * np.log(size).sum(axis=-1)
+    return log_det, (rows[:, -1] ** 2 / pivots).sum(axis=0)
 
 
 def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
@@ -304,12 +308,38 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
     root = np.sqrt(variance)
     inner, size = _inner(gram, root)
     signed = np.flatnonzero((sign != 0).reshape(-1, sign.shape[-1]).any(axis=0))
-    inverse = np.linalg.solve(inner, np.eye(sign.shape[-1])[:, signed])
+    sides = np.empty((*inner.shape[:-1], 1 + len(signed)))
+    sides[..., 0], sides[..., 1:] = root * right / size, np.eye(sign.shape[-1])[:, signed]
+    pivots, rows = _eliminated(inner, sides)
+    right, own = rows[:, len(pivots), None], rows[:, len(pivots) + 1 :]
     # both times the prior scale over the scaling
-    mean = np.einsum("...kc,...k->...c", inverse, root * right / size)
-    spread = np.sqrt(inverse[..., signed, np.arange(len(signed))])
+    share = own / pivots[:, None]
+    mean, spread = (np.moveaxis((share * of).sum(axis=0), 0, -1) for of in (right, own))
+    spread = np.sqrt(spread)
     held = sign[..., signed]
     return np.asarray(np.where(held != 0, log_ndtr(held * mean / spread), 0.0).sum(axis=-1))
+
+
+def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all of them at once.
+
+    LAPACK takes a microsecond a matrix, and a search has some hundred thousand of two to five columns.
+
+    Returns
+    -------
+    array of float, shape (k, ...)
+        Pivots, whose product is the determinant.
+    array of float, shape (k, k + q, ...)
+        Rows of the upper triangle and of the right sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
+    """
+    k, lead = matrix.shape[-1], matrix.shape[:-2]
+    rows = np.empty((k, k + sides.shape[-1], *lead))
+    turned = np.moveaxis(rows, (0, 1), (-2, -1))
+    turned[..., :k], turned[..., k:] = matrix, sides
+    for j in range(k):
+        rows[j, j] = np.maximum(rows[j, j], _LEAST_PIVOT)
+        rows[j + 1 :, j + 1 :] -= (rows[j, j + 1 : k] / rows[j, j])[:, None] * rows[j, j + 1 :]
+    return np.moveaxis(np.diagonal(rows), -1, 0), rows
 
 
 def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -142,7 +142,15 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
     """Return the hypothesis about whose path the search begins."""
     if start is not None:
         return start.fitted
-    return continuation_start(initial.system, initial.settings.most_effects)
+    system = initial.system
+    if system.path.s.calibration_held and is_far(system.fitted):
+        # beside no recalibration two parameters of a simulator may be far off: neither leads near by itself, but what
+        # they do is so nearly linear that both show at once
+        forms = initial.forms_of(copy(initial).greedy_search())
+        fitted = fit(system.nominal, system.noise, forms, start=system.fitted, steps=_TRIAL_STEPS)
+        if not is_far(fitted):
+            return fitted
+    return continuation_start(system, initial.settings.most_effects)
 
 
 def is_far(fitted: Fitted) -> bool:
@@ -186,9 +194,10 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
             # the best one first: what even the linear fit leaves far behind it is not followed
             for one, two in sorted(zip(first, second, strict=True), key=lambda pair: pair[1].chi_square):
                 if two.chi_square <= _HOPELESS * least:
-                    outdone = bool(trials) and linear_rest(two, noise) > _OUTDONE * trials[0].chi_square
-                    settled = outdone or _settled(two.chi_square, one.chi_square)
-                    trials.append(two if settled else further(two, _TRIAL_STEPS - _FIRST_STEPS))
+                    ended = _settled(two.chi_square, one.chi_square) or (
+                        bool(trials) and linear_rest(two, noise) > _OUTDONE * trials[0].chi_square
+                    )
+                    trials.append(two if ended else further(two, _TRIAL_STEPS - _FIRST_STEPS))
         trials = [trial for trial in trials if trial.chi_square <= _MAX_RESIDUAL_SHARE * fitted.chi_square]
         if not trials:
             break
