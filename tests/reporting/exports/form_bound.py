@@ -52,7 +52,8 @@ def least_deviation(components: np.ndarray, reference: np.ndarray, square: np.nd
     observed.
     """
     share = components / square
-    share = (share / share.max(axis=1, keepdims=True)).T
+    # one that these paths do not ask for has no part
+    share = (share / np.maximum(share.max(axis=1, keepdims=True), 1e-30)).T
     low, high = 1.0, 1e3
     for _ in range(HALVINGS):
         factor = np.sqrt(low * high)

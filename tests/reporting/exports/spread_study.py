@@ -2,17 +2,23 @@
 
 ``python -m tests.reporting.exports.spread_study [CAMPAIGNS]`` prints, for each kind of noise, true over predicted
 standard deviation (mean over campaigns), how much it scatters from campaign to campaign, which is the chance of few
-runs, how often its 95 % interval holds it, and what AMCL's form alone makes of it.
+runs, how often its 95 % interval holds it, and what AMCL's form alone makes of it. Last come bounds, by a linear
+programme over all alphas that are not negative (`form_bound`): by how much the worst of the three standard deviations
+is off at the least, on all runs, on corridors and squares each by alphas of their own, and on both kinds by the same
+alphas; with AMCL's differential model at several steps of the filter, and with its omnidirectional one.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from unittest.mock import patch
 
 import numpy as np
 
-from calib.reporting.exports.pose_spread import MODELS, Spread, fitted, form_ratios
+from calib.reporting.exports import pose_spread
+from calib.reporting.exports.pose_spread import MODELS, Spread, amcl_components, fitted, form_ratios
+from tests.reporting.exports.form_bound import least_deviation
 
 #: a pose every so often
 STEP_M = 0.05
@@ -129,6 +135,60 @@ def study(noise: Noise, campaigns: int, seed: int) -> Outcome:
     return Outcome(np.array(found), np.array(held), form)
 
 
+def omni_components(path: np.ndarray) -> np.ndarray:
+    """Return the covariance of a path's end that each alpha of 1 makes in nav2_amcl's OmniMotionModel, (5, 3, 3).
+
+    Between two updates the way has the variance alpha3 way^2 + alpha1 turn^2, the turn alpha4 turn^2 + alpha2 way^2,
+    and the motion aside alpha1 turn^2 + alpha5 way^2.
+    """
+    knots = path[pose_spread._updates(path)]
+    step, end = np.diff(knots, axis=0), knots[-1]
+    way2, turn2 = step[:, 0] ** 2 + step[:, 1] ** 2, step[:, 2] ** 2
+    course = np.where(way2 > 0.0, np.arctan2(step[:, 1], step[:, 0]), knots[:-1, 2])
+    along, aside = (pose_spread._directions(course + turned, end) for turned in (0.0, 0.5 * np.pi))
+    # as the filter adds them: the way in the direction before the turn is drawn, the turn at the end of the step
+    turned = pose_spread._levers(knots[1:], end)
+    outer = pose_spread._outer
+    return np.stack(
+        (
+            outer(along, turn2) + outer(aside, turn2),
+            outer(turned, way2),
+            outer(along, way2),
+            outer(turned, turn2),
+            outer(aside, way2),
+        )
+    )
+
+
+#: model and steps of the filter (m, rad) for the bounds
+FORMS = {
+    "differential": (amcl_components, (0.25, 0.2)),
+    "differential, 0.1 m, 0.1 rad": (amcl_components, (0.1, 0.1)),
+    "differential, 1 m, 0.8 rad": (amcl_components, (1.0, 0.8)),
+    "differential, 2 m, 1.6 rad": (amcl_components, (2.0, 1.6)),
+    "omnidirectional": (omni_components, (0.25, 0.2)),
+    "omnidirectional, 1 m, 0.8 rad": (omni_components, (1.0, 0.8)),
+}
+
+
+def bounds(noise: Noise) -> list[str]:
+    """Return a line for each form of the model: the least worst deviation that any alphas leave."""
+    rng = np.random.default_rng(2)
+    true = {kind: np.mean(residuals(kind, noise, TRUE_RUNS, rng) ** 2, axis=0) for kind in ("corridor", "square_ccw")}
+    share = np.array([RUNS["corridor"], RUNS["square_ccw"] + RUNS["square_cw"]]) / sum(RUNS.values())
+    lines = []
+    for name, (components, steps) in FORMS.items():
+        with patch.multiple(pose_spread, UPDATE_MIN_D_M=steps[0], UPDATE_MIN_A_RAD=steps[1]):
+            made = [np.einsum("cii->ci", components(poses(route(kind)))) for kind in true]
+        seen, known = list(true.values()), REFERENCE**2
+        mixed = least_deviation(np.einsum("k,kci->ci", share, made), known, share @ seen)
+        each = [least_deviation(one, known, square) for one, square in zip(made, seen, strict=True)]
+        both = least_deviation(np.concatenate(made, axis=1), np.tile(known, 2), np.concatenate(seen))
+        listed = ", ".join(f"{100 * (factor - 1):.1f} %" for factor in (mixed, *each, both))
+        lines.append(f"  at the least, {name}: all, corridors, squares, each of both: {listed}")
+    return lines
+
+
 def table(campaigns: int) -> list[str]:
     """Return the lines of the table."""
     lines = [f"{campaigns} campaigns of {sum(RUNS.values())} runs; true over predicted: along, lateral, heading"]
@@ -140,6 +200,7 @@ def table(campaigns: int) -> list[str]:
             lines.append(f"  {group:10s} mean {mean.round(3)}  standard deviation by chance {chance.round(3)}")
         held = outcome.held.mean(axis=0)
         lines.append(f"  interval held it in {held.round(3)}; by AMCL's form {outcome.form.round(3)}")
+        lines += bounds(noise)
     return lines
 
 
