@@ -12,6 +12,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 StrArray = npt.NDArray[np.str_]
+#: a row of a table by its columns
+Row = dict[str, str | float | None]
 
 #: called with the steps done, the number of steps (0 where it is not known), and the name of the stage
 Progress = Callable[[int, int, str], None]

@@ -286,7 +286,7 @@ def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:
     return {truth: dict(sorted(rows[truth].items(), key=lambda item: -item[1])) for truth in sorted(rows)}
 
 
-def _summary(cases: list[Judged]) -> dict[str, Any]:
+def _summary(cases: list[Judged]) -> dict[str, object]:
     def median(values: list[float]) -> float | None:
         return float(np.median(values)) if values else None
 

@@ -51,8 +51,7 @@ def coefficients_of(
         raise BadInputError(f"outside: found {outside!r}; expected refuse or clamp; choose one of them")
     if created is not None:
         _check_date(created)
-    changes: dict[str, Any] = {"outside": outside, "created": created}
-    changes = {key: value for key, value in changes.items() if value is not None}
+    changes = {key: value for key, value in (("outside", outside), ("created", created)) if value is not None}
     if not path.exists():
         expected = "a campaign folder, a result folder of calib fit, or a coefficient file"
         raise BadFileError(path, "nothing", expected, "give the path of one")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -192,21 +192,21 @@ class Sweep:
     errors: PoseErrors  #: real minus route, shape (n_cases, n_points)
     corners: Poses  #: real poses at the ends of the undivided segments, shape (n_cases, n_segments + 1)
 
-    def ends(self) -> list[dict[str, Any]]:
+    def ends(self) -> list[dict[str, str | float]]:
         """Return the numbers at the end of the route, one row a case."""
         columns = {"first_segment_m": np.hypot(self.corners.x_m[:, 1], self.corners.y_m[:, 1])}
         columns |= {f"end_{name}": getattr(self.poses, name)[:, -1] for name in POSE}
         columns |= {f"error_{name}": getattr(self.errors, name)[:, -1] for name in (*COMPONENTS, "distance_m")}
         rows = zip(self.cases, rows_of(columns), strict=True)
-        return [{"case": case.label, "which": case.which, "ratio": case.ratio} | row for case, row in rows]
+        return [{"case": case.label, "which": case.which, "ratio": case.ratio, **row} for case, row in rows]
 
-    def along(self) -> list[dict[str, Any]]:
+    def along(self) -> list[dict[str, str | float]]:
         """Return poses and errors along the route, one row a case and point."""
-        rows = []
+        rows: list[dict[str, str | float]] = []
         for number, case in enumerate(self.cases):
             columns = {"distance_m": self.distance_m} | {name: getattr(self.poses, name)[number] for name in POSE}
             columns |= {f"error_{name}": getattr(self.errors, name)[number] for name in COMPONENTS}
-            rows += [{"which": case.which, "ratio": case.ratio} | row for row in rows_of(columns)]
+            rows += [{"which": case.which, "ratio": case.ratio, **row} for row in rows_of(columns)]
         return rows
 
     def largest_m(self) -> float:

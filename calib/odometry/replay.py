@@ -84,7 +84,7 @@ class Replay(Result):
 
         The differences of the runtime are null where no sample could be compared.
         """
-        columns: dict[str, Any] = {
+        columns = {
             name: getattr(self, name)
             for name in ("run_id", "kind", "load_left_N", "load_right_N", "in_range", "distance_m")
         }

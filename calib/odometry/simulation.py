@@ -82,7 +82,7 @@ class Simulation(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the simulation as plain values, the points along the routes aside: ``calib simulate --json``."""
-        document: dict[str, Any] = {
+        document: dict[str, object] = {
             "study": self.study,
             "title": self.title,
             "sweeps": [

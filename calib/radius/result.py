@@ -21,6 +21,7 @@ from calib.io import settle, sha256_file, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
+from calib.types import Row
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -184,7 +185,7 @@ class Fit(Result):
             ) from error
 
 
-def _rows(fit: Fit) -> list[dict[str, str | float | None]]:
+def _rows(fit: Fit) -> list[Row]:
     """Return the runs used, one mapping each: every array of the radii, and the residual of each wheel."""
     columns = {name: getattr(fit.radii, name) for name in _RUN_COLUMNS}
     columns |= {f"residual_{name}_m": wheel.residual_m for name, wheel in fit.wheels.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from calib.radius.deviation import (
 )
 from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import correct_paths
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, Row, StrArray
 
 PASSED: Final = "within"
 BEYOND: Final = "beyond"
@@ -84,7 +84,7 @@ class RunDeviations:
             f"{curved:.3f} rad, a path up to {100 * float(np.max(self.arc_excess)):.3f} % longer."
         )
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Row]:
         """Return one mapping of plain values a run."""
         names = [name for name in self.__dataclass_fields__ if name not in {"tolerance", "left_out", "notes"}]
         columns = [plain(getattr(self, name)) for name in names]

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import NS_PER_S, error_words, missing_reader
 from calib.errors import BadFileError
 from calib.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from nptdms import TdmsChannel
 
 #: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
@@ -81,9 +84,9 @@ def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
     return {f"{place}: {key}": str(value)[:200] for key, value in found.items()}
 
 
-def _streams(group: str, channels: Mapping[str, Any]) -> list[Stream]:
+def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
     """Gather channels of one group that share length and time track."""
-    together: dict[tuple[Any, ...], dict[str, Any]] = {}
+    together: dict[tuple[str | int, ...], dict[str, TdmsChannel]] = {}
     for name, channel in channels.items():
         track = tuple(str(channel.properties.get(key)) for key in ("wf_start_time", "wf_increment", "wf_start_offset"))
         together.setdefault((len(channel), *track), {})[name] = channel
@@ -104,14 +107,14 @@ def _streams(group: str, channels: Mapping[str, Any]) -> list[Stream]:
     return streams
 
 
-def _values(channel: Any) -> FloatArray:
+def _values(channel: TdmsChannel) -> FloatArray:
     values: FloatArray = np.empty(len(channel))
     for start in range(0, len(channel), _CHUNK_SAMPLES):
         values[start : start + _CHUNK_SAMPLES] = channel[start : min(start + _CHUNK_SAMPLES, len(channel))]
     return values
 
 
-def _time(channel: Any) -> IntArray | None:
+def _time(channel: TdmsChannel) -> IntArray | None:
     """Return the times of a waveform channel: start, offset and increment, rounded to the nanosecond once."""
     step = channel.properties.get("wf_increment")
     if not isinstance(step, int | float) or not step > 0:

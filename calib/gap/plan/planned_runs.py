@@ -87,11 +87,11 @@ class PlannedRun:
     def to_dict(self) -> dict[str, Any]:
         """Return the fields that are set as plain JSON values."""
         document = plain_fields(self)
-        columns: dict[str, Any] = document.pop("columns")
+        del document["columns"]
         if self.count == 1:
             del document["count"]
         kept = {key: value for key, value in document.items() if value or (value is not None and key in SHOWN_AT_ZERO)}
-        return kept | columns
+        return kept | dict(self.columns)
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:

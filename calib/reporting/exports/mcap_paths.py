@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from calib.gap.observations.observation import relative_pose
 from calib.gap.predict import Path as PredictedPath
 from calib.reporting.exports import diagnosed
 from calib.types import FloatArray, Progress
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 #: between two runs, so that each can be told in the time line
 PAUSE_S: Final = 2.0
@@ -153,7 +156,7 @@ class _Sink:
 
     def __init__(self, writer: Any, store: Any) -> None:
         self.writer, self.store, self.types = writer, store, store.types
-        self.connections: dict[str, Any] = {}
+        self.connections: dict[str, Connection] = {}
 
     def show(self, run: ShownRun, begin_s: float) -> None:
         """Write a run that begins at `begin_s`, its messages in the order of time."""

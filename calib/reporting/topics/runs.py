@@ -373,7 +373,10 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
     rows = [
         (
             *(str(row[key]) for key in ("run_id", "source")),
-            *(MISSING if row[key] is None else fixed(k * row[key], places) for key, k, places in heads.values()),
+            *(
+                fixed(k * number, places) if isinstance(number, float) else MISSING
+                for number, k, places in ((row[key], k, places) for key, k, places in heads.values())
+            ),
             str(row["verdict"]),
         )
         for row in judged.rows()
