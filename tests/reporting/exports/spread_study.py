@@ -146,7 +146,7 @@ def omni_components(path: np.ndarray) -> np.ndarray:
     way2, turn2 = step[:, 0] ** 2 + step[:, 1] ** 2, step[:, 2] ** 2
     course = np.where(way2 > 0.0, np.arctan2(step[:, 1], step[:, 0]), knots[:-1, 2])
     along, aside = (pose_spread._directions(course + turned, end) for turned in (0.0, 0.5 * np.pi))
-    # as the filter adds them: the way in the direction before the turn is drawn, the turn at the end of the step
+    # as the filter adds them: the way along the direction before the turn is drawn, the turn at the end of the step
     turned = pose_spread._levers(knots[1:], end)
     outer = pose_spread._outer
     return np.stack(
