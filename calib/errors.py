@@ -1,12 +1,17 @@
-"""The one family of errors that users see.
+"""The one family of errors that users see, and how large an input may be.
 
-A message says where (file, row, column), what was found, what was expected and what to do, in one line.
+A message says where (file, row, column), what was found, what was expected and what to do, in one line. Beyond the
+sizes a command says so in one line, before time or memory are spent; below them both grow with what is useful in the
+input, not with what it promises.
 """
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Final
 
 
 class CalibError(Exception):
@@ -74,3 +79,124 @@ class MissingExtraError(CalibError):
 def would_overwrite(path: Path | str) -> BadInputError:
     """Return the error for an output that already exists."""
     return BadInputError(f"{path}: found an existing file; expected a new one; give force=True to replace it")
+
+
+#: a settings file: campaign, mapping, plan, route, seeds (TOML)
+SETTINGS_BYTES: Final = 4 << 20
+#: parts of a dotted key, and sections or lists within one another
+KEY_PARTS: Final = 32
+KEY_CHARACTERS: Final = 200
+#: a text of a settings file; a report's remark may be long
+TEXT_CHARACTERS: Final = 20_000
+#: a run id, session, kind, direction, log or reason in a run table, and the name of a campaign
+LABEL_CHARACTERS: Final = 500
+#: rows of a run table
+RUNS: Final = 200_000
+#: columns of any table
+COLUMNS: Final = 5_000
+#: further numeric columns that a diagnosis looks at, each an effect of its own
+COVARIATES: Final = 200
+#: a workbook: sheets, cells that hold something, empty places between them, bytes unpacked
+SHEETS: Final = 200
+SHEET_CELLS: Final = 4_000_000
+SHEET_EMPTY: Final = 1_000_000
+SHEET_UNPACKED_BYTES: Final = 512 << 20
+#: a variable of a MATLAB file, unpacked
+MATLAB_UNPACKED_BYTES: Final = 2 << 30
+#: runs of a plan, or to choose from; and samples of each one's log, which a slow or long one takes at wider steps
+PLANNED_RUNS: Final = 1000
+PLANNED_SAMPLES: Final = 2000
+#: points that a route is driven through: 10 km at the 0.05 m of a simulation; and those of all its vehicles together
+ROUTE_POINTS: Final = 200_000
+SIMULATED_POSES: Final = 500_000
+#: draws of a Monte Carlo; values of a sweep of loads
+DRAWS: Final = 1_000_000
+#: pieces of a route driven in a Monte Carlo, all journeys and draws together
+DRAWN_PIECES: Final = 200_000_000
+SWEEP_VALUES: Final = 10_000
+#: a simulated fleet: runs of all its vehicles, months that they are spread over; cases of a blind check; processes
+FLEET_RUNS: Final = 20_000_000
+FLEET_MONTHS: Final = 600
+CASES: Final = 100_000
+WORKERS: Final = 64
+
+_PART: Final = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+#: a key of more parts than may be, wherever it stands; possessive, so that the search takes one pass
+_DEEP: Final = re.compile(rf"(?<![A-Za-z0-9_.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{KEY_PARTS}}}")
+
+
+def refuse_beyond(
+    count: int, most: int, *, shown: str, what: str, remedy: str, row: int | None = None, column: str | None = None
+) -> None:
+    """Refuse more of something than there may be.
+
+    Raises BadFileError where `count` is above `most`.
+
+    Parameters
+    ----------
+    count, most, what
+        How many there are, and may be, of what (``runs``).
+    shown, row, column
+        Where in which file.
+    remedy
+        What to do about it.
+    """
+    if count > most:
+        raise BadFileError(shown, f"{count} {what}", f"at most {most}", remedy, row=row, column=column)
+
+
+def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
+    """Refuse a number asked for that is above what is computed.
+
+    `name` is what was asked for, as the library calls it (``draws``); no number counts as too many.
+
+    Raises BadInputError where `count` is above `most`.
+    """
+    if not count <= most:
+        raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")
+
+
+def refuse_workers(workers: int) -> None:
+    """Refuse more processes than `WORKERS` and twice the processors of this machine: each takes memory of its own.
+
+    Raises BadInputError where there are more.
+    """
+    refuse_more("workers", workers, max(WORKERS, 2 * (os.cpu_count() or 1)), "one a processor is enough")
+
+
+def refuse_hostile_keys(text: str, shown: str) -> None:
+    """Refuse TOML with a dotted key of too many parts, whose parsing takes the square of its length.
+
+    Raises BadFileError with the row.
+    """
+    deep = _DEEP.search(text)
+    if deep is not None:
+        found, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
+        row = text.count("\n", 0, deep.start()) + 1
+        raise BadFileError(shown, found, expected, "correct the line", row=row)
+
+
+def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
+    """Refuse a settings document with keys, texts or a nesting beyond all use.
+
+    Raises BadFileError with the key.
+    """
+    level: list[tuple[str, Any]] = list(document.items())
+    for _ in range(KEY_PARTS):
+        deeper: list[tuple[str, Any]] = []
+        for key, value in level:
+            text = value if isinstance(value, str) else ""
+            name = key.rpartition(".")[2]
+            for part, what, most in (
+                (name, "characters in a key", KEY_CHARACTERS),
+                (text, "characters", TEXT_CHARACTERS),
+            ):
+                refuse_beyond(len(part), most, shown=shown, what=what, remedy="shorten it", column=key[-60:])
+            if isinstance(value, dict):
+                deeper += [(f"{key}.{inner}", entry) for inner, entry in value.items()]
+            elif isinstance(value, list):
+                deeper += [(key, entry) for entry in value]
+        level = deeper
+    if level:
+        found, expected = f"sections or lists more than {KEY_PARTS} deep", f"at most {KEY_PARTS}"
+        raise BadFileError(shown, found, expected, "correct the key", column=level[0][0][:60])

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
 from calib.campaign.settings import Recognised, converted, look_alike, recognise, second_column
-from calib.errors import BadFileError
-from calib.limits import LABEL_CHARACTERS, RUNS, refuse_beyond
+from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, refuse_beyond
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")

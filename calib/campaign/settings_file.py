@@ -16,8 +16,14 @@ from pydantic import BaseModel, Field, StrictBool, TypeAdapter, ValidationError
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import SPEED_COUNT_M, Encoder, Odometry, OdometryModel, Rangefinder, Reference, recognise
-from calib.errors import BadFileError
-from calib.limits import LABEL_CHARACTERS, SETTINGS_BYTES, refuse_beyond, refuse_hostile_document, refuse_hostile_keys
+from calib.errors import (
+    LABEL_CHARACTERS,
+    SETTINGS_BYTES,
+    BadFileError,
+    refuse_beyond,
+    refuse_hostile_document,
+    refuse_hostile_keys,
+)
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-campaign/1"
@@ -236,7 +242,7 @@ def not_stated(document: Mapping[str, Any]) -> list[str]:
 
 
 def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
-    """Return a TOML file as read, within the sizes of `calib.limits`, with errors that name the place.
+    """Return a TOML file as read, within the sizes of `calib.errors`, with errors that name the place.
 
     `remedy`: what to do where there is none; without it, how to make a campaign.
     """

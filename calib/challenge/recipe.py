@@ -11,8 +11,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from calib.campaign.settings_file import load_toml
-from calib.errors import BadFileError
-from calib.limits import CASES, refuse_beyond
+from calib.errors import CASES, BadFileError, refuse_beyond
 from calib.plant.effects import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 

@@ -14,10 +14,9 @@ from calib.campaign.write import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import Recipe, read_seeds, recipes
 from calib.documents import plain, to_json
-from calib.errors import BadFileError, RefusedError
+from calib.errors import BadFileError, RefusedError, refuse_workers
 from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
-from calib.limits import refuse_workers
 
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"

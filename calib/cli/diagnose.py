@@ -158,10 +158,10 @@ def _simulated(
 ) -> Judged:
     """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
+    from calib.errors import refuse_workers
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
     from calib.gap.simulator.settings import read_settings
-    from calib.limits import refuse_workers
 
     refuse_workers(workers)
     settings, finished = read_settings(simulator), 0

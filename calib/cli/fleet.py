@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.cli import terminal
-from calib.limits import refuse_workers
+from calib.errors import refuse_workers
 
 
 def run(

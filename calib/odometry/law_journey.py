@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.errors import BadInputError
-from calib.limits import SWEEP_VALUES
+from calib.errors import SWEEP_VALUES, BadInputError
 from calib.odometry.paper import Axle, end_of_route, wheel_travel
 from calib.odometry.pose_covariance import jacobian, steps
 from calib.odometry.poses import COMPONENTS, pose_errors, rows_of

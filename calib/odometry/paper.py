@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.errors import BadInputError
-from calib.limits import SIMULATED_POSES, refuse_more
+from calib.errors import SIMULATED_POSES, BadInputError, refuse_more
 from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import Route, find_route

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.settings_file import load_toml
-from calib.errors import BadFileError, BadInputError
-from calib.limits import ROUTE_POINTS, refuse_more
+from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
 from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses, read_tum, sinc
 from calib.types import FloatArray
@@ -60,7 +59,7 @@ class Route:
     def divided(self, spacing_m: float) -> Route:
         """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees).
 
-        Raises BadInputError where these are more than `calib.limits.ROUTE_POINTS`.
+        Raises BadInputError where these are more than `calib.errors.ROUTE_POINTS`.
         """
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")

@@ -11,8 +11,7 @@ import numpy as np
 from calib.campaign.checks.design import SIDES
 from calib.campaign.checks.measurements import off
 from calib.documents import Result
-from calib.errors import BadInputError
-from calib.limits import DRAWN_PIECES, DRAWS, refuse_more
+from calib.errors import DRAWN_PIECES, DRAWS, BadInputError, refuse_more
 from calib.odometry.law_journey import BANDS, Journey, TableRow, law_journey, law_table
 from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
 from calib.odometry.paper import STUDIES, Case, Headline, Sweep, headlines, paper_headline, run_sweep

@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.write import write_campaign
-from calib.errors import MissingExtraError
-from calib.limits import FLEET_MONTHS, FLEET_RUNS, refuse_more
+from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
 from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign, random_model
 from calib.plant.plans import good_design

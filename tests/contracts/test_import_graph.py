@@ -20,7 +20,6 @@ ORDER: Mapping[str, tuple[str, ...]] = {
         "arguments",
         "documents",
         "io",
-        "limits",
         "units",
         "vehicle",
         "runtime",

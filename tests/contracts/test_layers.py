@@ -10,14 +10,13 @@ PACKAGE = ROOT / "calib"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 # A folder may import the folders listed for it (and itself), nothing else of the house.
-GROUND = {"documents", "errors", "io", "limits", "types", "units", "vehicle"}
+GROUND = {"documents", "errors", "io", "types", "units", "vehicle"}
 ALLOWED: dict[str, set[str]] = {
     # what is seen here are the names for type checkers; nothing is imported before it is used
     "__init__": {"api", "campaign", "documents", "gap", "kinematics", "odometry", "radius"},
     "errors": set(),
     "arguments": {"errors"},
     "units": set(),
-    "limits": {"errors"},
     # words and figures of a result are looked up by name at the first call: tests/test_result.py
     "documents": set(),
     "io": {"arguments", "documents", "errors"},

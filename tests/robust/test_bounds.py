@@ -10,14 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from calib import limits
+from calib import errors
 from calib.campaign import runs_file
 from calib.campaign.readers import read_table
 from calib.campaign.readers.workbook import check_size
 from calib.cli.main import run
-from calib.errors import BadFileError
+from calib.errors import BadFileError, refuse_hostile_keys
 from calib.gap.effects import library
-from calib.limits import refuse_hostile_keys
 from tests.fuzz.sound import ROOT, small_campaign
 
 #: twice the content takes twice the time, and as much again for a busy machine; four times would be the square
@@ -61,8 +60,8 @@ def _in_runs(change_cells: Callable[[list[str]], None]) -> Callable[[Path], None
 def _many_columns(folder: Path) -> None:
     path = folder / "runs.csv"
     header, *rows = path.read_text(encoding="utf-8").splitlines()
-    names = [f"c{number}" for number in range(limits.COLUMNS)]
-    text = "\n".join([",".join([header, *names]), *(row + ",1" * limits.COLUMNS for row in rows)])
+    names = [f"c{number}" for number in range(errors.COLUMNS)]
+    text = "\n".join([",".join([header, *names]), *(row + ",1" * errors.COLUMNS for row in rows)])
     path.write_text(text + "\n", encoding="utf-8")
 
 
@@ -237,8 +236,8 @@ def _seconds(task: Callable[[], None]) -> float:
 
 def test_every_limit_stands_in_the_documentation() -> None:
     text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
-    for name in (name for name in vars(limits) if not name.startswith("_")):
-        value = getattr(limits, name)
+    for name in (name for name in vars(errors) if not name.startswith("_")):
+        value = getattr(errors, name)
         if isinstance(value, int):
             shown = f"{value >> 20} MiB" if name.endswith("BYTES") else f"{value:,}"
             assert shown in text, (name, shown)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import limits
+from calib import errors
 from calib.cli.main import overflow_noted, run
 from calib.gap.observations.from_campaign import edges_along
 from calib.gap.plan import identifiability
@@ -100,7 +100,7 @@ def test_a_slow_run_is_logged_at_wider_steps() -> None:
     for speed in (1e-3, 0.5, 1e6):
         time_s, way_m = stop_and_go(np.linspace(0.0, 1000.0, 4), speed, read_rolling=False)
         # half a second at each of three ends adds its samples
-        assert len(time_s) <= limits.PLANNED_SAMPLES + 20
+        assert len(time_s) <= errors.PLANNED_SAMPLES + 20
         assert way_m[-1] == 1000.0
         assert (np.diff(time_s) > 0.0).all()
         assert (np.diff(way_m) > -ROUNDING_M).all()

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import error_words
-from calib.errors import BadFileError
-from calib.limits import MATLAB_UNPACKED_BYTES
+from calib.errors import MATLAB_UNPACKED_BYTES, BadFileError
 from calib.types import FloatArray
 
 _NUMERIC: Final = frozenset(

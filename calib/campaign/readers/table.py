@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.errors import BadFileError
-from calib.limits import COLUMNS, refuse_beyond
+from calib.errors import COLUMNS, BadFileError, refuse_beyond
 from calib.types import BoolArray, FloatArray, IntArray
 
 Wanted = Callable[[str], bool]

@@ -28,8 +28,7 @@ from calib.campaign.readers.table import (
     object_array,
     turned,
 )
-from calib.errors import BadFileError
-from calib.limits import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, refuse_beyond
+from calib.errors import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, BadFileError, refuse_beyond
 
 #: parts of the archive that hold cells and their texts; all others describe, and are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
@@ -228,7 +227,7 @@ def _dated(cells: list[Any]) -> list[Any]:
 
 
 def check_size(path: Path, shown: str) -> int:
-    """Refuse a workbook that holds more than `calib.limits` allows, or few cells that are spread widely.
+    """Refuse a workbook that holds more than `calib.errors` allows, or few cells that are spread widely.
 
     Returns the number of the last row, of any sheet, in which a cell holds something; what is below need not be read.
     Raises BadFileError where it is no zip archive, or beyond the limits.

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.documents import plain
-from calib.errors import BadInputError
+from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import calibration, drift, encoder, floor, load, path, reference, steering, turning
 from calib.gap.effects.columns import (
     Covariate,
@@ -25,7 +25,6 @@ from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, signature
 from calib.gap.steps import Perturbation
-from calib.limits import COVARIATES, refuse_beyond
 from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here

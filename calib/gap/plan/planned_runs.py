@@ -21,8 +21,7 @@ from calib.campaign.wheels import (
     without_rear_wheels,
 )
 from calib.documents import plain_fields
-from calib.errors import BadInputError
-from calib.limits import PLANNED_SAMPLES
+from calib.errors import PLANNED_SAMPLES, BadInputError
 from calib.odometry.routes import NAMED, Route, arc, straight
 from calib.types import FloatArray
 from calib.vehicle import wheel_loads_N
@@ -326,7 +325,7 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
     """Return times (s) and travelled distances (m) from stop to stop (n_stops,), start and end included.
 
     Ramps have `ACCELERATION_MPS2`, stops last half a second; with `read_rolling` the log ends while the vehicle rolls.
-    The period is `LOG_PERIOD_S`, longer where that would exceed `calib.limits.PLANNED_SAMPLES`.
+    The period is `LOG_PERIOD_S`, longer where that would exceed `calib.errors.PLANNED_SAMPLES`.
     """
     if not speed > 0.0:
         raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
