@@ -138,9 +138,7 @@ def _calibration(path: Path) -> FloatArray:
         both = 0.5 * _along_path(path, Perturbation(left=ones, right=ones))
         return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
     by_front = np.zeros((len(s), N_CHANNELS))
-    front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
-    by_front[:, Channel.FRONT] = -s.total(front * s.steer_cos)
-    by_front[:, Channel.STEERING] = -s.total(front * s.steer_sin) / s.vehicle.wheelbase_m
+    by_front[:, Channel.FRONT :] = -s.front_ways
     wheels = [_along_path(path, Perturbation(**{name: ones})) for name in ("left", "right", "track")]
     return np.stack([*wheels, by_front], axis=2)
 
@@ -150,6 +148,8 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
     perturbation = total_perturbation(s, perturbations or [])
     if len(s.spans) == 1:
         return _predicted(s, perturbation)
+    # of the counts alone: once for all paths, and known to each part
+    _ = s.front_ways
     path = Path(s, perturbation, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
     derivatives, ways, radii = [], [], []
     for units in s.spans:
@@ -174,11 +174,9 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
     reading[:, [*POSE, Channel.HEADING]] = end
     reading[:, Channel.DISTANCE] = path.distance_m
     if s.usable[:, Channel.FRONT :].any():
-        wheelbase = s.vehicle.wheelbase_m
-        front = np.nan_to_num(s.front_roll_rad) * s.vehicle.front_radius_m
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
-        reading[:, Channel.FRONT] = s.total(steps.ds_m - front * s.steer_cos)
-        reading[:, Channel.STEERING] = s.total(steps.turn_rad - front * s.steer_sin / wheelbase)
+        rear = np.stack([s.total(steps.ds_m), s.total(steps.turn_rad)], axis=1)
+        reading[:, Channel.FRONT :] = rear - s.front_ways
     _between_arcs(reading, perturbation, steps)
     if perturbation.reading is not None:
         # along and lateral stand in the frame of the end

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Final
@@ -96,28 +96,28 @@ def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Pe
     return Perturbation(*summed)
 
 
-def joined_perturbation(s: Observations, parts: list[Perturbation]) -> Perturbation:
-    """Join the perturbations of the `spans` of observations, or that of all; what one of them lacks is zero there."""
-    if len(parts) == 1:
-        return parts[0]
+def joined_perturbation(s: Observations, parts: Iterable[tuple[slice, Perturbation]]) -> Perturbation:
+    """Join the perturbations of some observations each, or that of all; what one of them lacks is zero there.
 
-    def joined(pieces: tuple[FloatArray | None, ...]) -> FloatArray | None:
-        known = next((piece for piece in pieces if piece is not None), None)
-        if known is None:
-            return None
-        by_step = any(
-            piece is not None and len(piece) > units.stop - units.start
-            for piece, units in zip(pieces, s.spans, strict=True)
-        )
-        values = np.zeros((len(s.unit) if by_step else len(s), *known.shape[1:]))
-        for piece, units in zip(pieces, s.spans, strict=True):
-            there = slice(int(s.starts[units.start]), int(s.starts[units.stop])) if by_step else units
-            if piece is not None:
-                size = there.stop - there.start
-                values[there] = piece if len(piece) == size else piece[s.unit[there] - units.start]
-        return values
-
-    return Perturbation(*map(joined, zip(*(part.parts() for part in parts), strict=True)))
+    They are taken one by one: all of them beside the whole would be as much again.
+    """
+    n_steps, wholes = len(s.unit), list(Perturbation().parts())
+    for units, part in parts:
+        if units == slice(0, len(s)):
+            return part
+        steps = slice(int(s.starts[units.start]), int(s.starts[units.stop]))
+        for number, piece in enumerate(part.parts()):
+            if piece is None:
+                continue
+            whole, by_step = wholes[number], len(piece) > units.stop - units.start
+            if whole is None:
+                whole = np.zeros((n_steps if by_step else len(s), *piece.shape[1:]))
+            elif by_step and len(whole) < n_steps:
+                whole = whole[s.unit]
+            wholes[number] = whole
+            wide = len(whole) == n_steps
+            whole[steps if wide else units] = piece if by_step or not wide else piece[s.unit[steps] - units.start]
+    return Perturbation(*wholes)
 
 
 #: what is summed over an observation: displacement of the end point, turn, distance along the guide line, distance

@@ -9,6 +9,7 @@ import numpy as np
 from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Perturbation
 from calib.gap.observations.arrays import Channel
+from calib.gap.steps import joined_perturbation
 from calib.types import BoolArray, FloatArray
 
 
@@ -82,16 +83,23 @@ def error_form(
     exact_at : float
         Size at which sine and cosine are taken of the whole error; their slopes by default.
     """
-    travel_m, sine, cosine = front_travel_m(observations), observations.steer_sin, observations.steer_cos
-    if observations.by_shaft:
-        # where the way is counted behind the steering, the curvature is tan(delta) / L
-        ahead, turn = np.zeros_like(travel_m), error_rad * (1.0 + sine**2)
-    elif exact_at:
-        less, aside = np.cos(exact_at * error_rad) - 1.0, np.sin(exact_at * error_rad)
-        ahead, turn = (-(cosine * less + sine * aside) / exact_at, (cosine * aside - sine * less) / exact_at)
-    else:
-        ahead, turn = -error_rad * sine, error_rad * cosine
-    perturbations = [excess(observations, travel_m * ahead, travel_m * turn / observations.vehicle.wheelbase_m)]
+
+    def acts(part: Observations, error: FloatArray) -> Perturbation:
+        travel_m, sine, cosine = front_travel_m(part), part.steer_sin, part.steer_cos
+        if part.by_shaft:
+            # where the way is counted behind the steering, the curvature is tan(delta) / L
+            ahead, turn = np.zeros_like(travel_m), error * (1.0 + sine**2)
+        elif exact_at:
+            less, aside = np.cos(exact_at * error) - 1.0, np.sin(exact_at * error)
+            ahead, turn = (-(cosine * less + sine * aside) / exact_at, (cosine * aside - sine * less) / exact_at)
+        else:
+            ahead, turn = -error * sine, error * cosine
+        return excess(part, travel_m * ahead, travel_m * turn / part.vehicle.wheelbase_m)
+
+    edges = observations.starts
+    some = ((units, error_rad[edges[units.start] : edges[units.stop]]) for units in observations.spans)
+    parts = ((units, acts(observations.part(units), error)) for units, error in some)
+    perturbations = [joined_perturbation(observations, parts)]
     return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
 
 

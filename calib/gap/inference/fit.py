@@ -107,7 +107,7 @@ def hypothesis_path(
 
     # the steps of all observations at once are never needed
     parts = about.parts() if None in whole else [(slice(0, len(s)), about)]
-    return predict(s, [joined_perturbation(s, [total(*part) for part in parts])])
+    return predict(s, [joined_perturbation(s, ((units, total(units, part)) for units, part in parts))])
 
 
 def recalibration_columns(path: Path) -> FloatArray:

@@ -87,13 +87,15 @@ def search(
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
     initial = LocalSearch(alone, settings)
-    start_fit = _begin_at(start, initial)
-    first = (
-        copy(initial)
-        if start_fit is base
-        else LocalSearch(LinearSystem(start_fit, nominal, noise, all_forms), settings)
+    begin = _begin_at(start, initial)
+    local, fitted = _converge(
+        # not named here, so that it goes when the search has left it
+        copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings),
+        noise,
+        all_forms,
+        settings,
+        passed,
     )
-    local, fitted = _converge(first, noise, all_forms, settings, passed)
     if local.weighting().scale > _SMALL_LACK_OF_FIT and initial.offered:
         # several causes together may leave little where each alone leaves a large lack of fit, and about a path far off
         # the true one cause looks like several: begin once without a lack of fit, and once with the best cause fitted
@@ -331,7 +333,10 @@ def _converge(
         if _step(before, fitted) < _CONVERGED_STEP:
             break
         if number < _MAX_PASSES - 1:
-            local = LocalSearch(LinearSystem(fitted, local.system.nominal, noise, all_forms), settings)
+            nominal = local.system.nominal
+            # what was linear about the path before makes room
+            del before, local
+            local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms), settings)
     return local, fitted
 
 

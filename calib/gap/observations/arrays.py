@@ -210,7 +210,10 @@ class Observations:
                 changes[field.name] = value[units]
             elif isinstance(value, Mapping):
                 changes[field.name] = {name: column[units] for name, column in value.items()}
-        return replace(self, **changes)
+        part = replace(self, **changes)
+        if "front_ways" in vars(self):
+            vars(part)["front_ways"] = self.front_ways[units]
+        return part
 
     def here(self, values: FloatArray | IntArray | BoolArray) -> Any:
         """Return what an array (n, ...) over all observations of the campaign says of these, shape (n_obs, ...)."""
@@ -289,6 +292,15 @@ class Observations:
         """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
         begin, end = self._steer_ends
         return self.steer_cos * (0.5 * (np.tan(begin) + np.tan(end)))
+
+    @cached_property
+    def front_ways(self) -> FloatArray:
+        """What the front wheel and its steering say of way (m) and turn (rad) of each observation, shape (n_obs, 2)."""
+        if len(self.spans) > 1:
+            return np.concatenate([part.front_ways for part in self.parts()])
+        front_m = np.nan_to_num(self.front_roll_rad) * self.vehicle.front_radius_m
+        turn = self.total(front_m * self.steer_sin) / self.vehicle.wheelbase_m
+        return np.stack([self.total(front_m * self.steer_cos), turn], axis=1)
 
     @property
     def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
