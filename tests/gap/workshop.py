@@ -71,6 +71,8 @@ EFFECTS: Final[dict[str, tuple[set[str], dict[str, tuple[float, float]]]]] = {
     "rangefinder_offset": ({"rangefinder_offset"}, {"corridor": (4e-3, 1.5e-2), "mixed": (4e-3, 1.5e-2)}),
 }
 POSITIVE: Final = {"side_slip", "curve_load_transfer", "curve_scrub", "lost_counts", "rangefinder_scale"}
+#: what each session's left and right radius is off by, in sizes of a `session_step`
+STEPS: Final = ((0.9, -0.4), (-1.1, 0.8), (0.3, -1.2))
 STEP_S: Final = 0.005
 #: slopes of the radii against load that the model knows, m/N, about 300 N
 LAW: Final = (2.2e-6, 1.9e-6)
@@ -174,7 +176,7 @@ def _run(
     left_m, right_m = _radii_m(vehicle, now, sizes, mass * vehicle.height_m / vehicle.track_m * v * omega)
     bend = np.minimum(np.abs(curvature), 1.8 / vehicle.track_m)
     track = vehicle.track_m * (1.0 + size("track_width")) * (1.0 + size("curve_scrub") * bend)
-    scatter = 1.0 + rng.normal(0, 1e-4, 2)
+    scatter = (1.0 + rng.normal(0, 1e-4, 2)) * (1.0 + size("session_step") * np.array(STEPS[now.session]))
     rates = (
         (v - omega * track / 2) * (1.0 - size("lost_counts") * v / 0.8) / left_m,
         (v + omega * track / 2) / right_m,

@@ -27,7 +27,8 @@ from calib.gap.decision.diagnosis import (
     NoiseSummary,
     VerdictKind,
 )
-from calib.gap.decision.fix import beyond_vehicles, fix_of, is_named_beside, sure_part
+from calib.gap.decision.fix import beyond_vehicles, fix_of
+from calib.gap.decision.part import is_named_beside, sure_part
 from calib.gap.decision.sentences import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,

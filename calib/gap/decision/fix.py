@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from math import prod
 from typing import Final
 
 from calib.gap.decision import confounding
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement, improvement_of
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
 from calib.gap.decision.sentences import (
-    CERTAIN_PROBABILITY,
     HALF_CLOSURE,
     SIGNAL_OVER_UNEXPLAINED,
     SMALL_SHARE,
     corrections_agree,
 )
-from calib.gap.decision.trials import FALSE_ALARM, Trial, trials
-from calib.gap.effects.calibration import NAMES
-from calib.gap.effects.effect import Family
+from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.library import effect_class, why_not_transferable
-from calib.gap.inference.fit import fit
-from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.predict import residuals
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
@@ -149,7 +142,7 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
         )
 
 
-def _improbable(causes: Sequence[Cause], certain: Mapping[str, float]) -> Cause | None:
+def improbable(causes: Sequence[Cause], certain: Mapping[str, float]) -> Cause | None:
     """Return the least probable cause where that or all together are less probable than a fix asks; None where not."""
     probability = {cause.effect: certain.get(cause.effect, cause.probability) for cause in causes}
     further = sorted(causes, key=lambda cause: -cause.share)[1:]
@@ -162,7 +155,7 @@ def _improbable(causes: Sequence[Cause], certain: Mapping[str, float]) -> Cause 
 
 
 def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
-    if _improbable(causes, certain) is not None:
+    if improbable(causes, certain) is not None:
         together = prod(certain.get(cause.effect, cause.probability) for cause in causes)
         listed = ", ".join(f"{cause.effect} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes)
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
@@ -291,104 +284,3 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
         f"these runs cannot tell {groups}, and their corrections differ by {1e3 * apart_m:.3g} mm at the end of the "
         f"{on} (noise {1e3 * (closure.floor_rms_m or 0.0):.3g} mm); {PLAN}"
     )
-
-
-def sure_part(
-    evidence: Evidence,
-    tied: Sequence[Sequence[str]],
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-    whole: Fix,
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> Fix:
-    """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
-
-    `whole` is the fix of all causes, blunders apart, which is not recommended; the others are those of `fix_of`.
-    """
-    kept, dropped, by_odds = _parted(causes, certain, unexplained, differing)
-    names = {cause.effect for cause in kept}
-    if any(
-        evidence.effects[cause.effect].family is Family.SIMULATOR
-        for cause in causes
-        if cause.effect in evidence.effects
-    ):
-        # parameters of a simulator are set together, and judged by running it again
-        return whole
-    # a recalibration is part of every fit: what is not sure of it cannot be taken off
-    if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
-        return whole
-    if causes and not dropped and set(evidence.search.effects) <= names:
-        return whole
-    # what the dropped causes explain is left by design: the closure is that of all of them
-    if causes and any(True for _ in remaining(whole.held_out, unexplained)):
-        return whole
-    forms = [form for form in evidence.fitted.forms if form.effect in names]
-    fitted = fit(evidence.nominal, evidence.noise, forms, start=evidence.fitted)
-    left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
-    sessions = not any(evidence.effects[name].per_session for name in names)
-    improvement = improvement_of(left_out, sessions=sessions, as_counted=evidence.situation.as_counted)
-    before = residuals(evidence.nominal, evidence.nominal)
-    tried = trials(left_out, before, evidence.noise.dof)
-    concerned = [group for group in tied if names.intersection(group)]
-    apart_m = confounding.agreement_m(evidence, concerned)
-    why = [
-        *unhelpful(improvement),
-        # without a dropped cause, what is left is the unexplained residual
-        *(() if dropped else remaining(improvement, unexplained)),
-        *(needed(improvement) if by_odds else ()),
-        *harm(tried),
-        *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
-        *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
-        *unsized(evidence, kept, unexplained),
-    ]
-    if why:
-        # without a cause beside a blunder there are no reasons yet
-        return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))
-    return replace(
-        whole,
-        recommended=True,
-        agreement_m=apart_m,
-        transfer=tried,
-        held_out=improvement,
-        why=(),
-        corrects=tuple(sorted(names, key=[cause.effect for cause in causes].index)),
-        leaves=tuple(dropped.values()),
-        fitted=fitted,
-    )
-
-
-def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
-    """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
-    if fix.corrects is None or cause.effect in fix.corrects:
-        return True
-    return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
-
-
-def _parted(
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> tuple[list[Cause], dict[str, str], bool]:
-    """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
-    dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
-    # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
-    kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
-    dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
-    # what differs between runs acts as something else: a weaker cause but radii and track may be a part of that
-    other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
-    for cause in causes:
-        if other is not None and cause.effect not in (*NAMES, *dropped) and cause.signal < other.signal:
-            dropped[cause.effect] = (
-                f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
-                "whose size differs between runs: it may be a part of that"
-            )
-    kept = [cause for cause in causes if cause.effect not in dropped]
-    by_odds = False
-    while (least := _improbable(kept, certain)) is not None:
-        kept.remove(least)
-        by_odds = True
-        probability = certain.get(least.effect, least.probability)
-        dropped[least.effect] = f"{least.effect} is at work with a probability of {probability:.2f}"
-    return kept, dropped, by_odds

@@ -121,7 +121,14 @@ def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArra
     names, condition = np.unique(observations.condition, return_inverse=True)
     if len(names) >= FEWEST_CONDITIONS:
         return np.asarray(condition % min(MOST_FOLDS, len(names))), "condition"
-    return number % MOST_FOLDS, "run"
+    return _of_each_condition(observations), "run"
+
+
+def _of_each_condition(observations: Observations) -> IntArray:
+    """Return folds that hold a share of each condition in any order driven, shape (n_units,)."""
+    fold = np.zeros(len(observations), dtype=np.int64)
+    fold[np.argsort(observations.condition, kind="stable")] = np.arange(len(observations)) % MOST_FOLDS
+    return fold
 
 
 def measure_closure(
@@ -172,9 +179,9 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
     """Return the residuals with the correction of the other folds (n_units, n_channels), and what the folds are."""
     observations = left_out.observations
     fold, by = folds(observations, sessions=sessions)
-    if by == "session" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
-        # no other session predicts one that alone drove its route
-        fold, by = np.arange(len(observations)) % MOST_FOLDS, "run"
+    if by != "run" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
+        # no other session predicts one that alone drove its route, no other route what it alone shows
+        fold, by = _of_each_condition(observations), "run"
     after = np.zeros(observations.measured.shape)
     for number in np.unique(fold):
         out = fold == number
@@ -182,10 +189,9 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
     return after, by
 
 
-def improvement_of(left_out: HeldOutFit, *, sessions: bool, as_counted: FloatArray | None = None) -> Improvement:
-    """Return what a correction does on held-out runs; see `measure_closure`."""
+def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) -> Improvement:
+    """Return what a correction does on held-out runs to a stated gap, (n_units, n_channels); see `measure_closure`."""
     after, _ = _after(left_out, sessions=sessions)
-    stated = residuals(left_out.nominal, left_out.nominal) if as_counted is None else as_counted
     return _improvement(left_out, stated, after, left_out.noise.dof, 1.0)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -242,6 +242,12 @@ class HeldOutFit:
         path = self.fitted.path
         parts = [recalibration_columns(path), *signature_columns(path, self.fitted.forms)]
         return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
+
+    def contribution(self, effects: Collection[str]) -> FloatArray:
+        """Return what some effects do to the readings at their fitted sizes, shape (n_units, n_channels)."""
+        wanted = [form.effect in effects for form in self.fitted.forms for _ in form.parameters]
+        contributed: FloatArray = self.derivative[:, :, 4:] @ (self.fitted.parameters * wanted)
+        return contributed
 
     def after(self, out: BoolArray) -> FloatArray:
         """Return the residuals, (n_units, n_channels), of the fit without the units `out`."""

@@ -13,8 +13,9 @@ from calib.gap.apply import applied_model
 from calib.gap.decision.causes import negligible
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
-from calib.gap.decision.fix import _parted, is_named_beside, needed
+from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
+from calib.gap.decision.part import _parted, is_named_beside
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from tests.gap import workshop

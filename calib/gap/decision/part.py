@@ -1,0 +1,147 @@
+"""The fix of the sure causes alone, where that of all is not recommended."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+from calib.gap.decision import confounding
+from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Unexplained
+from calib.gap.decision.fix import (
+    alternatives,
+    disagreement,
+    doubts,
+    elsewhere,
+    harm,
+    improbable,
+    needed,
+    remaining,
+    unhelpful,
+    unsized,
+)
+from calib.gap.decision.held_out import Improvement, improvement_of
+from calib.gap.decision.sentences import CERTAIN_PROBABILITY
+from calib.gap.decision.trials import Trial, trials
+from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.effect import Family
+from calib.gap.effects.library import effect_class
+from calib.gap.inference.fit import Fitted, fit
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.predict import residuals
+
+
+def sure_part(
+    evidence: Evidence,
+    tied: Sequence[Sequence[str]],
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    unexplained: Unexplained | None,
+    whole: Fix,
+    differing: Mapping[str, SizeDifference] | None = None,
+) -> Fix:
+    """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
+
+    `whole` is the fix of all causes, blunders apart, which is not recommended; the others are those of `fix_of`.
+    """
+    kept, dropped, by_odds = _parted(causes, certain, unexplained, differing)
+    names = {cause.effect for cause in kept}
+    if any(
+        evidence.effects[cause.effect].family is Family.SIMULATOR
+        for cause in causes
+        if cause.effect in evidence.effects
+    ):
+        # parameters of a simulator are set together, and judged by running it again
+        return whole
+    # a recalibration is part of every fit: what is not sure of it cannot be taken off
+    if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
+        return whole
+    if causes and not dropped and set(evidence.search.effects) <= names:
+        return whole
+    # what the dropped causes explain is left by design: the closure is that of all of them
+    if causes and any(True for _ in remaining(whole.held_out, unexplained)):
+        return whole
+    stepping = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
+    fitted, improvement, tried = _tried(evidence, names, stepping)
+    concerned = [group for group in tied if names.intersection(group)]
+    apart_m = confounding.agreement_m(evidence, concerned)
+    why = [
+        *unhelpful(improvement),
+        # without a dropped cause, what is left is the unexplained residual
+        *(() if dropped else remaining(improvement, unexplained)),
+        *(needed(improvement) if by_odds else ()),
+        *harm(tried),
+        *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
+        *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
+        *unsized(evidence, kept, unexplained),
+    ]
+    if why and stepping:
+        return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(stepping))}: {text}" for text in why)))
+    if why:
+        # without a cause beside a blunder there are no reasons yet
+        return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))
+    return replace(
+        whole,
+        recommended=True,
+        agreement_m=apart_m,
+        transfer=tried,
+        held_out=improvement,
+        why=(),
+        corrects=tuple(sorted(names, key=[cause.effect for cause in causes].index)),
+        leaves=tuple(dropped.values()),
+        fitted=fitted,
+    )
+
+
+def _tried(
+    evidence: Evidence, names: Collection[str], stepping: Collection[str]
+) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:
+    """Fit some causes, and return the fit with what it does on held-out runs.
+
+    Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried.
+    """
+    forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
+    fitted = fit(evidence.nominal, evidence.noise, forms, start=evidence.fitted)
+    left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
+    steps = left_out.contribution(stepping)
+    stated = (before if as_counted is None else as_counted) - steps
+    sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
+    improvement = improvement_of(left_out, sessions=sessions, stated=stated)
+    return fitted, improvement, trials(left_out, before - steps, evidence.noise.dof)
+
+
+def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
+    """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
+    if fix.corrects is None or cause.effect in fix.corrects:
+        return True
+    return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
+
+
+def _parted(
+    causes: Sequence[Cause],
+    certain: Mapping[str, float],
+    unexplained: Unexplained | None,
+    differing: Mapping[str, SizeDifference] | None = None,
+) -> tuple[list[Cause], dict[str, str], bool]:
+    """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
+    dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
+    # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
+    kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
+    dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
+    # what differs between runs acts as something else: a weaker cause but radii and track may be a part of that
+    other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
+    for cause in causes:
+        if other is not None and cause.effect not in (*NAMES, *dropped) and cause.signal < other.signal:
+            dropped[cause.effect] = (
+                f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
+                "whose size differs between runs: it may be a part of that"
+            )
+    kept = [cause for cause in causes if cause.effect not in dropped]
+    by_odds = False
+    while (least := improbable(kept, certain)) is not None:
+        kept.remove(least)
+        by_odds = True
+        probability = certain.get(least.effect, least.probability)
+        dropped[least.effect] = f"{least.effect} is at work with a probability of {probability:.2f}"
+    return kept, dropped, by_odds
