@@ -158,9 +158,8 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
         raw = read_table(path, shown, lambda _: True, layout)
     except BadFileError:
         layout, raw = _as_read(path, shown, layout)
-    texts = read_table(path, shown, None, layout).columns if raw.epochs else raw.columns
     evidence = comma_evidence(list(raw.columns.values()))
-    columns = tuple(_column_contents(name, raw, shown, evidence, texts[name]) for name in raw.columns)
+    columns = tuple(_column_contents(name, raw, shown, evidence) for name in raw.columns)
     remarks = [
         note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
     ]
@@ -196,14 +195,11 @@ def _known(names: Iterable[str]) -> set[str]:
     return {target for name in names if (target := guessed_table_column(name))}
 
 
-def _column_contents(
-    name: str, raw: RawTable, shown: str, evidence: bool | None, texts: npt.NDArray[np.generic]
-) -> ColumnContents:
+def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None) -> ColumnContents:
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
-        high, first = float(np.nanmax(cells)), str(texts[0]).strip()
-        words = format_words(texts) or FORMAT_NAMES["iso8601"]
-        return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,))
+        first, words = raw.written.get(name, (str(cells[0]), FORMAT_NAMES["iso8601"]))
+        return ColumnContents(name, "time", low=0.0, high=float(np.nanmax(cells)), form=words, texts=(first,))
     if cells.dtype == object:
         filled = filled_cells(cells.tolist())
         n_empty = len(cells) - len(filled)
@@ -246,7 +242,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
     for stream in recording.streams:
         line: IntArray = np.arange(1, len(stream) + 1, dtype=np.int64)
         for name in stream.columns:
-            contents = _column_contents(name, RawTable(stream.columns, line), shown, None, stream.columns[name])
+            contents = _column_contents(name, RawTable(stream.columns, line), shown, None)
             columns.append(replace(contents, unit=stream.units.get(name, contents.unit)))
     longest = max((len(stream) for stream in recording.streams), default=0)
     remarks = tuple(note.text for note in recording.notes)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
-from calib.campaign.readers.table import filled_cells, object_array
+from calib.campaign.readers.table import is_filled, object_array
 from calib.campaign.runs_file import run_table
 from calib.campaign.settings import converted, recognise
 from calib.errors import BadFileError, BadInputError
@@ -107,14 +107,14 @@ def _label(cell: Any) -> str:
 def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
     out, last = [], None
     for cell in cells:
-        last = cell if filled_cells([cell]) else last
+        last = cell if is_filled(cell) else last
         out.append(last)
     return object_array(out)
 
 
 def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:
     """Note the rows that name no session where others do."""
-    rows = [str(int(row)) for cell, row in zip(cells, raw.line, strict=True) if not filled_cells([cell])]
+    rows = [str(int(row)) for cell, row in zip(cells, raw.line, strict=True) if not is_filled(cell)]
     if 0 < len(rows) < len(cells):
         text = (
             f"{len(rows)} of {len(cells)} rows name no session; they count as one of their own: name it, or write "
@@ -163,7 +163,7 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
     names = raw.columns.get(lines["run_id"].column if "run_id" in lines else "run_id")
     if names is None:
         return raw
-    last = max((at for at, cell in enumerate(names) if filled_cells([cell])), default=-1)
+    last = max((at for at, cell in enumerate(names) if is_filled(cell)), default=-1)
     for row in raw.line[last + 1 :] if last >= 0 else ():
         border.say(f"{shown}, row {int(row)}", "names no run, at the end of the table; omitted", "remark")
     return raw.select(slice(0, last + 1)) if last >= 0 else raw

@@ -14,7 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import EMPTY, Layout, RawTable, Wanted, filled_cells, is_number, to_numbers
+from calib.campaign.readers.table import (
+    EMPTY,
+    Layout,
+    RawTable,
+    Wanted,
+    filled_cells,
+    is_filled,
+    is_number,
+    with_numbers,
+)
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, unit_named
 
@@ -169,12 +178,12 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
     width = max(map(len, rows))
     numeric = []
     for column in range(width):
-        cells = [row[column] for row in body if column < len(row) and filled_cells([row[column]])]
+        cells = [row[column] for row in body if column < len(row) and is_filled(row[column])]
         if cells and 2 * sum(map(is_number, cells)) >= len(cells):
             numeric.append(column)
     last = 0
     for at, row in enumerate(rows[1 : min(_HEADER_ROWS, len(rows) - 1)], start=1):
-        filled = [column for column, cell in enumerate(row) if filled_cells([cell])]
+        filled = [column for column, cell in enumerate(row) if is_filled(cell)]
         over = [str(row[column]).strip() for column in filled if column in numeric]
         if any(is_number(cell) for cell in over):
             break
@@ -238,8 +247,7 @@ def finished(
         What was recognised so far; the file's name in messages.
     """
     line = np.asarray(lines, dtype=np.int64)
-    further, epochs = to_numbers(columns, shown, line) if wanted is not None else ([], {})
-    return RawTable(columns, line, (*notes, *further), epochs)
+    return RawTable(columns, line, tuple(notes)) if wanted is None else with_numbers(columns, shown, line, notes)
 
 
 def table_rows(
@@ -254,7 +262,7 @@ def table_rows(
     kept_lines, notes = [], []
     shapes: Mapping[int, set[str]] = {}
     for row, line in zip(rows, lines, strict=True):
-        filled = [(at, cell) for at, cell in enumerate(row) if filled_cells([cell])]
+        filled = [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]
         if not filled:
             continue
         at, first = filled[0]

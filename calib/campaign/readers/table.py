@@ -99,6 +99,8 @@ class RawTable:
     #: for a column that was written as times of the clock and holds seconds since its first cell: that first time, in
     #: nanoseconds since 1970 (or since midnight)
     epochs: Mapping[str, int] = field(default_factory=dict)
+    #: of these columns the first cell and the format of all, as they were written
+    written: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     def select(self, keep: slice | BoolArray) -> RawTable:
         """Return the rows that `keep` picks."""
@@ -142,9 +144,14 @@ def check_header(names: Sequence[str], shown: str, row: int = 1) -> None:
         raise BadFileError(shown, "no column names", "a header line", "put the column names first", row=row)
 
 
+def is_filled(cell: Any) -> bool:
+    """Return whether a cell holds something."""
+    return cell is not None and bool(str(cell).strip())
+
+
 def filled_cells(row: Sequence[Any]) -> list[Any]:
     """Return the cells of a row that hold something."""
-    return [cell for cell in row if cell is not None and str(cell).strip()]
+    return [cell for cell in row if is_filled(cell)]
 
 
 def is_number(cell: Any) -> bool:
@@ -268,23 +275,24 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     return True if comma else (False if point else None)
 
 
-def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray) -> tuple[list[Note], dict[str, int]]:
-    """Turn columns of cells into numbers, in place; times of the clock become seconds since the first.
+def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray, notes: Sequence[Note]) -> RawTable:
+    """Return a table of columns made numeric; times of the clock become seconds since the first.
 
-    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file. Returns
-    `notes`: where commas were read as points, and in which format times were read; `epochs`. Raises BadFileError where
-    a cell is no number.
+    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file;
+    `notes`: what was recognised so far, to which is added where commas were read as points, and in which format times
+    were read. Raises BadFileError where a cell is no number.
     """
     evidence = comma_evidence(list(columns.values()))
-    texts = dict(columns)
+    values: dict[str, npt.NDArray[Any]] = {}
     used_comma = False
-    notes: list[Note] = []
+    notes = list(notes)
     epochs: dict[str, int] = {}
-    for name, cells in texts.items():
+    written: dict[str, tuple[str, str]] = {}
+    for name, cells in columns.items():
         first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
         form = time_format(first) if isinstance(first, str) else None
         if form is None:
-            columns[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
+            values[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
             used_comma = used_comma or comma
             continue
         time_ns, bad = moments_ns(cells)
@@ -293,13 +301,14 @@ def to_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray)
             expected, remedy = f"a time as {TIME_FORMATS[form]}", "correct the cell, or remove the row"
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
-        columns[name] = (time_ns - time_ns[0]) / NS_PER_S
-        text = f"times were read as {format_words(cells)}"
+        values[name] = (time_ns - time_ns[0]) / NS_PER_S
+        written[name] = str(cells[0]).strip(), format_words(cells)
+        text = f"times were read as {written[name][1]}"
         notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
     if used_comma:
         notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-        notes += mixed_decimal_marks(texts, shown, line)
-    return notes, epochs
+        notes += mixed_decimal_marks(columns, shown, line)
+    return RawTable(values, line, tuple(notes), epochs, written)
 
 
 def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
