@@ -21,7 +21,7 @@ from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.gap.simulator.differences import Differences, differences_of
-from calib.gap.simulator.fix import fixed, iterated, named_parameters, without_parameter
+from calib.gap.simulator.fix import alone, fixed, iterated, named_parameters, without_parameter
 from calib.gap.simulator.runner import RunCount, SimulatorRunner, run_cache
 from calib.gap.simulator.settings import SimulatorSettings
 from calib.types import FloatArray, Progress, silent
@@ -127,20 +127,28 @@ def _confirmed(
     """Return the diagnosis with the fix that the simulator was run with.
 
     What a parameter does is taken for linear at first: where it is not, its curvature may be taken for a further
-    cause. So where there is more than parameters to set, the search is repeated with what the run with the fix showed.
+    cause. So where there is more than parameters to set, the search is repeated with what the runs with a fix by them
+    alone showed, or else with that beside the other causes.
     """
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
-    if not named:
+    found = iterated(diagnosis, runner, differences) if named else None
+    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
         return without_parameter(diagnosis)
-    found = iterated(diagnosis, runner, differences)
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
-        typical = {each.name: each.parameter.typical for each in named.values()}
-        through = differences.through(found.deviation, found.table, typical)
-        again = searched(through)
-        if named_parameters(again, runner).keys() == named.keys():
-            # beside other effects than before the parameters are of other sizes
-            diagnosis, found = again, iterated(again, runner, through, found)
+        tried, by_itself = alone(diagnosis, runner, differences, found)
+        typical = {each.name: each.parameter.typical for each in tried.values()}
+        for fix in (by_itself, found):
+            if fix is None:
+                continue
+            through = differences.through(fix.deviation, fix.table, typical)
+            again = searched(through)
+            if named_parameters(again, runner).keys() == tried.keys():
+                # beside other effects than before the parameters are of other sizes
+                diagnosis, found = again, iterated(again, runner, through, fix)
+                break
+    if found is None:
+        return without_parameter(diagnosis)
     return fixed(diagnosis, runner, differences, found, rng)
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
+from calib.gap.effects.effect import Perturbation
 from calib.gap.effects.simulator import SimulatorParameter, WheelMotion
 from calib.gap.observations.arrays import Observations
-from calib.gap.predict import Path
+from calib.gap.predict import Path, predict
 from calib.gap.simulator.runner import Job, SimulatorRunner
 from calib.gap.simulator.settings import Declared, SimulatorSettings
 from calib.types import FloatArray
@@ -39,16 +40,29 @@ class Differences:
     repeats: int  #: runs at each set of parameters that were averaged
     #: as what it writes distances: 1, along x; 2, from the start as the crow flies; None where it is neither
     axis: float | None = None
+    met: Mapping[str, float] = field(default_factory=dict)  #: deviations of a run that the changes together meet
 
     def effects(self, settings: SimulatorSettings, nominal: Path) -> list[SimulatorParameter]:
         """Return the parameters as effects on the runs of a path, the model alone."""
-        rows, effects = self.rows(nominal.s), []
+        rows = self.rows(nominal.s)
         wheels = WheelMotion(nominal, self.scatter * np.sqrt(2.0 / self.repeats))
-        for each in settings.parameters:
-            size = self.size[each.name]
-            carried = wheels.carried(self.change[each.name][rows] * size, size)
-            effects.append(SimulatorParameter(each.parameter, carried, each.family))
-        return effects
+        carried = {
+            each.name: wheels.carried(self.change[each.name][rows] * self.size[each.name], self.size[each.name])
+            for each in settings.parameters
+        }
+        if len(self.met) > 1:
+            # what wheels carry is no sum: together they would miss the run that the changes meet
+            pushes = [
+                Perturbation(left=one.left * size, right=one.right * size, track=one.track * size)
+                for one, size in ((carried[name], size) for name, size in self.met.items())
+            ]
+            moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
+            whole = sum(self.change[name][rows] * size for name, size in self.met.items())
+            known = sum(carried[name].reading * size for name, size in self.met.items())
+            (first, size), *_ = self.met.items()
+            missed = np.where(wheels.on, whole - known - moved, 0.0)
+            carried[first] = replace(carried[first], reading=carried[first].reading + missed / size)
+        return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
     def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> Differences:
         """Return the differences brought into line with a run: linear in the deviations, they then meet its table.
@@ -64,7 +78,7 @@ class Differences:
             name: self.change[name] + miss * (size / typical[name] ** 2 / square) for name, size in deviation.items()
         }
         sizes = {name: size for name, size in deviation.items() if size != 0.0}
-        return replace(self, change={**self.change, **moved}, size={**self.size, **sizes})
+        return replace(self, change={**self.change, **moved}, size={**self.size, **sizes}, met=sizes)
 
     def rows(self, observations: Observations) -> list[int]:
         """Return the row of each observation in the tables."""

@@ -12,9 +12,11 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
 from calib.gap.decision.sentences import sentence
+from calib.gap.effects.effect import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
-from calib.gap.inference.fit import hypothesis_path, signature_columns, whitened_rows
-from calib.gap.predict import residuals
+from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.noise import Noise
+from calib.gap.predict import Path, residuals
 from calib.gap.simulator.differences import Differences, averaged, difference
 from calib.gap.simulator.runner import Job, SimulatorRunner
 from calib.gap.simulator.settings import Declared
@@ -30,6 +32,15 @@ CONVERGED: Final = (0.3, 0.5, 1.0)
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
+#: a fix by parameters alone is worth a search where it leaves no more than so many times what the verdict's causes do
+ALONE: Final = 2.0
+#: parameters alone are followed where they promise to leave no more than this share of the gap's squares
+ALONE_SHARE: Final = 0.5
+#: where the verdict names none, they are tried if its causes leave so many times the squares of noise
+LACKING: Final = 1.5
+#: so many that the verdict does not name, each further one if it leaves less than this share of what is left without
+MOST_ALONE: Final = 3
+FURTHER_SHARE: Final = 0.25
 #: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
 CORRECTION_SD: Final = 30.0
 
@@ -43,6 +54,7 @@ class SimulatorFix:
     derivative: Mapping[str, FloatArray]  #: shape (n_runs, 4)
     wider: Mapping[str, float]  #: half width of the interval over that with the derivative about the nominal parameters
     settled: bool  #: whether the last run asked for no more
+    square: float  #: of the whitened gap that is left
 
 
 def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
@@ -124,32 +136,75 @@ def iterated(
     that leads further from what was measured is halved. `start`: a fix that it was run with; by default the first run
     is where the diagnosis puts the parameters.
     """
-    named = named_parameters(diagnosis, runner)
-    names = [each.name for each in named.values()]
-    typical = np.array([each.parameter.typical for each in named.values()])
     sizes = {
         form.effect: float(theta[0]) for form, theta in zip(diagnosis.fitted.forms, diagnosis.fitted.theta, strict=True)
     }
-    left = _without(diagnosis, named)
+    named = named_parameters(diagnosis, runner)
+    trial = None if start is not None else np.array([sizes[effect] for effect in named])
+    return _followed(diagnosis, diagnosis.fitted, runner, differences, named, start, trial)
+
+
+def alone(
+    diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None
+) -> tuple[dict[str, Declared], SimulatorFix | None]:
+    """Return parameters that may do without the verdict's other causes, and the fix by them; None where they do not.
+
+    Where what a parameter does is not linear, its curvature may have been taken for a cause of the library, or the
+    parameter for none. They are the named ones, whose `start` is the fix beside the others, or else, where the verdict
+    leaves more than noise, those of `_most_able`.
+    """
+    named = named_parameters(diagnosis, runner)
+    if not named and diagnosis.fitted.chi_square > LACKING * int(diagnosis.nominal.s.usable.sum()):
+        named = _most_able(diagnosis, runner)
+    if not named:
+        return named, None
+    assert diagnosis.evidence is not None
+    base = diagnosis.evidence.search.base
+    found = _followed(diagnosis, base, runner, differences, named, start, limit=ALONE_SHARE * base.chi_square)
+    return named, found if found.square < ALONE * diagnosis.fitted.chi_square else None
+
+
+def _followed(
+    diagnosis: Diagnosis,
+    fitted: Fitted,
+    runner: SimulatorRunner,
+    differences: Differences,
+    named: Mapping[str, Declared],
+    start: SimulatorFix | None,
+    trial: FloatArray | None = None,
+    limit: float = np.inf,
+) -> SimulatorFix:
+    """Run the simulator as `iterated` does, beside the other causes of a fit, first at `trial` (n_named,).
+
+    Without a trial it begins with what is left at the start; it is not run where that promises to leave more than
+    `limit`.
+    """
+    names = [each.name for each in named.values()]
+    typical = np.array([each.parameter.typical for each in named.values()])
+    left = _without(fitted, named)
     about = np.stack([differences.change[name] for name in names], axis=2)
     if start is None:
         at, table, slope = np.zeros(len(names)), differences.nominal, about
-        trial = np.array([sizes[effect] for effect in named])
     else:
         at, table = np.array([start.deviation[name] for name in names]), start.table
         slope = np.stack([start.derivative[name] for name in names], axis=2)
-    now = _asked(diagnosis, differences, left, table, slope, typical)
-    if start is not None:
+
+    def asked(table: FloatArray, slope: FloatArray) -> _Asked:
+        return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
+
+    now = asked(table, slope)
+    run_first = start is None and now.promised < limit
+    if trial is None:
         trial = at + now.correction
-    for number in range(MOST_RERUNS):
-        if now.converged and (number or start is not None):
+    for number in range(MOST_RERUNS if now.promised < limit else 0):
+        if now.converged and (number or not run_first):
             break
         new = _run(runner, differences, named, trial)
         scaled, steeper = (trial - at) / typical, slope
         if np.linalg.norm(scaled) > SECANT_SHARE[differences.repeats > 1] * np.linalg.norm(trial / typical):
             miss = difference(new, table) - slope @ (trial - at)
             steeper = slope + miss[:, :, None] * (scaled / typical) / (scaled @ scaled)
-        then = _asked(diagnosis, differences, left, new, steeper, typical)
+        then = asked(new, steeper)
         if then.square < now.square:
             at, table, slope, now = trial, new, steeper, then
             trial = at + now.correction
@@ -157,19 +212,19 @@ def iterated(
             break
         else:
             trial = 0.5 * (at + trial)
-    nominal = _asked(diagnosis, differences, left, table, about, typical)
+    nominal = asked(table, about)
     return SimulatorFix(
         dict(zip(names, map(float, at), strict=True)),
         table,
         dict(zip(names, np.moveaxis(slope, 2, 0), strict=True)),
         dict(zip(names, map(float, now.sd / nominal.sd), strict=True)),
         now.off < CONVERGED[2],
+        now.square,
     )
 
 
-def _without(diagnosis: Diagnosis, named: Mapping[str, Declared]) -> FloatArray:
+def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
     """Return the gap beside the other causes, (n_obs, n_channels): what the fit left and took the named to change."""
-    fitted = diagnosis.fitted
     path, pairs = fitted.path, zip(fitted.forms, fitted.theta, strict=True)
     theta = [np.zeros_like(size) if form.effect in named else size for form, size in pairs]
     without = hypothesis_path(path.s, fitted.calibration, fitted.forms, theta, path)
@@ -181,6 +236,7 @@ class _Asked:
     """What of the gap a run of the simulator leaves, and the correction of the deviations that it asks for."""
 
     square: float  #: of the whitened gap
+    promised: float  #: of what the correction leaves of it, if that is linear
     correction: FloatArray  #: shape (n_named,)
     sd: FloatArray  #: standard uncertainty of each deviation, shape (n_named,)
     off: float  #: largest correction in standard uncertainties
@@ -188,7 +244,8 @@ class _Asked:
 
 
 def _asked(
-    diagnosis: Diagnosis,
+    noise: Noise,
+    path: Path,
     differences: Differences,
     left: FloatArray,
     table: FloatArray,
@@ -199,18 +256,19 @@ def _asked(
 
     `derivative`: by the named parameters, (n_runs, 4, n_named), whose typical sizes are (n_named,).
     """
-    path, rows = diagnosis.fitted.path, differences.rows(diagnosis.fitted.path.s)
+    rows = differences.rows(path.s)
     gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
     columns = [
         in_end_frame(path, each * size) for each, size in zip(np.moveaxis(derivative[rows], 2, 0), typical, strict=True)
     ]
-    whole = whitened_rows(path, diagnosis.noise, np.stack([*columns, gap], axis=2))
+    whole = whitened_rows(path, noise, np.stack([*columns, gap], axis=2))
     a, white = whole[:, :-1], whole[:, -1]
     normal = a.T @ a + np.eye(len(typical)) / CORRECTION_SD**2
     correction, square = np.linalg.solve(normal, a.T @ white), float(white @ white)
     off = float(np.abs(correction * np.sqrt(np.diag(normal))).max())
     return _Asked(
         square,
+        square - float(correction @ (a.T @ white)),
         correction * typical,
         np.sqrt(np.diag(np.linalg.inv(normal))) * typical,
         off,
@@ -244,7 +302,8 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
         value, unit = values[each.name], "" if each.unit in ("", "1") else f" {each.unit}"
         off = each.nominal - value
         way = "large" if off > 0.0 else "small"
-        size = f"{100 * abs(off / each.nominal):.2g} %" if each.nominal else f"{abs(off):.3g}{unit}"
+        in_percent = abs(off) < abs(each.nominal)
+        size = f"{100 * abs(off / each.nominal):.2g} %" if in_percent else f"{abs(off):.3g}{unit}"
         parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
     return f"{'; '.join(parts)}."
 
@@ -266,17 +325,46 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
-def _share_together(diagnosis: Diagnosis) -> float:
-    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
+def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArray]:
+    """Return the forms of all parameters, their whitened signatures at the largest sizes, (n_rows, n), and the gap."""
     nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
     forms = [form for effect in own for form in effect.forms(nominal.s)]
-    gap = residuals(nominal, nominal)
-    if not forms or not gap.any():
-        return 0.0
     largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
-    columns = np.concatenate(signature_columns(nominal, forms), axis=2) * largest
-    whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([columns, gap[:, :, None]], axis=2))
-    a, r = whole[:, :-1], whole[:, -1]
+    columns = [column * size for column, size in zip(signature_columns(nominal, forms), largest, strict=True)]
+    gap = residuals(nominal, nominal)[:, :, None]
+    whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([*columns, gap], axis=2))
+    return forms, whole[:, :-1], whole[:, -1]
+
+
+def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
+    """Return the parameter that leaves least of the gap, by id, and further ones each of which leaves far less still.
+
+    All at plausible deviations; none where none is.
+    """
+    forms, a, r = _signatures(diagnosis)
+    sign = np.array([form.parameters[0].sign for form in forms])
+    chosen: list[int] = []
+    left = float(r @ r)
+    for _ in range(MOST_ALONE):
+        trials = []
+        for number in set(range(len(forms))) - set(chosen):
+            some = a[:, [*chosen, number]]
+            sizes = np.linalg.solve(some.T @ some + 1e-9 * np.eye(len(chosen) + 1), some.T @ r)
+            if (np.abs(sizes) < 1.0).all() and (sizes * sign[[*chosen, number]] >= 0.0).all():
+                trials.append((float(((r - some @ sizes) ** 2).sum()), number))
+        least, best = min(trials, default=(left, -1))
+        if least >= (FURTHER_SHARE if chosen else 1.0) * left:
+            break
+        chosen, left = [*chosen, best], least
+    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
+    return {forms[number].effect: declared[forms[number].effect] for number in chosen}
+
+
+def _share_together(diagnosis: Diagnosis) -> float:
+    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
+    forms, a, r = _signatures(diagnosis)
+    if not forms or not r.any():
+        return 0.0
     left = r - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T @ r)
     return 1.0 - float(left @ left) / float(r @ r)
 

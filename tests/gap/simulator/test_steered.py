@@ -1,0 +1,131 @@
+"""A simulator that is far from linear: a tricycle driven by its front wheel, with play and lag in the steering."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from calib.campaign.read import read_campaign
+from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.simulator.diagnose import SimulatorDiagnosis, diagnose_simulator
+from calib.gap.simulator.runner import Job, SimulatorRunner
+from calib.gap.simulator.settings import read_settings
+
+#: name -> nominal value, step, largest plausible deviation
+PARAMETERS = {
+    "front_radius": (0.125, 5e-4, 0.01),
+    "wheelbase": (1.0, 5e-3, 0.1),
+    "zero": (0.0, 1e-3, 0.05),
+    "play": (0.0, 2e-3, 0.05),
+    "lag": (0.05, 0.01, 0.5),
+}
+NOMINAL = {name: nominal for name, (nominal, *_) in PARAMETERS.items()}
+COUNTS, DT_S, RADIUS_M = 8192, 0.02, 1.5
+SIGMA = np.array([0.002, 0.002, 0.0008])
+QUARTER = 0.5 * np.pi * RADIUS_M
+ROUTES = {
+    "corridor": [(15.0, 0)],
+    "left": [(4.0, 0), (QUARTER, 1), (4.0, 0)],
+    "right": [(4.0, 0), (QUARTER, -1), (4.0, 0)],
+    "bend": [(3.0, 0), (QUARTER, 1), (1.5, 0), (QUARTER, -1), (3.0, 0)],
+    "square_ccw": [(3.0, 0), (QUARTER, 1)] * 4,
+    "square_cw": [(3.0, 0), (QUARTER, -1)] * 4,
+}
+#: standard deviations within which an estimate is of its truth: a chance of some 1 in 4000 of more
+SPREAD = 3.7
+#: a closed gap is at its noise within the scatter of a root mean square over some hundred readings
+CLOSED = 1.2
+CAMPAIGN = """format = "calib-campaign/1"
+name = "steered"
+simulated = true
+[vehicle]
+drive = "tricycle"
+front_wheel_radius_m = 0.125
+[encoder]
+counts_per_rev = 4096
+counts_per_rev_front = 8192
+[odometry]
+from = "front"
+[reference]
+sigma_xy_m = 0.002
+sigma_theta_rad = 0.0008
+"""
+
+
+def log_of(kind: str, speed_mps: float) -> np.ndarray:
+    """Time, counts of the front wheel and steering angle of a route, shape (n, 3)."""
+    asked = np.concatenate(
+        [np.full(round(length / speed_mps / DT_S), np.arctan(side / RADIUS_M)) for length, side in ROUTES[kind]]
+    )
+    time = DT_S * np.arange(len(asked) + 1)
+    front = np.cumsum(np.append(0.0, speed_mps * DT_S / np.cos(asked))) / NOMINAL["front_radius"]
+    # a driver's small corrections
+    steer = np.append(0.0, asked) + 0.004 * np.sin(2 * np.pi * time / 3.1)
+    return np.column_stack([time, np.round(front * COUNTS / (2 * np.pi)), steer])
+
+
+def driven(log: np.ndarray, p: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return where a run ends."""
+    steer, at, late = np.empty(len(log)), log[0, 2], log[0, 2] + p["zero"]
+    for number, asked in enumerate(log[:, 2]):
+        at = min(max(at, asked - 0.5 * p["play"]), asked + 0.5 * p["play"])
+        late += (at + p["zero"] - late) * (1.0 - np.exp(-DT_S / p["lag"]))
+        steer[number] = late
+    way = np.diff(log[:, 1]) * 2 * np.pi / COUNTS * p["front_radius"]
+    middle = 0.5 * (steer[1:] + steer[:-1])
+    turn = way * np.sin(middle) / p["wheelbase"]
+    heading = np.cumsum(turn) - 0.5 * turn
+    x, y = (float(way * np.cos(middle) @ f(heading)) for f in (np.cos, np.sin))
+    return x, y, float(turn.sum())
+
+
+def diagnosed(folder: Path, hidden: Mapping[str, float]) -> SimulatorDiagnosis:
+    """Diagnose a campaign of a tricycle with hidden parameters, the simulator called in this process."""
+    rng, logs, rows = np.random.default_rng(3), [], []
+    (folder / "logs").mkdir()
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+    for number, (day, kind, speed) in enumerate(product("abc", ROUTES, (0.4, 0.8))):
+        log = log_of(kind, speed)
+        logs.append(log)
+        np.savetxt(folder / f"logs/{number}.csv", log, "%.9g", ",", header="t_s,counts_front,steer_rad", comments="")
+        end = driven(log, NOMINAL | dict(hidden)) + SIGMA * rng.standard_normal(3)
+        rows.append(f"r{number},{day},{kind},{speed},{','.join(map(str, end))},logs/{number}.csv")
+    header = "run_id,session,kind,speed_mps,ref_x_m,ref_y_m,ref_theta_rad,log"
+    (folder / "runs.csv").write_text("\n".join([header, *rows]))
+    command = json.dumps(["true", "{campaign}", "{parameters}", "{out}"])
+    tables = [f"command = {command}"]
+    for name, (nominal, step, largest) in PARAMETERS.items():
+        tables += [
+            "[[parameter]]",
+            f'name = "{name}"',
+            f"nominal = {nominal}",
+            f"step = {step}",
+            f"largest = {largest}",
+        ]
+    (folder / "SIM.toml").write_text("\n".join(tables))
+
+    def simulated(_: SimulatorRunner, __: object, job: Job) -> np.ndarray:
+        return np.array([(x, x, y, theta) for x, y, theta in (driven(log, job.parameters) for log in logs)])
+
+    with patch.dict("os.environ", CALIB_CACHE="off"), patch.object(SimulatorRunner, "_one", simulated):
+        return diagnose_simulator(read_campaign(folder), read_settings(folder / "SIM.toml"))
+
+
+@pytest.mark.parametrize("hidden", [{"play": 0.012}, {"wheelbase": 1.02, "zero": 0.004}], ids=["play", "two"])
+def test_a_curve_is_no_cause_of_its_own(tmp_path: Path, hidden: dict[str, float]) -> None:
+    """A play swallows small corrections, two parameters multiply: no effect of the library stands for that."""
+    done = diagnosed(tmp_path, hidden).diagnosis
+    assert done.kind is VerdictKind.EXPLAINED and done.recommended
+    assert {cause.effect for cause in done.causes} == {f"simulator:{name}" for name in hidden}
+    for cause in done.causes:
+        ((name, quantity),) = cause.parameters.items()
+        low, high = quantity.ci95
+        assert abs(done.fix.parameters[name] - hidden[name]) < SPREAD * (high - low) / (2 * 1.96)
+    after, floor = done.closure.after_rms_m, done.closure.floor_rms_m
+    assert after is not None and floor is not None and after < CLOSED * floor
