@@ -150,6 +150,8 @@ STEPS: Final = {
     "make it the nominal values of {sim}, then diagnose again.",
     "diagnose simulator lacks": "give your simulator, and {sim}, a parameter for what is named, then "
     "'calib diagnose {c} --simulator {sim}'.",
+    "diagnose simulator group": "'calib diagnose {c} --simulator {sim} --exclude EFFECT' for what to set, where EFFECT "
+    "of the library is not at work.",
     "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
     "'calib diagnose {c}'.",
     "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
@@ -210,7 +212,8 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     """Return the step that a diagnosis was, by its verdict and fix; `simulator`: whether it was of the user's own."""
     kind = "recommended" if diagnosis.recommended else diagnosis.kind.value
     if simulator and diagnosis.recommended:
-        kind = "simulator" if diagnosis.fix.parameters else "simulator lacks"
+        tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group.effects)
+        kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
     kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else kind
     step = f"diagnose {kind}"
     return step if step in STEPS else "diagnose"
