@@ -96,18 +96,7 @@ class LabelDifference:
 
 @dataclass(frozen=True, slots=True)
 class Quantities:
-    """What a fleet shows in its vehicles' quantities.
-
-    Parameters
-    ----------
-    populations
-        By quantity, for example ``slope_left_m_per_N``; outliers and drifting vehicles omitted, differences of labels
-        removed.
-    outliers
-        One a vehicle: what is farthest off; farthest first.
-    common
-        Strongest first.
-    """
+    """What a fleet shows in its vehicles' quantities."""
 
     populations: Mapping[str, Population]
     outliers: tuple[Outlier, ...]
@@ -203,19 +192,7 @@ def shown_quantity(quantity: str) -> tuple[str, float, str]:
 
 @dataclass(frozen=True, slots=True)
 class SharedCause:
-    """A finding that many vehicles share, of the whole fleet or of those with one label.
-
-    Parameters
-    ----------
-    what
-        Effect of a diagnosis, with its place where it has one, or code of a check.
-    label, value
-        Column of ``vehicles.csv`` and its value; both empty for the whole fleet.
-    n_showing, n_vehicles
-        How many of how many.
-    p_value
-        Of Fisher's exact test against the other vehicles; 1 for the whole fleet.
-    """
+    """A finding that many vehicles share, of the whole fleet or of those with one label."""
 
     what: str
     label: str

@@ -30,23 +30,7 @@ SMALLEST_VARIANCE: Final = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """A quantity over the fleet.
-
-    Parameters
-    ----------
-    mean
-        Of the population of vehicles.
-    mean_ci95
-        Its interval (Hartung, Knapp, Sidik and Jonkman).
-    spread
-        Standard deviation between vehicles, their own uncertainty taken out (Paule and Mandel).
-    spread_ci95
-        Its interval (Q profile, Viechtbauer 2007).
-    within
-        Typical standard uncertainty of one vehicle.
-    n
-        Vehicles.
-    """
+    """A quantity over the fleet."""
 
     mean: float
     mean_ci95: tuple[float, float]

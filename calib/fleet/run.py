@@ -102,17 +102,7 @@ def record_given_up(vehicle: Vehicle, why: str) -> VehicleRecord:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A fleet's vehicles and view.
-
-    Parameters
-    ----------
-    records
-        By vehicle id.
-    view
-        Of all of them.
-    n_read, n_kept
-        Files read now, and files whose sums were kept from before.
-    """
+    """A fleet's vehicles and view."""
 
     records: tuple[VehicleRecord, ...]
     view: FleetView

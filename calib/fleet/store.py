@@ -31,22 +31,7 @@ _MONTH: Final = re.compile(r"month=(\d{4})-(\d{2})")
 
 @dataclass(frozen=True)
 class Part:
-    """A file with journeys of one vehicle.
-
-    Parameters
-    ----------
-    name
-        Path relative to the fleet's folder; names the part in results.
-    path
-        Where it is.
-    settings
-        Folder of its ``campaign.toml``.
-    day
-        Day of its journeys since 1970-01-01 where the partition says a month (its fifteenth); None where only the
-        column ``day`` can.
-    why
-        Why the file may not be read, on one line; empty where it may.
-    """
+    """A file with journeys of one vehicle."""
 
     name: str
     path: Path

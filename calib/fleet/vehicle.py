@@ -26,21 +26,7 @@ COVERAGE: Final = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartSums:
-    """The runs of one file as sums.
-
-    Parameters
-    ----------
-    name
-        Of the file.
-    key
-        By which the file is known again.
-    reference_load_N, radius_m
-        From which loads and radii are counted; the model's reference load, the nominal radius.
-    left, right
-        None where `why` says what is wrong.
-    why
-        One line; empty where the file could be used.
-    """
+    """The runs of one file as sums."""
 
     name: str
     key: str
@@ -58,17 +44,7 @@ class PartSums:
 
 @dataclass(frozen=True)
 class Drift:
-    """Change of a wheel's radius with time, from session means.
-
-    Parameters
-    ----------
-    per_day_m, std_m
-        Slope against the day, and its standard uncertainty.
-    dof
-        Degrees of freedom.
-    last_day
-        Of the latest session.
-    """
+    """Change of a wheel's radius with time, from session means."""
 
     per_day_m: float
     std_m: float
@@ -78,23 +54,7 @@ class Drift:
 
 @dataclass(frozen=True)
 class WheelLine:
-    """A wheel's law.
-
-    Parameters
-    ----------
-    radius_ref_m, slope_m_per_N
-        Effective radius at the reference load, and its change with load.
-    radius_std_m, slope_std_m_per_N
-        Standard uncertainties.
-    radius_ci95_m, slope_ci95_m_per_N
-        95 % intervals, as `calib fit` takes them from sessions and runs.
-    run_std_m
-        Scatter of a run.
-    autocorrelation
-        Of runs that follow each other, by which the intervals are widened; 0 where none is significant.
-    drift
-        None where the sessions have no day, or are fewer than four.
-    """
+    """A wheel's law."""
 
     radius_ref_m: float
     slope_m_per_N: float
@@ -205,22 +165,14 @@ N_ORDER: Final = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelSums:
-    """Sums over the runs of a wheel, which add.
-
-    Parameters
-    ----------
-    runs
-        By session.
-    order : array of float, shape (n_sessions, 6)
-        Over pairs of runs that follow each other in a session: their number; sums of the products of load and load,
-        load and radius (half of either way), radius and radius; sums of both loads, of both radii.
-    whole : array of float, shape (6,)
-        The same over all runs of a file, sessions disregarded.
-    """
+    """Sums over the runs of a wheel, which add."""
 
     runs: SessionSums
+    #: shape (n_sessions, 6): over pairs of runs that follow each other in a session: their number; sums of the
+    #: products of load and load, load and radius (half of either way), radius and radius; sums of both loads, of both
+    #: radii
     order: FloatArray
-    whole: FloatArray
+    whole: FloatArray  #: shape (6,): the same over all runs of a file, sessions disregarded
 
     @staticmethod
     def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> WheelSums:

@@ -63,40 +63,21 @@ class Setup:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fit(Result):
-    """Both wheels' laws and all that report and export need of the campaign behind them.
+    """Both wheels' laws and all that report and export need of the campaign behind them."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the campaign.
-    simulated : bool
-        True where a program made the data.
-    left, right : WheelFit
-        The moving wheels.
-    radii : EffectiveRadii
-        The runs behind them.
-    static : mapping of str to WheelFit
-        Static radius against load by wheel, where the run table has it.
-    notes : tuple of str
-        What the user should know, in sentences.
-    provenance : mapping
-        ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line.
-    setup : Setup or None
-        Vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign.
-    accepted : str
-        Why the user passes on a law that failed the check ``plausible``; empty where it is refused.
-    """
-
-    name: str
-    simulated: bool
-    left: WheelFit
+    name: str  #: name of the campaign
+    simulated: bool  #: true where a program made the data
+    left: WheelFit  #: the moving wheels
     right: WheelFit
-    radii: EffectiveRadii
+    radii: EffectiveRadii  #: the runs behind them
+    #: static radius against load by wheel, where the run table has it
     static: Mapping[str, WheelFit] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: what the user should know, in sentences
+    #: ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    #: vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign
     setup: Setup | None = None
-    accepted: str = ""
+    accepted: str = ""  #: why the user passes on a law that failed the check ``plausible``; empty where it is refused
 
     @property
     def law(self) -> RadiusLaw:

@@ -32,33 +32,15 @@ _SMALL_STEP: Final = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A fitted hypothesis.
+    """A fitted hypothesis."""
 
-    Parameters
-    ----------
-    forms : tuple of Form
-        Its effects.
-    theta : tuple of array, each shape (n_parameters,)
-        Their parameters, in the parameters' units.
-    calibration : array of float, shape (4,)
-        Relative change of left radius, right radius, track, front radius.
-    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
-        Of (calibration, all theta), given the noise.
-    path : Path
-        The path at the fit.
-    chi_square : float
-        Whitened sum of squares of the residual.
-    left : array of float, shape (n_units, 6)
-        Residuals, not whitened.
-    """
-
-    forms: tuple[Form, ...]
-    theta: tuple[FloatArray, ...]
-    calibration: FloatArray
-    covariance: FloatArray
-    path: Path
-    chi_square: float
-    left: FloatArray
+    forms: tuple[Form, ...]  #: its effects
+    theta: tuple[FloatArray, ...]  #: shape (n_parameters,): their parameters, in the parameters' units
+    calibration: FloatArray  #: shape (4,): relative change of left radius, right radius, track, front radius
+    covariance: FloatArray  #: shape (4 + n_parameters, 4 + n_parameters): of (calibration, all theta), given the noise
+    path: Path  #: the path at the fit
+    chi_square: float  #: whitened sum of squares of the residual
+    left: FloatArray  #: shape (n_units, 6): residuals, not whitened
 
     @property
     def parameters(self) -> FloatArray:
@@ -117,26 +99,14 @@ def recalibration_columns(path: Path) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """The squares that a fit makes small, over scaled parameters: calibration over its prior, sizes over typical ones.
-
-    Parameters
-    ----------
-    nominal, noise, forms
-        See `fit`.
-    freedom : array of bool, shape (4,)
-        Which of the calibration may change.
-    prior_sd : array of float, shape (n_parameters,)
-        Prior standard deviation of each scaled parameter.
-    rows : array of bool, shape (n_rows,)
-        Which of the usable (unit, channel) rows count.
-    """
+    """The squares that a fit makes small; parameters over their prior standard deviation or typical size."""
 
     nominal: Path
     noise: Noise
     forms: Sequence[Form]
-    freedom: BoolArray
-    prior_sd: FloatArray
-    rows: BoolArray
+    freedom: BoolArray  #: shape (4,): which of the calibration may change
+    prior_sd: FloatArray  #: shape (n_parameters,): prior standard deviation of each scaled parameter
+    rows: BoolArray  #: shape (n_rows,): which of the usable (unit, channel) rows count
 
     def sizes(self, scaled: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Return calibration and sizes at scaled parameters."""

@@ -20,30 +20,14 @@ SCALE_CHOICE_COST: Final = float(np.log(4.0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FormPriors:
-    """What the weighing has to know of each form and column.
+    """What the weighing has to know of each form and column."""
 
-    Parameters
-    ----------
-    forms : tuple of Form
-        Forms on offer.
-    layout : Layout
-        Where the columns of each form stand.
-    most : array of float, shape (p,)
-        Largest prior scale of each column, in typical sizes.
-    sign : array of int, shape (p,)
-        1 or -1 where only sizes of that sign have a meaning, else 0.
-    log_prior : array of float, shape (n_forms,)
-        Of each form of its effect, the search over forms and scales paid for.
-    by_count : array of float, shape (n_effects + 1,)
-        Log prior of a set of so many effects.
-    """
-
-    forms: tuple[Form, ...]
-    layout: Layout
-    most: FloatArray
-    sign: IntArray
-    log_prior: FloatArray
-    by_count: FloatArray
+    forms: tuple[Form, ...]  #: forms on offer
+    layout: Layout  #: where the columns of each form stand
+    most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
+    sign: IntArray  #: shape (p,): 1 or -1 where only sizes of that sign have a meaning, else 0
+    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, the search over forms and scales paid for
+    by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
     @staticmethod
     def from_forms(forms: Sequence[Form], further: float) -> FormPriors:

@@ -23,23 +23,15 @@ _ROUNDING: Final = 1e-14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
-    """Groups of one size, side by side.
+    """Groups of one size, side by side."""
 
-    Parameters
-    ----------
-    units : slice
-        Their units.
-    columns : array of float, shape (n_units, 6, 9 + q)
-        What each group may have of its own, the gap, and the trends that it takes part in.
-    index : array of int, shape (n_groups, q)
-        Which of the basis gap and trends are for each group; the last, which is nothing, where it has fewer.
-    there, place : array of int
-        Where the products of these stand among those of the groups, one triangle, and in those of the basis.
-    """
-
-    units: slice
+    units: slice  #: their units
+    #: shape (n_units, 6, 9 + q): what each group may have of its own, the gap, and the trends that it takes part in
     columns: FloatArray
+    #: shape (n_groups, q): which of the basis gap and trends are for each group; the last, which is nothing, where it
+    #: has fewer
     index: IntArray
+    #: where the products of these stand among those of the groups, one triangle, and in those of the basis
     there: IntArray
     place: IntArray
 
@@ -54,21 +46,11 @@ class _Alike:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupTrends:
-    """Gap and trends of units, group by group in the order of the groups' sizes.
+    """Gap and trends of units, group by group in the order of the groups' sizes."""
 
-    Parameters
-    ----------
-    alike : list
-        Groups of one size.
-    places : array of int
-        Where the products of all of them stand among those of the basis.
-    mix : array of float, shape (n_basis, 1 + k)
-        Gap and trends over the basis.
-    """
-
-    alike: list[_Alike]
-    places: IntArray
-    mix: FloatArray
+    alike: list[_Alike]  #: groups of one size
+    places: IntArray  #: where the products of all of them stand among those of the basis
+    mix: FloatArray  #: shape (n_basis, 1 + k): gap and trends over the basis
 
     @staticmethod
     def of(trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray) -> GroupTrends | None:

@@ -45,21 +45,11 @@ class BlockColumns:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The rows of the whitened system, ordered so that a condition's rows stand together, those of one length too.
+    """The rows of the whitened system, ordered so that a condition's rows stand together, those of one length too."""
 
-    Parameters
-    ----------
-    order : array of int, shape (n_rows,)
-        Place of each ordered row among the usable (unit, channel) rows.
-    starts : array of int, shape (n_blocks + 1,)
-        Rows of block b stand at ``starts[b]:starts[b + 1]``.
-    unit, channel : array of int, shape (n_rows,)
-        Of each ordered row.
-    """
-
-    order: IntArray
-    starts: IntArray
-    unit: IntArray
+    order: IntArray  #: shape (n_rows,): place of each ordered row among the usable (unit, channel) rows
+    starts: IntArray  #: shape (n_blocks + 1,): rows of block b stand at ``starts[b]:starts[b + 1]``
+    unit: IntArray  #: shape (n_rows,): of each ordered row
     channel: IntArray
 
     def __len__(self) -> int:
@@ -101,24 +91,14 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LackOfFit:
-    """One component of lack of fit.
+    """One component of lack of fit."""
 
-    Parameters
-    ----------
-    name : str
-        What varies, and from where to where.
-    by_block : tuple of array, each shape (n_rows of the block, q_b), or None
-        Whitened columns that each block has of its own, scaled to about the noise level of one run.
-    common : array of float, shape (n_rows, q), or None
-        Whitened columns common to all blocks.
-    relative : float
-        By what radii that scatter from recording to recording differ at a scale of 1.
-    """
-
-    name: str
+    name: str  #: what varies, and from where to where
+    #: shape (n_rows of the block, q_b): whitened columns that each block has of its own, scaled to about the noise
+    #: level of one run
     by_block: tuple[FloatArray, ...] | None = None
-    common: FloatArray | None = None
-    relative: float = 0.0
+    common: FloatArray | None = None  #: shape (n_rows, q): whitened columns common to all blocks
+    relative: float = 0.0  #: by what radii that scatter from recording to recording differ at a scale of 1
 
     @property
     def is_interaction(self) -> bool:

@@ -42,27 +42,15 @@ def prior_precision(n_columns: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighting:
-    """The covariance of the whitened gap beside one scale of the lack of fit.
+    """The covariance of the whitened gap beside one scale of the lack of fit."""
 
-    Parameters
-    ----------
-    system : LinearSystem
-        Rows and their order.
-    name : str
-        Component of lack of fit; empty where there is none.
-    scale : float
-        Its standard deviation in noise levels of one run; 0 where there is none.
-    own : tuple of array, each shape (n, length, k)
-        What each block of one length may have of its own, scaled to unit prior variance, beside noise of variance 1: a
-        covariance of its rows would grow with their square.
-    common : array of float, shape (n_rows, q)
-        Columns of a lack of fit common to all blocks, scaled to unit prior variance.
-    """
-
-    system: LinearSystem
-    name: str
-    scale: float
+    system: LinearSystem  #: rows and their order
+    name: str  #: component of lack of fit; empty where there is none
+    scale: float  #: its standard deviation in noise levels of one run; 0 where there is none
+    #: shape (n, length, k): what each block of one length may have of its own, scaled to unit prior variance, beside
+    #: noise of variance 1: a covariance of its rows would grow with their square
     own: tuple[FloatArray, ...]
+    #: shape (n_rows, q): columns of a lack of fit common to all blocks, scaled to unit prior variance
     common: FloatArray
 
     @staticmethod

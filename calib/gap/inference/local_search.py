@@ -43,29 +43,17 @@ EVEN_PROBABILITY: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """Assumptions of the search; fixed on development cases, never on scored ones.
+    """Assumptions of the search; fixed on development cases, never on scored ones."""
 
-    Parameters
-    ----------
-    further : float
-        Prior odds of one effect more being at work than so many.
-    prior_rest : float
-        Prior odds of a lack of fit that no effect of the library explains. The noise model is itself estimated: at
-        three times these odds a lack of fit was two thirds of the false alarms, at these a third, and outside effects
-        at a signal of 10 still show.
-    tolerance : float
-        Share by which an effect may deviate from its assumed form, a condition.
-    most_effects : int
-        Effects named at once, at most.
-    paired : int
-        Effects of which all pairs are tried, since one may hide the other; of a larger library those most probable
-        alone.
-    """
-
-    further: float = 0.5
+    further: float = 0.5  #: prior odds of one effect more being at work than so many
+    #: prior odds of a lack of fit that no effect of the library explains. The noise model is itself estimated: at
+    #: three times these odds a lack of fit was two thirds of the false alarms, at these a third, and outside effects
+    #: at a signal of 10 still show
     prior_rest: float = 0.05
-    tolerance: float = 0.15
-    most_effects: int = 6
+    tolerance: float = 0.15  #: share by which an effect may deviate from its assumed form, a condition
+    most_effects: int = 6  #: effects named at once, at most
+    #: effects of which all pairs are tried, since one may hide the other; of a larger library those most probable
+    #: alone
     paired: int = 60
 
 
@@ -298,45 +286,20 @@ def _total(weight: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What was found.
+    """What was found."""
 
-    Parameters
-    ----------
-    fitted : Fitted
-        The best hypothesis, a recalibration free beside it.
-    base : Fitted
-        The recalibration alone.
-    alone : LinearSystem
-        About its path, with every form.
-    system : LinearSystem
-        About the best hypothesis' path, with every effect's best forms.
-    forms : mapping of str to list of Form
-        Forms of each effect on this campaign.
-    models : tuple of tuple of str
-        Sets of effects weighed, best first.
-    probabilities : array of float, shape (n_models,)
-        Of each set.
-    rivals : tuple of (tuple of int, float)
-        The best other models, by their forms' numbers in `system`, each with its probability over the best one's.
-    rest : float
-        Probability of a lack of fit beside anything else that acts.
-    weighting : Weighting
-        The most probable lack of fit beside the best hypothesis, and deviations of its effects.
-    nothing : float
-        Probability that neither an effect nor a lack of fit is there, a recalibration left free.
-    """
-
-    fitted: Fitted
-    base: Fitted
-    alone: LinearSystem
-    system: LinearSystem
-    forms: dict[str, list[Form]]
-    models: tuple[tuple[str, ...], ...]
-    probabilities: FloatArray
+    fitted: Fitted  #: the best hypothesis, a recalibration free beside it
+    base: Fitted  #: the recalibration alone
+    alone: LinearSystem  #: about its path, with every form
+    system: LinearSystem  #: about the best hypothesis' path, with every effect's best forms
+    forms: dict[str, list[Form]]  #: forms of each effect on this campaign
+    models: tuple[tuple[str, ...], ...]  #: sets of effects weighed, best first
+    probabilities: FloatArray  #: shape (n_models,): of each set
+    #: the best other models, by their forms' numbers in `system`, each with its probability over the best one's
     alternatives: tuple[tuple[Model, float], ...]
-    rest: float
-    weighting: Weighting
-    nothing: float
+    rest: float  #: probability of a lack of fit beside anything else that acts
+    weighting: Weighting  #: the most probable lack of fit beside the best hypothesis, and deviations of its effects
+    nothing: float  #: probability that neither an effect nor a lack of fit is there, a recalibration left free
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -35,21 +35,11 @@ _NEGLIGIBLE: Final = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
-    """Residuals out of the judgement: a recalibration, and deviations of known effects.
+    """Residuals out of the judgement: a recalibration, and deviations of known effects."""
 
-    Parameters
-    ----------
-    columns : array of float, shape (n_rows, k)
-        Whitened, each scaled to unit prior variance.
-    factor : array of float, shape (k, k)
-        Inverse Cholesky factor of I + X^T X.
-    log_det : float
-        log |I + X X^T|.
-    """
-
-    columns: FloatArray
-    factor: FloatArray
-    log_det: float
+    columns: FloatArray  #: shape (n_rows, k): whitened, each scaled to unit prior variance
+    factor: FloatArray  #: shape (k, k): inverse Cholesky factor of I + X^T X
+    log_det: float  #: log |I + X X^T|
 
     @staticmethod
     def of(columns: FloatArray) -> Nuisance:

@@ -78,24 +78,12 @@ class Basis(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseSupport:
-    """One way to find a noise level.
+    """One way to find a noise level."""
 
-    Parameters
-    ----------
-    basis : Basis
-        What it rests on.
-    labels : array of int, shape (n_units,)
-        Units that are compared with each other share a number.
-    trends : Trends, optional
-        What may differ between them and is no noise.
-    dof : float
-        Degrees of freedom from which on it is taken.
-    """
-
-    basis: Basis
-    labels: IntArray
-    trends: Trends | None
-    dof: float
+    basis: Basis  #: what it rests on
+    labels: IntArray  #: shape (n_units,): units that are compared with each other share a number
+    trends: Trends | None  #: what may differ between them and is no noise
+    dof: float  #: degrees of freedom from which on it is taken
 
 
 def noise_supports(path: Path) -> Iterator[NoiseSupport]:
@@ -134,33 +122,18 @@ def noise_supports(path: Path) -> Iterator[NoiseSupport]:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Covariance of every unit, and what it rests on.
+    """Covariance of every unit, and what it rests on."""
 
-    Parameters
-    ----------
-    covariance : array of float, shape (n_units, 6, 6)
-        Over (distance, along, lateral, heading, front, steering); unit variance where a channel is missing.
-    scales : mapping of str to float
-        Scale of each component.
-    dof : float
-        Degrees of freedom that replicates give it; 0 where the stated instruments carry it.
-    weight : array of float, shape (n_units,)
-        1 for ordinary units, less for those far from their repeats.
-    supported : bool
-        Whether these runs support a noise level at all.
-    support : str
-        What supports it, in words; where nothing does, why.
-    excess : array of float, shape (6,)
-        Noise level over that by the stated sigmas and typical walks, the median over the units; NaN where no unit has
-        the channel.
-    """
-
+    #: shape (n_units, 6, 6): over (distance, along, lateral, heading, front, steering); unit variance where a channel
+    #: is missing
     covariance: FloatArray
-    scales: dict[str, float]
-    dof: float
-    weight: FloatArray
-    supported: bool = True
-    support: str = ""
+    scales: dict[str, float]  #: scale of each component
+    dof: float  #: degrees of freedom that replicates give it; 0 where the stated instruments carry it
+    weight: FloatArray  #: shape (n_units,): 1 for ordinary units, less for those far from their repeats
+    supported: bool = True  #: whether these runs support a noise level at all
+    support: str = ""  #: what supports it, in words; where nothing does, why
+    #: shape (6,): noise level over that by the stated sigmas and typical walks, the median over the units; NaN where
+    #: no unit has the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     @property
@@ -308,18 +281,11 @@ def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowG
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowGrowth:
-    """What the mean squares of the residual in windows of several lengths are made of.
+    """What the mean squares of the residual in windows of several lengths are made of."""
 
-    Parameters
-    ----------
-    length_m : array of float, shape (n_lengths,)
-        Mean length of the windows.
-    parts : array of float, shape (3, 3)
-        For the residual along, lateral and in the heading, mean squares at the shortest length that are constant, grow
-        with the length, and grow with its square.
-    """
-
-    length_m: FloatArray
+    length_m: FloatArray  #: shape (n_lengths,): mean length of the windows
+    #: shape (3, 3): for the residual along, lateral and in the heading, mean squares at the shortest length that are
+    #: constant, grow with the length, and grow with its square
     parts: FloatArray
 
     @property

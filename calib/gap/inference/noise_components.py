@@ -143,24 +143,12 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseComponents:
-    """What the noise of some units is made of.
+    """What the noise of some units is made of."""
 
-    Parameters
-    ----------
-    kernels : array of float, shape (n_components, n_units, 6, 6)
-        Covariance of each component at scale 1.
-    fixed : array of float, shape (n_units, 6, 6)
-        Covariance without a scale.
-    usable : array of bool, shape (n_units, 6)
-        Channels that a unit has.
-    active : array of bool, shape (n_components,)
-        Components that show in any channel used.
-    """
-
-    kernels: FloatArray
-    fixed: FloatArray
-    usable: BoolArray
-    active: BoolArray
+    kernels: FloatArray  #: shape (n_components, n_units, 6, 6): covariance of each component at scale 1
+    fixed: FloatArray  #: shape (n_units, 6, 6): covariance without a scale
+    usable: BoolArray  #: shape (n_units, 6): channels that a unit has
+    active: BoolArray  #: shape (n_components,): components that show in any channel used
 
     @staticmethod
     def about(path: Path) -> NoiseComponents:
@@ -184,21 +172,18 @@ class NoiseComponents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trends:
-    """What may differ between replicates and is no noise; each coefficient has unit prior variance.
+    """What may differ between replicates and is no noise; each coefficient has unit prior variance."""
 
-    Parameters
-    ----------
-    before, after : array of float, shape (n_units, 6, k)
-        Trends that all units take part in; in the matrix of all they stand before and after the steps.
-    of_step : array of float, shape (n_units, 6, 2)
-        What a step of the left and of the right radius does, relative; none of them where there are no steps.
-    session : array of int, shape (n_units,)
-        Number of each unit's session, among those from one to the next of which the radii may step.
-    """
-
+    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before and after the
+    #: steps
     before: FloatArray
+    #: shape (n_units, 6, 2): what a step of the left and of the right radius does, relative; none of them where there
+    #: are no steps
     of_step: FloatArray
+    #: shape (n_units,): number of each unit's session, among those from one to the next of which the radii may step
     session: IntArray
+    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before and after the
+    #: steps
     after: FloatArray
 
     @staticmethod

@@ -45,21 +45,11 @@ def neighbours(labels: IntArray, together: int) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Replicates:
-    """Replicates, group by group; units that stand alone are omitted.
+    """Replicates, group by group; units that stand alone are omitted."""
 
-    Parameters
-    ----------
-    units : array of int, shape (n,)
-        Their numbers, those of a group side by side.
-    group : array of int, shape (n,)
-        Number of the group of each.
-    first : array of int, shape (n_groups,)
-        Where each group begins.
-    """
-
-    units: IntArray
-    group: IntArray
-    first: IntArray
+    units: IntArray  #: shape (n,): their numbers, those of a group side by side
+    group: IntArray  #: shape (n,): number of the group of each
+    first: IntArray  #: shape (n_groups,): where each group begins
 
     @staticmethod
     def by(labels: IntArray) -> Replicates:

@@ -60,19 +60,11 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WideSums:
-    """Scalar products of the columns of a wide form, worked out where they are asked for and then kept.
+    """Scalar products of the columns of a wide form, worked out where they are asked for and then kept."""
 
-    Parameters
-    ----------
-    make : callable
-        Number of a scale -> products of the columns with each other, (w, w), and with the others and the gap,
-        (w, p + 1).
-    numbers : array of int, shape (n_scales,)
-        Number by which `make` knows each scale.
-    """
-
+    #: number of a scale -> products of the columns with each other, (w, w), and with the rest, (w, p + 1)
     make: Callable[[int], tuple[FloatArray, FloatArray]]
-    numbers: IntArray
+    numbers: IntArray  #: shape (n_scales,): number by which `make` knows each scale
     _known: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     def at(self, scale: int) -> tuple[FloatArray, FloatArray]:
@@ -85,39 +77,17 @@ class WideSums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """Scalar products of columns and of the gap, one set for each scale of the lack of fit; nuisances taken out.
+    """Scalar products of columns and of the gap, one set for each scale of the lack of fit; nuisances taken out."""
 
-    Parameters
-    ----------
-    gram : array of float, shape (n_scales, p, p)
-        Of the columns, without those of a wide form.
-    right : array of float, shape (n_scales, p)
-        Of the columns with the gap.
-    square : array of float, shape (n_scales,)
-        Of the gap with itself.
-    log_det : array of float, shape (n_scales,)
-        Of the covariance, nuisances included.
-    log_prior : array of float, shape (n_scales,)
-        Of the scale; the first is no lack of fit at all.
-    kind : array of int, shape (n_scales,)
-        Number of the lack-of-fit component among the system's; -1 where there is none.
-    scale : array of float, shape (n_scales,)
-        Standard deviation of the lack of fit, in noise levels of one run.
-    n_rows : int
-        Length of the gap.
-    wide : WideSums, optional
-        Products of a wide form's columns, which stand behind the others.
-    """
-
-    gram: FloatArray
-    right: FloatArray
-    square: FloatArray
-    log_det: FloatArray
-    log_prior: FloatArray
-    kind: IntArray
-    scale: FloatArray
-    n_rows: int
-    wide: WideSums | None = None
+    gram: FloatArray  #: shape (n_scales, p, p): of the columns, without those of a wide form
+    right: FloatArray  #: shape (n_scales, p): of the columns with the gap
+    square: FloatArray  #: shape (n_scales,): of the gap with itself
+    log_det: FloatArray  #: shape (n_scales,): of the covariance, nuisances included
+    log_prior: FloatArray  #: shape (n_scales,): of the scale; the first is no lack of fit at all
+    kind: IntArray  #: shape (n_scales,): number of the lack-of-fit component among the system's; -1 where there is none
+    scale: FloatArray  #: shape (n_scales,): standard deviation of the lack of fit, in noise levels of one run
+    n_rows: int  #: length of the gap
+    wide: WideSums | None = None  #: products of a wide form's columns, which stand behind the others
 
     def pick(self, scales: BoolArray | slice) -> Sums:
         """Return some scales only."""
@@ -201,21 +171,11 @@ def above_rounding(gram: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:
-    """Components of lack of fit as `scalar_products` takes them.
+    """Components of lack of fit as `scalar_products` takes them."""
 
-    Parameters
-    ----------
-    kinds : sequence of (int, LackOfFit)
-        Each with its number.
-    stacks : sequence of list of BlockColumns
-        Columns that blocks have of their own, of every component of the system.
-    common : mapping of int to slice
-        Where the columns common to all blocks stand in the whole, by number.
-    """
-
-    kinds: Sequence[tuple[int, LackOfFit]]
-    stacks: Sequence[Sequence[BlockColumns]]
-    common: dict[int, slice]
+    kinds: Sequence[tuple[int, LackOfFit]]  #: each with its number
+    stacks: Sequence[Sequence[BlockColumns]]  #: columns that blocks have of their own, of every component of the system
+    common: dict[int, slice]  #: where the columns common to all blocks stand in the whole, by number
 
     def turned(self, reduced: Reduced, number: int, columns: slice) -> tuple[FloatArray, FloatArray]:
         """Return a component's eigenvalues (q,), and its turned products (q, n) with some columns."""

@@ -193,30 +193,14 @@ class RunCount:
 
 @dataclass(eq=False)
 class SimulatorRunner:
-    """Runs a simulator on a campaign, at most `workers` at once; results that are kept already are not run again.
+    """Runs a simulator on a campaign, at most `workers` at once; results that are kept already are not run again."""
 
-    Parameters
-    ----------
-    settings : SimulatorSettings
-        The command.
-    campaign : Path
-        Folder of the campaign.
-    run_ids : sequence of str
-        Runs that it has to simulate.
-    cache : RunCache
-        Of results.
-    workers : int
-        Runs at once.
-    progress : callable
-        See `calib.types.Progress`.
-    """
-
-    settings: SimulatorSettings
-    campaign: Path
-    run_ids: Sequence[str]
-    cache: RunCache
-    workers: int
-    progress: Progress
+    settings: SimulatorSettings  #: the command
+    campaign: Path  #: folder of the campaign
+    run_ids: Sequence[str]  #: runs that it has to simulate
+    cache: RunCache  #: of results
+    workers: int  #: runs at once
+    progress: Progress  #: see `calib.types.Progress`
     asked: int = 0  #: runs that were asked for
     ran: int = 0  #: of these, those that were not kept already
     seconds: list[float] = field(default_factory=list)  #: wall time of each that ran
