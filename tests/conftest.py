@@ -73,17 +73,46 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def diagnosed_sample(project_root: Path) -> Callable[[str], tuple[Campaign, Diagnosis]]:
+def diagnosing() -> Callable[..., Diagnosis]:
+    """`diagnose_in_full` that makes each diagnosis once; nobody changes one."""
+    from calib.campaign.model import Campaign
+    from calib.gap.diagnose import diagnose_in_full
+
+    made: dict[str, Diagnosis] = {}
+
+    def diagnosed(campaign: Campaign, *, plan: bool = True, progress: object = None, **options: Any) -> Diagnosis:
+        given = {name: value for name, value in {**options, "of": campaign}.items() if value}
+        asked = repr({name: _digest(value) if isinstance(value, Campaign) else value for name, value in given.items()})
+        # with its plan it has all that it has without
+        key = f"{asked} planned"
+        if key not in made:
+            key = key if plan else asked
+        if key not in made:
+            made[key] = diagnose_in_full(campaign, plan=plan, **options)
+        return made[key]
+
+    return diagnosed
+
+
+@pytest.fixture(scope="session")
+def diagnosed_sample(
+    project_root: Path, diagnosing: Callable[..., Diagnosis]
+) -> Callable[[str], tuple[Campaign, Diagnosis]]:
     """A sample campaign by name and its diagnosis, made once; nobody changes either."""
     from calib.campaign.read import read_campaign
-    from calib.gap.diagnose import diagnose_in_full
 
     @cache
     def diagnosed(name: str) -> tuple[Campaign, Diagnosis]:
         campaign = read_campaign(project_root / "sample_runs" / name)
-        return campaign, diagnose_in_full(campaign)
+        return campaign, diagnosing(campaign)
 
     return diagnosed
+
+
+@pytest.fixture
+def diagnosed_once(monkeypatch: pytest.MonkeyPatch, diagnosing: Callable[..., Diagnosis]) -> None:
+    """Let commands and functions that ask for the same diagnosis share it: how it is made is the tests' of `gap`."""
+    monkeypatch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosing)
 
 
 @pytest.fixture(scope="session")
@@ -98,31 +127,6 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tupl
         return files, describe([files.table, files.logs]).to_toml()
 
     return written
-
-
-@pytest.fixture(scope="session")
-def diagnoses() -> dict[str, Diagnosis]:
-    """What `diagnosed_once` has made, by what was asked for."""
-    return {}
-
-
-@pytest.fixture
-def diagnosed_once(monkeypatch: pytest.MonkeyPatch, diagnoses: dict[str, Diagnosis]) -> None:
-    """Let commands and functions that ask for the same diagnosis share it: how it is made is the tests' of `gap`."""
-    from calib.campaign.model import Campaign
-    from calib.gap.diagnose import diagnose_in_full
-
-    def diagnosed(campaign: Campaign, *, plan: bool = True, progress: object = None, **options: Any) -> Diagnosis:
-        given = {name: value for name, value in {**options, "of": campaign}.items() if value}
-        asked = repr({name: _digest(value) if isinstance(value, Campaign) else value for name, value in given.items()})
-        key = f"{asked} planned"
-        if key not in diagnoses:
-            key = key if plan else asked
-        if key not in diagnoses:
-            diagnoses[key] = diagnose_in_full(campaign, plan=plan, **options)
-        return diagnoses[key]
-
-    monkeypatch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosed)
 
 
 def _digest(campaign: Campaign) -> str:

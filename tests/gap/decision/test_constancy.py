@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,10 +11,11 @@ import numpy.typing as npt
 import pytest
 import statsmodels.api as sm
 
-from calib.campaign.read import read_campaign
+from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.recipe import Seeds, read_seeds, recipes
 from calib.gap.decision.constancy import SAME_SIZE_SD, SizeDifference, _difference, size_differences
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 
 #: cases of development, and the one of them that `tests.challenge.fixes` recommended a wrong fix for
@@ -103,9 +105,9 @@ def test_a_group_on_which_the_effect_does_nothing_says_nothing() -> None:
     assert difference(columns, gap, labels) is None
 
 
-def test_a_true_cause_has_one_size(project_root: Path) -> None:
+def test_a_true_cause_has_one_size(diagnosed_sample: Callable[[str], tuple[Campaign, Diagnosis]]) -> None:
     """Radii that follow the temperature in the yard."""
-    diagnosis = diagnose_in_full(read_campaign(project_root / "sample_runs" / "yard"), plan=False)
+    _, diagnosis = diagnosed_sample("yard")
     assert diagnosis.evidence is not None and diagnosis.causes
     assert size_differences(diagnosis.evidence, diagnosis.evidence.named) == {}
 
