@@ -57,10 +57,11 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
     # what has a size of its own in each session has no common one
     names = {name for name in effects if not evidence.effects[name].per_session}
+    groups = groupings(evidence.observations, by_balance=True)
     tested = [
         difference
         for effect, contribution in _contributions(evidence, fit, names).items()
-        for by, labels in groupings(evidence.observations, by_balance=True).items()
+        for by, labels in groups.items()
         if (difference := _difference(fit, effect, contribution, by, labels)) is not None
     ]
     differing: dict[str, SizeDifference] = {}

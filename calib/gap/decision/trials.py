@@ -95,10 +95,14 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
 
     `by_balance`: also by the difference of the wheel loads.
     """
-    rolled = 0.5 * (np.abs(observations.travel_left_m) + np.abs(observations.travel_right_m))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
-        speed = np.nan_to_num(observations.total(rolled**2 / observations.duration_s) / observations.total(rolled))
+
+    def mean_speed(part: Observations) -> FloatArray:
+        rolled = 0.5 * (np.abs(part.travel_left_m) + np.abs(part.travel_right_m))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
+            return np.nan_to_num(part.total(rolled**2 / part.duration_s) / part.total(rolled))
+
+    speed = observations.of_parts(mean_speed)
     left, right = (observations.number(f"load_{side}_N") for side in ("left", "right"))
     load = np.nan_to_num(left + right)
     load_width = SAME_VALUE * max(float(load.max()), 1.0)

@@ -84,10 +84,13 @@ def driven_speed_mps(observations: Observations) -> FloatArray:
 
     A mean over the path, not over time: it is what an effect on the radii that is linear in speed sums up to.
     """
-    way = np.abs(observations.path_m)
-    total = observations.total(way)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logged = observations.total(way * np.abs(observations.speed_mps)) / total
+
+    def mean(part: Observations) -> FloatArray:
+        way = np.abs(part.path_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(part.total(way * np.abs(part.speed_mps)) / part.total(way))
+
+    logged = observations.of_parts(mean)
     logged = np.where(logged > 0.0, logged, np.nan)
     return np.where(observations.from_log & np.isfinite(logged), logged, np.abs(observations.number("speed_mps")))
 
@@ -121,19 +124,26 @@ def end_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
     halt stands there. A observation without a log is taken as read at its set speed, 0 where that is not known.
     """
-    last = observations.starts[1:] - 1
-    to_end = observations.time_s[last][observations.unit] - (
-        observations.time_s - 0.5 * np.nan_to_num(observations.duration_s)
-    )
-    return _motion_at(observations, to_end, last)
+
+    def motion(part: Observations) -> FloatArray:
+        last = part.starts[1:] - 1
+        to_end = part.time_s[last][part.unit] - (part.time_s - 0.5 * np.nan_to_num(part.duration_s))
+        return np.stack(_motion_at(part, to_end, last), axis=1)
+
+    speed, rate = observations.of_parts(motion).T
+    return speed, rate
 
 
 def start_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the start of each unit, as `end_motion` at its end."""
-    first = observations.starts[:-1]
-    duration = np.nan_to_num(observations.duration_s)
-    from_start = (observations.time_s - 0.5 * duration) - (observations.time_s - duration)[first][observations.unit]
-    return _motion_at(observations, from_start, first)
+
+    def motion(part: Observations) -> FloatArray:
+        first, duration = part.starts[:-1], np.nan_to_num(part.duration_s)
+        from_start = (part.time_s - 0.5 * duration) - (part.time_s - duration)[first][part.unit]
+        return np.stack(_motion_at(part, from_start, first), axis=1)
+
+    speed, rate = observations.of_parts(motion).T
+    return speed, rate
 
 
 def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -84,6 +84,14 @@ class Blocks:
                 stacks.append(BlockColumns(group, slice(None) if len(same) == len(numbers) else same, part))
         return stacks
 
+    def unstacked(self, stacks: Sequence[BlockColumns], parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        """Return the columns of each block as views of stacks; those without a column are as in `parts`."""
+        columns = list(parts)
+        for stack in stacks:
+            for number, part in zip(self.alike[stack.group][0][stack.same], stack.part, strict=True):
+                columns[number] = part
+        return tuple(columns)
+
     def slices(self) -> list[slice]:
         """Return the rows of each block."""
         return [slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -68,6 +69,11 @@ class LinearSystem:
         order = self.blocks.order
         self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
         self._stacks = [self.blocks.stacked(kind.by_block) if kind.by_block is not None else [] for kind in self.kinds]
+        # the columns of each block as parts of these: they are not held twice
+        self.kinds = [
+            kind if kind.by_block is None else replace(kind, by_block=self.blocks.unstacked(stacks, kind.by_block))
+            for kind, stacks in zip(self.kinds, self._stacks, strict=True)
+        ]
         self.layout = Layout.of(self.forms)
         self.whole = np.empty((len(order), self._width))
         self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]

@@ -183,6 +183,10 @@ class Observations:
         """Yield some observations at a time, those of `spans`; itself where steps are few."""
         yield from (self,) if len(self.spans) == 1 else map(self.part, self.spans)
 
+    def of_parts(self, what: Callable[[Observations], FloatArray]) -> FloatArray:
+        """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""
+        return np.concatenate([what(part) for part in self.parts()])
+
     def part(self, units: slice) -> Observations:
         """Return some observations alone; arrays are views of these. Parts are kept with what is derived from them."""
         known = self._parts.get((units.start, units.stop))
@@ -297,7 +301,7 @@ class Observations:
     def front_ways(self) -> FloatArray:
         """What the front wheel and its steering say of way (m) and turn (rad) of each observation, shape (n_obs, 2)."""
         if len(self.spans) > 1:
-            return np.concatenate([part.front_ways for part in self.parts()])
+            return self.of_parts(lambda part: part.front_ways)
         front_m = np.nan_to_num(self.front_roll_rad) * self.vehicle.front_radius_m
         turn = self.total(front_m * self.steer_sin) / self.vehicle.wheelbase_m
         return np.stack([self.total(front_m * self.steer_cos), turn], axis=1)
@@ -354,7 +358,7 @@ class Observations:
     @cached_property
     def length_m(self) -> FloatArray:
         """Unsigned path of each observation, shape (n_obs,)."""
-        return self.total(np.abs(self.path_m))
+        return self.of_parts(lambda part: part.total(np.abs(part.path_m)))
 
     @cached_property
     def heading_sign(self) -> FloatArray:

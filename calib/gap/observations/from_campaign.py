@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from calib.errors import RefusedError
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble
 from calib.gap.observations.observation import (
+    ALONG_RUN,
+    MAX_STEPS,
     CountsPerRadian,
     Observation,
     ReferencePoses,
@@ -128,7 +130,10 @@ def observations_of(
     a log counts with what its row says. Refused where no run has both counts and something measured.
     """
     setup = _setup(campaign, model)
-    recorded = [_recorded(run, setup) for run in range(len(setup.campaign.runs))]
+    n_runs, samples = len(setup.campaign.runs), MAX_STEPS + 1
+    # of a large campaign thousands of small arrays would leave as much memory behind that nothing large fits into
+    room = np.empty((len(ALONG_RUN), n_runs, samples))
+    recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
     if whole_runs:
         return _arranged(with_counts, setup, into_windows=False)
@@ -204,8 +209,11 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
     return assemble(setup, units, notes)
 
 
-def _recorded(run: int, setup: Setup) -> Recorded | None:
-    """Return a run with what its row and log measured at its end; None where it has no counts."""
+def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
+    """Return a run with what its row and log measured at its end; None where it has no counts.
+
+    What varies along it goes into `room`, shape (n_quantities, n_samples).
+    """
     campaign, per_rad = setup.campaign, setup.per_rad
     log = campaign.logs.of(run)
     rows = log_rows(log)
@@ -214,6 +222,12 @@ def _recorded(run: int, setup: Setup) -> Recorded | None:
     unit = observation_from_log(run, log, rows, per_rad) if logged else observation_from_row(run, runs, per_rad)
     if unit is None:
         return None
+    placed: dict[str, Any] = {}
+    for name, place in zip(ALONG_RUN, room, strict=True):
+        values = getattr(unit, name)
+        if values is not None:
+            placed[name] = place[: len(values)]
+            placed[name][:] = values
     distance = runs.number("distance_m")[run]
     if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
         distance = log["range_m"][-1]
@@ -221,7 +235,7 @@ def _recorded(run: int, setup: Setup) -> Recorded | None:
     # an end pose in a map says nothing without the pose at the start
     pose = np.full(3, np.nan) if setup.in_map else poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
-    unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated))
+    unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, reference_poses(log, setup) if logged else None)
 
 

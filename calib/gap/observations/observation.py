@@ -92,6 +92,10 @@ class Observation:
         return len(self.left_rad) - 1
 
 
+#: fields of `Observation` with a value for each sample
+ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad", "aside_m")
+
+
 def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
     """Return the samples of a log that have a time and both counts, shape (n_samples,); none if a column is missing."""
     if not {"t_s", "counts_left", "counts_right"} <= log.keys():
