@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations, let_go
 from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
 from calib.types import BoolArray, FloatArray
 
@@ -55,6 +55,7 @@ class Path:
             part, perturbation = self.s.part(units), self.perturbation.part(units, self.s)
             own = (self.end[units], self.reading[units], self.line_m[units])
             yield units, Path(part, perturbation, *own, steps_of(part, perturbation))
+            let_go(*self.s.steps, *self.perturbation.parts())
 
     @cached_property
     def way_m(self) -> FloatArray:
@@ -159,6 +160,7 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
         derivatives.append(_calibration(part))
         ways.append(part.way_m)
         radii.append(part.rolling_radii_m)
+        let_go(*s.steps, *perturbation.parts())
     vars(path).update(way_m=np.concatenate(ways), rolling_radii_m=np.concatenate(radii))
     vars(path)["calibration"] = path.beside_straights(np.concatenate(derivatives))
     return path

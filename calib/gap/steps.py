@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations, let_go, step_array
 from calib.types import FloatArray
 
 
@@ -105,13 +105,14 @@ def joined_perturbation(s: Observations, parts: Iterable[tuple[slice, Perturbati
     for units, part in parts:
         if units == slice(0, len(s)):
             return part
+        let_go(*wholes)
         steps = slice(int(s.starts[units.start]), int(s.starts[units.stop]))
         for number, piece in enumerate(part.parts()):
             if piece is None:
                 continue
             whole, by_step = wholes[number], len(piece) > units.stop - units.start
             if whole is None:
-                whole = np.zeros((n_steps if by_step else len(s), *piece.shape[1:]))
+                whole = step_array(n_steps) if by_step else np.zeros((len(s), *piece.shape[1:]))
             elif by_step and len(whole) < n_steps:
                 whole = whole[s.unit]
             wholes[number] = whole

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import mmap
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -28,13 +31,25 @@ def whole() -> Observations:
     return s
 
 
-@pytest.fixture(params=["kept", "made anew"])
+@pytest.fixture(params=["kept", "made anew", "in files"])
 def parted(request: pytest.FixtureRequest, whole: Observations, monkeypatch: pytest.MonkeyPatch) -> Observations:
-    """The same, about three observations at a time, parts kept or too many for it."""
+    """The same, about three observations at a time, parts kept or too many for it; or steps too many for memory."""
     monkeypatch.setattr(data, "STEPS_AT_ONCE", 3 * int(whole.lengths.max()))
+    if request.param == "kept":
+        return replace(whole)
+    monkeypatch.setattr(data, "KEPT_STEPS", 0)
     if request.param == "made anew":
-        monkeypatch.setattr(data, "KEPT_STEPS", 0)
-    return replace(whole)
+        return replace(whole)
+    monkeypatch.setattr(data, "HELD_STEPS", 0)
+    steps = {}
+    for name in data._OF_STEPS:
+        values = getattr(whole, name)
+        if values is not None:
+            steps[name] = data.step_array(len(values))
+            steps[name][:] = values
+            assert isinstance(steps[name].base, mmap.mmap)
+            data.let_go(steps[name])
+    return replace(whole, **steps)
 
 
 def bent(s: Observations) -> Path:
@@ -88,3 +103,22 @@ def test_a_hypothesis_in_parts_ends_where_it_ends_on_the_whole(whole: Observatio
         theta = [form.typical for form in forms]
         ends.append(hypothesis_path(s, calibration, forms, theta, predict(s)).end)
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=ROUNDING)
+
+
+def test_steps_are_held_where_the_disk_has_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of it is asked for at once: a disk that fills up later would be the end of the process."""
+
+    def full(file: int, first: int, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(data, "HELD_STEPS", 0)
+    in_file = data.step_array(1000)
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    held = data.step_array(1000)
+    assert isinstance(in_file.base, mmap.mmap)
+    assert held.base is None
+    for steps in (in_file, held):
+        assert not steps.any()
+        steps[:] = np.arange(1000.0)
+        data.let_go(steps)
+        np.testing.assert_array_equal(steps, np.arange(1000.0))

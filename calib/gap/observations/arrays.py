@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import mmap
+import os
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
 from itertools import pairwise
+from tempfile import TemporaryFile
 from typing import Any, Final, Generic, TypeVar, cast
 
 import numpy as np
@@ -47,9 +51,8 @@ N_CHANNELS: Final = len(Channel)
 #: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-
-#: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache
-#: for the most part, and a campaign of any size needs no more memory for them
+#: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache for
+#: the most part, and a campaign of any size needs no more memory for them
 STEPS_AT_ONCE: Final = 2**16
 #: what follows from the counts alone is kept up to so many steps: some ten values a step, of all and of parts
 KEPT_STEPS: Final = 2**20
@@ -62,13 +65,32 @@ MOST_SMOOTHED_STEPS: Final = 10
 #: a run without a log whose heading changes by less than this is taken as one arc
 STRAIGHT_RAD: Final = 0.35
 
-
 #: fields of `Observations` with a value for each step
 _OF_STEPS: Final = frozenset(
     {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
     | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m"}
 )
 Value = TypeVar("Value")
+#: arrays of more steps lie in temporary files
+HELD_STEPS: Final = 2**21
+
+
+def step_array(n_steps: int) -> FloatArray:
+    """Return zeros, shape (n_steps,): of many steps in a temporary file, mapped, whose pages `let_go` gives back."""
+    if n_steps > HELD_STEPS and hasattr(os, "posix_fallocate") and hasattr(mmap, "MADV_DONTNEED"):
+        # all of its room is taken here: where the disk has none, the array is held in memory
+        with suppress(OSError), TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, 8 * n_steps)
+            return np.ndarray(n_steps, buffer=mmap.mmap(file.fileno(), 8 * n_steps))
+    return np.zeros(n_steps)
+
+
+def let_go(*arrays: FloatArray | None) -> None:
+    """Give back the memory of arrays that lie in files; the system reads again what is asked for again."""
+    bases: list[object] = [array.base for array in arrays if array is not None]
+    for base in bases:
+        if isinstance(base, mmap.mmap):
+            base.madvise(mmap.MADV_DONTNEED)
 
 
 class _KeptIfFew(Generic[Value]):
@@ -181,7 +203,14 @@ class Observations:
 
     def parts(self) -> Iterator[Observations]:
         """Yield some observations at a time, those of `spans`; itself where steps are few."""
-        yield from (self,) if len(self.spans) == 1 else map(self.part, self.spans)
+        for units in self.spans:
+            yield self if len(self.spans) == 1 else self.part(units)
+            let_go(*self.steps)
+
+    @property
+    def steps(self) -> tuple[FloatArray | None, ...]:
+        """What has a value for each step."""
+        return tuple(getattr(self, name) for name in _OF_STEPS)
 
     def of_parts(self, what: Callable[[Observations], FloatArray]) -> FloatArray:
         """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
+from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations, let_go, step_array
 from calib.gap.observations.observation import Observation, Setup
 from calib.gap.observations.routes import (
     WheelTravel,
@@ -116,12 +116,19 @@ def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
 
 def _gained(units: Sequence[Observation], name: str) -> FloatArray:
     """Return by how much a field changes in each step, shape (n_steps,)."""
-    return np.concatenate([np.diff(getattr(u, name)) for u in units])
+    return _end_to_end([np.diff(getattr(u, name)) for u in units])
 
 
 def _at_ends(units: Sequence[Observation], name: str) -> FloatArray:
     """Return a field at the end of each step, shape (n_steps,)."""
-    return np.concatenate([getattr(u, name)[1:] for u in units])
+    return _end_to_end([getattr(u, name)[1:] for u in units])
+
+
+def _end_to_end(steps: Sequence[FloatArray]) -> FloatArray:
+    """Return the steps of observations as one array, shape (n_steps,)."""
+    joined = np.concatenate(steps, out=step_array(sum(map(len, steps))))
+    let_go(joined)
+    return joined
 
 
 def _wheel_travel(
@@ -140,13 +147,13 @@ def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatA
         roll.append(nothing if u.front_rad is None else np.diff(u.front_rad))
         steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
         change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
-    return np.concatenate(roll), np.concatenate(steer), np.concatenate(change)
+    return _end_to_end(roll), _end_to_end(steer), _end_to_end(change)
 
 
 def _aside(units: Sequence[Observation]) -> FloatArray | None:
     """Return what the wheels roll to the left in each step; None for wheels that cannot."""
     parts = [u.aside_m for u in units if u.aside_m is not None]
-    return np.concatenate([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
+    return _end_to_end([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
 
 
 def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
