@@ -62,7 +62,9 @@ def sure_part(
     if causes and any(True for _ in remaining(whole.held_out, unexplained)):
         return whole
     stepping = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
-    fitted, improvement, tried = _tried(evidence, names, stepping)
+    # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
+    beside = {name for name in stepping if names.isdisjoint(evidence.effects[name].shifts)}
+    fitted, improvement, tried = _tried(evidence, names, beside)
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
     why = [
