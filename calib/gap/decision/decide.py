@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -62,6 +62,9 @@ def decide(evidence: Evidence) -> Diagnosis:
     causes = limited_to_even(causes, differing)
     small = _small(evidence, causes, probable)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
+    # what an alias makes probable and is itself hardly in the 95 % set is not the cause to name
+    doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - confounding.CREDIBLE}
+    causes = [cause for cause in causes if cause.effect not in doubted]
     placed, unexplained = places_as_unexplained(evidence, causes, unexplained)
     causes = limited_beside(unexplained, [cause for cause in causes if cause not in placed])
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
@@ -70,7 +73,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     gap_probability = confounding.gap_probability(evidence)
     # a calibration parameter that is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    kind = _kind(evidence, gap_probability, causes, share, groups, differing)
+    kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubted)
     if kind in NOTHING_NAMED:
         causes = []
     elif hides_causes(closure, share):
@@ -118,6 +121,7 @@ def _kind(
     unexplained_share: float | None,
     groups: Sequence[Sequence[str]],
     differing: Mapping[str, SizeDifference],
+    doubted: Collection[str],
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
     return kind_of(
@@ -126,6 +130,7 @@ def _kind(
         evidence.held_out.closure,
         incomplete=any(map(fails, evidence.trials))
         or not large.isdisjoint(differing)
+        or bool(doubted)
         or any(True for cause in causes for _ in beyond_vehicles(cause)),
         unexplained_share=unexplained_share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
