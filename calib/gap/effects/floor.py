@@ -123,8 +123,11 @@ class FloorZone(Effect):
             return places[path]
 
         nominal = predict(observations)
-        cosine = nominal.of_parts(lambda part: np.cos(map_heading_rad(part)))
-        x, y = nominal.of_parts(lambda part: np.stack(floor_place(part, part.s.here(far_end)), axis=1)).T
+
+        def places_of(part: Path) -> FloatArray:
+            return np.stack([*floor_place(part, part.s.here(far_end)), np.cos(map_heading_rad(part))], axis=1)
+
+        x, y, cosine = nominal.of_parts(places_of).T
         cells = _cells(observations, lane[observations.unit], x, y, cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))

@@ -92,7 +92,7 @@ class GyroScale(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where no gyro measured a turn."""
         measured = observations.by_gyro & observations.usable[:, Channel.HEADING]
-        if not (measured & (np.abs(predict(observations).end[:, 2]) > LEAST_TURN_RAD)).any():
+        if not measured.any() or not (np.abs(predict(observations).end[measured, 2]) > LEAST_TURN_RAD).any():
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:

@@ -264,9 +264,13 @@ def undetectable(
     A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. `forms` that
     are known already are not built again.
     """
-    known = forms or {}
     limits = _Limits(system.calibration, system.columns)
-    each = [limits.of(effect, known.get(effect.id) or effect.forms(system.path.s)) for effect in effects]
+
+    def of_effect(effect: Effect) -> Sequence[Form]:
+        # an effect that is not among them offers none; the calibration's own never are
+        return effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
+
+    each = [limits.of(effect, of_effect(effect)) for effect in effects]
     return tuple(limit for times, limit in each if times > 1.0)
 
 
