@@ -139,13 +139,14 @@ def _confirmed(
         tried, by_itself = alone(diagnosis, runner, differences, found)
         typical = {each.name: each.parameter.typical for each in tried.values()}
         for fix in (by_itself, found):
-            if fix is None:
+            if fix is None or fix.deviation.keys() != typical.keys():
                 continue
             through = differences.through(fix.deviation, fix.table, typical)
             again = searched(through)
-            if named_parameters(again, runner).keys() == tried.keys():
+            names = named_parameters(again, runner).keys()
+            if names and (names == tried.keys() or (fix is by_itself and names < tried.keys())):
                 # beside other effects than before the parameters are of other sizes
-                diagnosis, found = again, iterated(again, runner, through, fix)
+                diagnosis, found = again, iterated(again, runner, through, fix if names == tried.keys() else None)
                 break
     if found is None:
         return without_parameter(diagnosis)

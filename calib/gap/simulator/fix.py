@@ -39,11 +39,11 @@ FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose 
 ALONE: Final = 2.0
 #: parameters alone are followed where they promise to leave no more than this share of the gap's squares
 ALONE_SHARE: Final = 0.5
-#: where the verdict names none, they are tried if its causes leave so many times the squares of noise
+#: others than the named are tried where the verdict's causes leave so many times the squares of noise
 LACKING: Final = 1.5
-#: so many that the verdict does not name, each further one if it leaves less than this share of what is left without
+#: so many of them, each further one if it leaves less than this share of what is left without
 MOST_ALONE: Final = 3
-FURTHER_SHARE: Final = 0.25
+FURTHER_SHARE: Final = 0.5
 #: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
 CORRECTION_SD: Final = 30.0
 
@@ -154,17 +154,19 @@ def alone(
 
     Where what a parameter does is not linear, its curvature may have been taken for a cause of the library, or the
     parameter for none. They are the named ones, whose `start` is the fix beside the others, or else, where the verdict
-    leaves more than noise, those of `_most_able`.
+    leaves more than noise, those of `_most_able`. Without a fix the named ones are returned.
     """
-    named = named_parameters(diagnosis, runner)
-    if not named and diagnosis.fitted.chi_square > LACKING * int(diagnosis.nominal.s.usable.sum()):
-        named = _most_able(diagnosis, runner)
-    if not named:
-        return named, None
     assert diagnosis.evidence is not None
-    base = diagnosis.evidence.search.base
-    found = _followed(diagnosis, base, runner, differences, named, start, limit=ALONE_SHARE * base.chi_square)
-    return named, found if found.square < ALONE * diagnosis.fitted.chi_square else None
+    base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
+    sets = [(named_parameters(diagnosis, runner), start)]
+    if square > LACKING * int(diagnosis.nominal.s.usable.sum()):
+        sets.append((_most_able(diagnosis, runner), None))
+    for named, begin in sets:
+        if named:
+            found = _followed(diagnosis, base, runner, differences, named, begin, limit=ALONE_SHARE * base.chi_square)
+            if found.square < ALONE * square:
+                return named, found
+    return sets[0][0], None
 
 
 def _followed(
