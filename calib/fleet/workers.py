@@ -131,16 +131,9 @@ class Engine:
         A worker that dies costs its own batches: their items are tried again one by one, so that the one that kills its
         worker is found and the others go through.
 
-        Parameters
-        ----------
-        task
-            Takes some items and returns a result for each; a module's function, since it is sent to others by name.
-        items
-            What to do.
-        given_up
-            Makes the result of an item that took its worker down twice, from the item and the reason.
-        weigh
-            Pieces of work that an item stands for, so that batches are alike.
+        `task`: takes some items and returns a result for each; a module's function, since it is sent to others by name;
+        `items`: what to do; `given_up`: makes the result of an item that took its worker down twice, from the item and
+        the reason; `weigh`: pieces of work that an item stands for, so that batches are alike.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []

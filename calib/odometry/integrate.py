@@ -221,14 +221,9 @@ def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets
 
     A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
 
-    Parameters
-    ----------
-    run_N : array_like of float, shape (runs,)
-        Load of each run: it holds until its log says otherwise.
-    logged_N : array_like of float, shape (n,), or None
-        Load at each sample; NaN where the log does not say: the load before then stays.
-    offsets : array_like of int, shape (runs + 1,)
-        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+    `run_N`: (runs,), load of each run: it holds until its log says otherwise; `logged_N`: (n,), load at each sample;
+    NaN where the log does not say: the load before then stays; `offsets`: (runs + 1,), samples of run i stand at
+    ``offsets[i]:offsets[i + 1]``.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))

@@ -55,14 +55,9 @@ class Carried:
 class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
 
-    Parameters
-    ----------
-    parameter : Parameter
-        Named as the simulator calls it; sizes are its deviation from the nominal value, in its unit.
-    carried : Carried
-        What it does on the runs driven.
-    family : Family
-        That of the library's effect which it is declared to stand for.
+    `parameter`: named as the simulator calls it; sizes are its deviation from the nominal value, in its unit;
+    `carried`: what it does on the runs driven; `family`: that of the library's effect which it is declared to stand
+    for.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -117,12 +112,8 @@ class _Basis:
 class WheelMotion:
     """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
 
-    Parameters
-    ----------
-    nominal : Path
-        About which they are off.
-    noise : array of float, shape (4,)
-        Of a change of (distance, x, y, heading); zero where the simulator repeats itself.
+    `nominal`: about which they are off; `noise`: (4,), of a change of (distance, x, y, heading); zero where the
+    simulator repeats itself.
     """
 
     def __init__(self, nominal: Path, noise: FloatArray) -> None:
@@ -246,10 +237,7 @@ def as_simulated(observations: Observations) -> Observations:
 class HeldCalibration(Effect):
     """An effect of the calibration as one among others, where no recalibration is free beside them.
 
-    Parameters
-    ----------
-    effect : Effect
-        One of the calibration's own three.
+    `effect`: one of the calibration's own three.
     """
 
     # an instance's own, unlike the class attributes of the other effects

@@ -288,12 +288,8 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 
     Their interval holds zero and reaches beyond what is physically plausible on both sides: it says nothing.
 
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-        Of one effect.
-    sizes, half_width : array of float, shape (n_parameters,)
-        Their values and half the width of their intervals.
+    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), their values and half the width of their
+    intervals.
     """
     return tuple(
         parameter.name
@@ -307,16 +303,8 @@ def identifiability_message(
 ) -> str:
     """Return in words what the runs do not determine, and what they determine together; empty where all are.
 
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-        Of one effect.
-    sizes : array of float, shape (n_parameters,)
-        Their values.
-    covariance : array of float, shape (n_parameters, n_parameters)
-        Of the values.
-    coverage : float
-        Half an interval's width in standard uncertainties.
+    `parameters`: of one effect; `sizes`: (n_parameters,), their values; `covariance`: (n_parameters, n_parameters), of
+    the values; `coverage`: half an interval's width in standard uncertainties.
     """
     spread = np.sqrt(np.diag(covariance))
     open_ones = undetermined(parameters, sizes, coverage * spread)

@@ -144,12 +144,8 @@ class GroupTrends:
 def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return what takes each group's own columns out: F with F^T F the inverse of their products, and F times others.
 
-    Parameters
-    ----------
-    gram : array of float, shape (n_groups, 9, 9 + q) or (n_groups, 9 + q, 9 + q)
-        Products of its own columns with themselves and with others.
-    prior : array of float, shape (9,)
-        Prior precision of its own.
+    `gram`: (n_groups, 9, 9 + q), products of its own columns with themselves and with others; `prior`: (9,), prior
+    precision of its own.
 
     Returns
     -------

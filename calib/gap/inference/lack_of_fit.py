@@ -139,14 +139,7 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
 
     What was driven once has no offset of its own: that would be noise by another name.
 
-    Parameters
-    ----------
-    path : Path
-        Where to linearise.
-    noise : Noise
-        Covariance of each unit.
-    blocks : Blocks
-        Order of the rows.
+    `path`: where to linearise; `noise`: covariance of each unit; `blocks`: order of the rows.
     """
     s = path.s
     n_channels = s.usable.shape[1]

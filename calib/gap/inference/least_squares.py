@@ -98,14 +98,8 @@ class Weighting:
     ) -> tuple[FloatArray, FloatArray]:
         """Return estimates (p,) and covariance (p, p) of columns (n_rows, p) on the gap.
 
-        Parameters
-        ----------
-        columns : array of float, shape (n_rows, p)
-            Whitened columns.
-        precision : array of float, shape (p,)
-            Prior precision of each.
-        use : array of bool, shape (n_units,), optional
-            Units to learn from; all by default.
+        `columns`: (n_rows, p), whitened columns; `precision`: (p,), prior precision of each; `use`: (n_units,), units
+        to learn from; all by default.
         """
         system = self.system
         whole = np.concatenate([columns, self.common, system.gap[:, None]], axis=1)
@@ -143,14 +137,8 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     From the sizes at that path it goes as far as the picture holds: a step that leaves more than twice what was left
     before, and than what it was to leave, is halved.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        About the path.
-    model : sequence of int
-        Forms of the hypothesis, by their numbers in the system.
-    weighting : Weighting
-        The lack of fit, and what effects may deviate by.
+    `system`: about the path; `model`: forms of the hypothesis, by their numbers in the system; `weighting`: the lack of
+    fit, and what effects may deviate by.
     """
     columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
@@ -190,16 +178,8 @@ def _simulated_at(
 class HeldOutFit:
     """Holds runs out of a fit in turn.
 
-    Parameters
-    ----------
-    fitted : Fitted
-        The hypothesis, fitted on all runs.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    weighting : Weighting, optional
-        Of the lack of fit beside it; none by default.
+    `fitted`: the hypothesis, fitted on all runs; `nominal`: the model alone; `noise`: covariance of each unit;
+    `weighting`: of the lack of fit beside it; none by default.
     """
 
     def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, weighting: Weighting | None = None) -> None:

@@ -49,16 +49,8 @@ N_CALIBRATION: Final = 4
 class LinearSystem:
     """Gap, recalibration and signatures of forms about one path, whitened, ordered by condition.
 
-    Parameters
-    ----------
-    fitted : Fitted
-        The hypothesis about whose path all is linear.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    forms : sequence of Form
-        Forms to offer; those of `fitted` must be among them.
+    `fitted`: the hypothesis about whose path all is linear; `nominal`: the model alone; `noise`: covariance of each
+    unit; `forms`: forms to offer; those of `fitted` must be among them.
     """
 
     def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, forms: Sequence[Form]) -> None:
@@ -153,16 +145,9 @@ class LinearSystem:
 
         The recalibration is free beside each of them.
 
-        Parameters
-        ----------
-        deviations : array of float, shape (n_rows, k)
-            What each condition may have of its own, scaled to unit prior variance: an effect's deviation from its form.
-        prior_rest : float
-            Prior odds of a lack of fit.
-        scales : sequence of float
-            Of the lack of fit.
-        interactions : bool
-            Weigh interactions of the surroundings too.
+        `deviations`: (n_rows, k), what each condition may have of its own, scaled to unit prior variance: an effect's
+        deviation from its form; `prior_rest`: prior odds of a lack of fit; `scales`: of the lack of fit;
+        `interactions`: weigh interactions of the surroundings too.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
@@ -195,16 +180,8 @@ def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
 class WhitenedSystem:
     """The whitened system about one path: residual, recalibration and form columns, made once each.
 
-    Parameters
-    ----------
-    path : Path
-        Where it is linear.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    offered : sequence of Form
-        Forms that will be asked for: on a path that is worked through in parts, all at once.
+    `path`: where it is linear; `nominal`: the model alone; `noise`: covariance of each unit; `offered`: forms that will
+    be asked for: on a path that is worked through in parts, all at once.
     """
 
     def __init__(self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = ()) -> None:

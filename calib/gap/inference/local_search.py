@@ -12,11 +12,10 @@ import numpy as np
 
 from calib.gap.effects.effect import Form
 from calib.gap.inference.fit import Fitted
-from calib.gap.inference.form_priors import FormPriors
 from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
-from calib.gap.inference.scalar_products import Sums
+from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray
 
 #: forms of an effect that are kept beside the best

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.form_priors import FormPriors
-from calib.gap.inference.scalar_products import Sums
+from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: degrees of freedom by which the noise level as a whole is known before the gap is looked at; the remainder of what is
@@ -64,14 +63,8 @@ def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows
     The factor is integrated out, so that a noise level too small by a quarter, or tails heavier than normal, do not
     pass for a cause: Student's t in place of the normal density, without its constant.
 
-    Parameters
-    ----------
-    square : float or array of float
-        y^T C^-1 y of the hypothesis' covariance C in units of the noise level.
-    log_det : float or array of float
-        log |C|, same shape.
-    n_rows : int
-        Length of y.
+    `square`: y^T C^-1 y of the hypothesis' covariance C in units of the noise level; `log_det`: log |C|, same shape;
+    `n_rows`: length of y.
     """
     spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
     return np.asarray(spread - 0.5 * np.asarray(log_det))
@@ -90,14 +83,8 @@ def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
 def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
     """Solve (G + ridge I) x = g, scaled to a unit diagonal so that columns exactly alike do no harm.
 
-    Parameters
-    ----------
-    gram : array of float, shape (..., p, p)
-        Scalar products of the columns.
-    right : array of float, shape (..., p)
-        Their scalar products with the residual.
-    ridge : float
-        Added to the diagonal.
+    `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), their scalar products with the residual;
+    `ridge`: added to the diagonal.
 
     Returns
     -------
@@ -342,16 +329,8 @@ def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
 def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight: FloatArray) -> FloatArray:
     """Return the sizes of a model's columns in typical sizes, averaged over the scales of the lack of fit, shape (k,).
 
-    Parameters
-    ----------
-    sums : Sums
-        Scalar products.
-    columns : Columns
-        Of the forms.
-    model : tuple of int
-        Its forms.
-    weight : array of float, shape (n_scales,)
-        Probability of each scale.
+    `sums`: scalar products; `columns`: of the forms; `model`: its forms; `weight`: (n_scales,), probability of each
+    scale.
     """
     if not model:
         return np.zeros(0)

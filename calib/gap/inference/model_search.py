@@ -164,12 +164,8 @@ def is_far(fitted: Fitted) -> bool:
 def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
     """Return a hypothesis near which the gap is linear: from that of the system, effects added one by one as they fit.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        About the path of the recalibration alone, with the forms on offer.
-    most_effects : int
-        Effects added, at most.
+    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: effects added, at
+    most.
 
     Returns
     -------

@@ -91,10 +91,7 @@ def noise_supports(path: Path) -> Iterator[NoiseSupport]:
 
     Pooling all units is none of them: it would turn motion that no wheel sees into noise.
 
-    Parameters
-    ----------
-    path : Path
-        Where the gap is taken.
+    `path`: where the gap is taken.
     """
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
@@ -167,14 +164,8 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
     loads and speeds as trends; at last the stated sigmas stand alone. The first of these that supports a floor
     is taken; where none does, the first that has the degrees of freedom.
 
-    Parameters
-    ----------
-    path : Path
-        Where the gap was taken.
-    gap : array of float, shape (n_units, 6)
-        Measured minus predicted.
-    start : Noise, optional
-        An estimate about another path, to begin at.
+    `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `start`: an estimate about another
+    path, to begin at.
 
     Returns
     -------
@@ -298,10 +289,7 @@ class WindowGrowth:
 def window_growth(path: Path) -> WindowGrowth | None:
     """Return how what a path leaves grows with the length of the windows; None where there are too few of them.
 
-    Parameters
-    ----------
-    path : Path
-        Of observations that were cut into windows.
+    `path`: of observations that were cut into windows.
     """
     from scipy.optimize import nnls
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted
-from calib.gap.inference.form_priors import SCALE_CHOICE_COST
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
 from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
 from calib.gap.inference.noise import Noise
+from calib.gap.inference.scalar_products import SCALE_CHOICE_COST
 from calib.gap.predict import Path
 from calib.types import FloatArray
 
@@ -78,14 +78,8 @@ def without_unidentified(
 
     Of what does not show, the prior alone is left, and by that three may well be off together.
 
-    Parameters
-    ----------
-    subset : tuple of int
-        One of `SUBSETS`.
-    probabilities : array of float, shape (n_subsets,)
-        Of each of `SUBSETS`.
-    settings : SearchSettings
-        Assumptions of the search.
+    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,), of each of `SUBSETS`; `settings`: assumptions of the
+    search.
     """
     prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
     for way in _ONE_WHEEL:

@@ -26,12 +26,8 @@ _WEIGHT_ROUNDS: Final = 3
 def neighbours(labels: IntArray, together: int) -> IntArray:
     """Return a number for each neighbourhood of units of one label, in the order driven, shape (n_units,).
 
-    Parameters
-    ----------
-    labels : array of int, shape (n_units,)
-        Only units of one label are neighbours.
-    together : int
-        Units of a neighbourhood; the residual over joins the last.
+    `labels`: (n_units,), only units of one label are neighbours; `together`: units of a neighbourhood; the residual
+    over joins the last.
     """
     number = np.zeros(len(labels), dtype=np.int64)
     used = 0
@@ -86,12 +82,7 @@ class Replicates:
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
     """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
 
-    Parameters
-    ----------
-    grouped : Grouped
-        All replicates.
-    most : int
-        How many are wanted.
+    `grouped`: all replicates; `most`: how many are wanted.
     """
     n = len(grouped.units)
     if n <= most:
@@ -219,12 +210,7 @@ class ScaleLikelihood:
 def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
     """Return the logarithms of the most likely scales, units far from their repeats weighing less.
 
-    Parameters
-    ----------
-    likelihood : ScaleLikelihood
-        Of the replicates.
-    start : array of float, shape (n_components,)
-        Where to begin.
+    `likelihood`: of the replicates; `start`: (n_components,), where to begin.
 
     Returns
     -------

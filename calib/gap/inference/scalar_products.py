@@ -1,4 +1,4 @@
-"""Scalar products of whitened columns and gap at each scale of the lack of fit, nuisances taken out.
+"""Columns of forms, what is held of them beforehand, and their scalar products at each scale of the lack of fit.
 
 Columns of one form beyond `WIDE_FORM` (a step of each radius in each session) are taken up only at scales where they
 are asked for: at all scales they would cost the square of the number of sessions in every product.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
+from math import comb, log
 from typing import Final
 
 import numpy as np
@@ -16,6 +18,8 @@ from calib.gap.effects.effect import Form
 from calib.gap.inference.lack_of_fit import BlockColumns, Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
+#: what choosing the prior's scale by the fitted size costs, in log-evidence units
+SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24
 #: of a sum of products over some thousand rows in double precision, relative to its largest part
@@ -56,6 +60,79 @@ class Layout:
     def of_form(self, number: int) -> IntArray:
         """Return where the columns of a form stand."""
         return np.arange(self.starts[number], self.starts[number] + self.counts[number])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormPriors:
+    """What the weighing has to know of each form and column."""
+
+    forms: tuple[Form, ...]  #: forms on offer
+    layout: Layout  #: where the columns of each form stand
+    most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
+    sign: IntArray  #: shape (p,): 1 or -1 where only sizes of that sign have a meaning, else 0
+    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, the search over forms and scales paid for
+    by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
+
+    @staticmethod
+    def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
+        """Make it of forms and the prior odds of one effect more at work.
+
+        Every number of effects is less likely than one fewer by the same odds, and of so many effects every set is as
+        likely: the more the library offers, the less speaks for any one, and what else is at work speaks for neither.
+        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
+        """
+        n_effects = len({form.effect for form in forms})
+        layout = Layout.of(forms)
+        most, sign = np.zeros(int(layout.counts.sum())), np.zeros(int(layout.counts.sum()), dtype=np.int64)
+        for number, form in enumerate(forms):
+            most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
+            sign[layout.of_form(number)] = [p.sign for p in form.parameters]
+        # half of the prior lies on the sign that a parameter cannot have
+        log_prior = [
+            -np.log(form.tries) - SCALE_CHOICE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
+            for form in forms
+        ]
+        return FormPriors(
+            tuple(forms),
+            layout,
+            most,
+            sign,
+            np.array(log_prior),
+            np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
+        )
+
+    def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
+        """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
+        form, row = _forms_of(models)
+        counts = self.layout.counts[form]
+        at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
+        # number of each column within its form, and within its model
+        at += _within(np.repeat(np.arange(len(form)), counts))
+        place = _within(row)
+        table = np.full((2, len(models), int(place.max(initial=-1)) + 1), -1)
+        table[:, row, place] = at, owner
+        return table[0], table[1]
+
+    def widths(self, models: Sequence[tuple[int, ...]]) -> IntArray:
+        """Return the number of columns of each model, shape (n_models,)."""
+        form, row = _forms_of(models)
+        return np.bincount(row, self.layout.counts[form], len(models)).astype(np.int64)
+
+    def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
+        """Return the log prior of each model, shape (n_models,)."""
+        form, row = _forms_of(models)
+        return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[[len(model) for model in models]]
+
+
+def _forms_of(models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
+    """Return the forms of all models end to end, and the number of the model of each."""
+    form = np.fromiter(chain.from_iterable(models), dtype=np.int64)
+    return form, np.repeat(np.arange(len(models)), [len(model) for model in models])
+
+
+def _within(row: IntArray) -> IntArray:
+    """Return the number of each place among those of its row; rows ascend."""
+    return np.arange(len(row)) - np.searchsorted(row, row)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,16 +194,9 @@ class Sums:
 class Reduced:
     """Scalar products with what each block may have of its own taken out.
 
-    Parameters
-    ----------
-    whole : array of float, shape (n_rows, width)
-        Whitened columns, and the gap.
-    gram : array of float, shape (width, width)
-        Their scalar products: see `above_rounding`.
-    deviations : array of float, shape (n_rows, k)
-        What each block may have of its own, scaled to unit prior variance.
-    blocks : Blocks
-        Order of the rows.
+    `whole`: (n_rows, width), whitened columns, and the gap; `gram`: (width, width), their scalar products: see
+    `above_rounding`; `deviations`: (n_rows, k), what each block may have of its own, scaled to unit prior variance;
+    `blocks`: order of the rows.
     """
 
     def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:

@@ -61,12 +61,7 @@ def window_length_m(travelled_m: float, track_m: float) -> float:
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
     """Return the samples that border windows of equal way, at most one a sample however far the way seems to go.
 
-    Parameters
-    ----------
-    way_m : array of float, shape (n_samples,)
-        Way from the start on, rising.
-    count : float
-        Windows wanted.
+    `way_m`: (n_samples,), way from the start on, rising; `count`: windows wanted.
     """
     windows = max(int(count), 1) if count < len(way_m) else len(way_m)
     edges = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], windows + 1)))

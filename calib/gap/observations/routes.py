@@ -265,12 +265,8 @@ def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[flo
     nothing then says that the way was straight. Led along a line, the wheels part by what floor and rubber make of it.
     Where counting is coarser than that, the runs cannot say which it was, and are taken as guided.
 
-    Parameters
-    ----------
-    apart_m, way_m : array of float, shape (n_obs,)
-        What the right wheel rolled beyond the left, and the length of the way.
-    count_m : tuple of float
-        Way of one count, left and right.
+    `apart_m`, `way_m`: (n_obs,), what the right wheel rolled beyond the left, and the length of the way; `count_m`: way
+    of one count, left and right.
     """
     if len(apart_m) < MIN_GUIDED_RUNS:
         return False

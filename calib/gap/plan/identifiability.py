@@ -89,16 +89,8 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
 class Signatures:
     """Whitened signatures of a library on some observations; distances between them on any subset of these.
 
-    Parameters
-    ----------
-    path : Path
-        The observations, about the path to linearise.
-    noise : Noise
-        Their noise.
-    effects : sequence of Effect
-        The library.
-    sizes : mapping of str to (form, sizes), optional
-        Form and size of effects that were fitted; the others have typical size, in the form of the strongest signal.
+    `path`: the observations, about the path to linearise; `noise`: their noise; `effects`: the library; `sizes`: form
+    and size of effects that were fitted; the others have typical size, in the form of the strongest signal.
     """
 
     def __init__(

@@ -77,13 +77,10 @@ class _RunEntry(_Strict):
 def read_plan(path: Path) -> Campaign:
     """Return the campaign that a plan would give if the vehicle were exactly as its model.
 
-    Parameters
-    ----------
-    path : Path
-        The plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
-        ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``,
-        and ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
-        ``read_rolling``, ``tape``.
+    `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
+    ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``, and
+    ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
+    ``read_rolling``, ``tape``.
 
     Raises
     ------

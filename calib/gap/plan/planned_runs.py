@@ -96,13 +96,9 @@ class PlannedRun:
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     """Return the route of a kind.
 
-    Parameters
-    ----------
-    kind : str
-        ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``, ``figure8``,
-        ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib simulate``.
-    corridor_m : float
-        Length of the corridor.
+    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
+    simulate``; `corridor_m`: length of the corridor.
 
     Raises
     ------

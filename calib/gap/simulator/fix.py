@@ -27,9 +27,9 @@ MOST_RERUNS: Final = 8
 #: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second
 #: one where the gap is at the noise already; below the third not of a simulator that does not repeat itself
 CONVERGED: Final = (0.3, 0.5, 1.0)
-#: squares of two runs within this factor are alike, the one that asks for no more is kept; the second one where the
-#: simulator does not repeat itself
-ALIKE: Final = (1.1, 1.3)
+#: squares of two runs of a simulator that does not repeat itself are alike within this factor: the one that asks for
+#: no more is kept
+ALIKE: Final = 1.3
 #: a step shorter than this share of the whole deviation tells the slope less well than the simulator's rounding allows,
 #: the second one than its scatter, where it does not repeat itself
 SECANT_SHARE: Final = (0.01, 0.05)
@@ -210,7 +210,7 @@ def _followed(
             miss = difference(new, table) - slope @ (trial - at)
             steeper = slope + miss[:, :, None] * (scaled / typical) / (scaled @ scaled)
         then = asked(new, steeper)
-        if then.square < (ALIKE[differences.repeats > 1] if then.converged else 1.0) * now.square:
+        if then.square < (ALIKE if then.converged and differences.repeats > 1 else 1.0) * now.square:
             at, table, slope, now = trial, new, steeper, then
             trial = at + now.correction
         elif then.converged:

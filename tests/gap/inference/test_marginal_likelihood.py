@@ -13,7 +13,6 @@ from scipy.stats import multivariate_normal, multivariate_t, norm
 
 from calib.gap.effects.effect import Form
 from calib.gap.inference.fit import whitened_rows
-from calib.gap.inference.form_priors import FormPriors
 from calib.gap.inference.marginal_likelihood import (
     FLOOR_DOF,
     Nuisance,
@@ -24,7 +23,7 @@ from calib.gap.inference.marginal_likelihood import (
     model_sizes,
     project,
 )
-from calib.gap.inference.scalar_products import Layout, Sums, WideSums
+from calib.gap.inference.scalar_products import FormPriors, Layout, Sums, WideSums
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import rich_runs, situation
