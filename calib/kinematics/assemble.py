@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.references import GYRO_SIGMA
+from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from calib.campaign.references import GYRO_TURN
+from calib.campaign.read import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import read_campaign
-from calib.campaign.references import GYRO_SIGMA, GYRO_TURN, bias_of
+from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, bias_of, read_campaign
 from calib.errors import BadFileError
 from tests.kinematics.campaigns import Truth, square
 from tests.kinematics.unaided import Drive, Gyro, unaided

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.campaign.model import Border, Campaign, Logs, RunTable
-from calib.campaign.references import with_references
+from calib.campaign.read import with_references
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.vehicle import Vehicle
 from tests.kinematics.campaigns import Leg, Truth, driven

@@ -23,8 +23,7 @@ from calib.campaign.checks.design import (
     stated,
 )
 from calib.campaign.model import Campaign, Note
-from calib.campaign.read import loads_from_payload
-from calib.campaign.references import GYRO_TURN
+from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
 

@@ -22,8 +22,7 @@ from calib.campaign.checks.design import (
     turned_rad,
 )
 from calib.campaign.model import Campaign, Note
-from calib.campaign.read import log_totals
-from calib.campaign.references import CLOSED
+from calib.campaign.read import CLOSED, log_totals
 from calib.types import FloatArray, IntArray
 
 #: both radii further from nominal than this, alike to `ALIKE`, are a setting rather than two worn wheels

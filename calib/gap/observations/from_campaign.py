@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.references import GYRO_SIGMA, GYRO_TURN
+from calib.campaign.read import GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.references import CLOSED, GYRO_TURN
+from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings import OdometryModel
 from calib.gap.effects.applied import matching_form
 from calib.gap.effects.calibration import DIRECTIONS, NAMES

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
-from calib.campaign.references import CLOSED, GYRO_SIGMA, GYRO_TURN
+from calib.campaign.read import CLOSED, GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import (
     STEERED,
