@@ -19,10 +19,9 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.campaign.write import write_campaign
 from calib.plant.design import Design
-from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign
 from calib.plant.signal import rivals, strengths
-from calib.plant.world import Noise
+from calib.plant.world import Cause, Noise
 from calib.vehicle import Vehicle
 
 HERE = Path(__file__).resolve().parent

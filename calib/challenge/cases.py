@@ -19,11 +19,10 @@ from calib.campaign.settings import OdometryModel
 from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
 from calib.plant.effects import find
-from calib.plant.effects.form import Cause
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.plans import good_design, poor_design
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
-from calib.plant.world import Noise, random_noise
+from calib.plant.world import Cause, Noise, random_noise
 from calib.types import FloatArray
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")

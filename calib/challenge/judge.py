@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.challenge.cases import Truth
 from calib.gap.effects.library import effect_class
-from calib.plant.effects.form import Cause
+from calib.plant.world import Cause
 
 Compared = tuple[str, float, float, float]  # parameter, truth, low, high
 

@@ -118,8 +118,8 @@ def own(
     Example: calib challenge own sample_runs/yard --effects track_width,temperature_radius --planted 3
     """
     from calib.campaign.read import read_campaign
-    from calib.challenge.own.plants import parse_sizes
-    from calib.challenge.own.run import Asked, challenge_own
+    from calib.challenge.own_plants import parse_sizes
+    from calib.challenge.own_runs import Asked, challenge_own
     from calib.reporting.topics.fleet import own_content
 
     names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())

@@ -206,7 +206,7 @@ def conditions(design: Design) -> IntArray:
 
 
 def lacks(design: Design, needs: Iterable[str]) -> list[str]:
-    """Return what a design lacks of an effect's needs; see `calib.plant.effects.form.Form`."""
+    """Return what a design lacks of an effect's needs; see `calib.plant.world.Form`."""
     turning = bool((~design.corridor).any())
     has = {
         "loads": len(np.unique(design.payload_kg)) > 1,

@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.campaign.write import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
-from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign, random_model
 from calib.plant.plans import good_design
+from calib.plant.world import Cause
 from calib.types import FloatArray, IntArray
 
 #: a run table: its columns

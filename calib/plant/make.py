@@ -11,9 +11,9 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive
 from calib.plant.effects import find
-from calib.plant.effects.form import Cause
 from calib.plant.world import (
     REFERENCE_LOAD_N,
+    Cause,
     Noise,
     NoiseDraw,
     World,

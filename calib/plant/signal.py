@@ -17,9 +17,8 @@ from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, lacks
 from calib.plant.drive import Record, drive
 from calib.plant.effects import ALL, find
-from calib.plant.effects.form import Cause
 from calib.plant.make import apply_causes, reference_poses, simulated_poses, steering_readings
-from calib.plant.world import Noise, NoiseDraw, World, build_world, quiet
+from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
 from calib.types import FloatArray
 
 #: effects that a recalibration absorbs by definition: their signal is taken without projecting it out

@@ -13,8 +13,7 @@ from calib.challenge.judge import judge
 from calib.challenge.recipe import Recipe
 from calib.challenge.score import clopper_pearson, score_of, wilson
 from calib.documents import plain
-from calib.plant.effects.form import Cause
-from calib.plant.world import Noise
+from calib.plant.world import Cause, Noise
 
 MODEL = OdometryModel(0.1, 0.1, 0.7, 300.0)
 

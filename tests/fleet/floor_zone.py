@@ -18,9 +18,9 @@ import numpy as np
 from calib.campaign.write import write_campaign
 from calib.fleet.comparison import VehicleResult
 from calib.fleet.survey import survey_fleet
-from calib.plant.effects.form import Cause
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
+from calib.plant.world import Cause
 
 #: where the zone begins and how long it is, on the map's x
 BEGIN_M: Final = 11.0

@@ -6,7 +6,7 @@ from typing import Final
 
 from calib.errors import BadInputError
 from calib.plant.effects import surroundings, wheels
-from calib.plant.effects.form import Form
+from calib.plant.world import Form
 
 # the order is part of a sealed set: what is drawn from a seed follows it
 ALL: Final[tuple[Form, ...]] = (

@@ -10,8 +10,19 @@ from __future__ import annotations
 import numpy as np
 
 from calib.plant.design import Design, conditions
-from calib.plant.effects.form import Act, Form, Knobs, added, drawn, either_side, scaled, while_driving
-from calib.plant.world import Moment, World, standardised
+from calib.plant.world import (
+    Act,
+    Form,
+    Knobs,
+    Moment,
+    World,
+    added,
+    drawn,
+    either_side,
+    scaled,
+    standardised,
+    while_driving,
+)
 from calib.types import FloatArray
 
 

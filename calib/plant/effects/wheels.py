@@ -8,8 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from calib.plant.design import Design
-from calib.plant.effects.form import Draw, Form, Knobs, drawn, either_side, scaled, while_driving
-from calib.plant.world import REFERENCE_LOAD_N, Moment, World, standardised
+from calib.plant.world import (
+    REFERENCE_LOAD_N,
+    Draw,
+    Form,
+    Knobs,
+    Moment,
+    World,
+    drawn,
+    either_side,
+    scaled,
+    standardised,
+    while_driving,
+)
 from calib.types import FloatArray
 
 

@@ -14,7 +14,7 @@ from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table,
 from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
-    from calib.challenge.own.run import Own
+    from calib.challenge.own_runs import Own
     from calib.challenge.score import Score
 
 

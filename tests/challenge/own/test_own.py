@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.challenge.own.plants import parse_sizes, plants_of
-from calib.challenge.own.replay import Replay, own_noise, true_angles
-from calib.challenge.own.run import Asked, answer_of, challenge_own
+from calib.challenge.own_plants import parse_sizes, plants_of
+from calib.challenge.own_replay import Replay, own_noise, true_angles
+from calib.challenge.own_runs import Asked, answer_of, challenge_own
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
@@ -194,7 +194,7 @@ def test_an_answer_is_first_in_its_group_or_wrong(
 
 def test_any_number_of_workers_gives_the_same_table(campaign: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
     """A strong track width is found on a calibrated campaign's own noise; nothing depends on the processes."""
-    monkeypatch.setattr("calib.challenge.own.run.EMPTY_EACH", 2)
+    monkeypatch.setattr("calib.challenge.own_runs.EMPTY_EACH", 2)
     asked = {"effects": ("track_width",), "sizes": parse_sizes("25s"), "planted": 1, "seed": 1}
     one, two = (challenge_own(campaign, Asked(workers=workers, **asked)) for workers in (1, 2))
     assert one.done == one.asked == 3

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
-from calib.challenge.own.plants import Plant, Size, parse_sizes, plants_of
-from calib.challenge.own.replay import OwnNoise, Replay, own_noise
+from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
+from calib.challenge.own_replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
 from calib.challenge.seal import each
 from calib.documents import plain

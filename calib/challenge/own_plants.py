@@ -11,14 +11,13 @@ from zlib import crc32
 import numpy as np
 
 from calib.challenge.cases import ONE_SIGN
-from calib.challenge.own.replay import Replay
+from calib.challenge.own_replay import Replay
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.plant.effects import effects as plant_effects
 from calib.plant.effects import forms_of
-from calib.plant.effects.form import Form
 from calib.plant.signal import CALIBRATION, strength
-from calib.plant.world import Moment, World, standardised
+from calib.plant.world import Form, Moment, World, standardised
 from calib.types import FloatArray, IntArray
 
 #: changes a world by a size

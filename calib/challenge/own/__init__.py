@@ -1,1 +1,0 @@
-"""Known effects planted on a campaign's own noise and route: what this lab's data would find."""
