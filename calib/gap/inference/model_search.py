@@ -43,7 +43,8 @@ _TRIAL_STEPS: Final = 4
 #: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and those of which even the linear fit leaves so many times what the best one has left after its last step
+#: and those of which even the linear fit leaves so many times what the best one has left after its last step; a set of
+#: effects that leaves so many times what the one before it leaves is not moved to
 _OUTDONE: Final = 2.0
 #: no further step where the squares are within this share of what was promised: the gap is linear in the effect
 _SETTLED_SHARE: Final = 0.02
@@ -113,7 +114,7 @@ def search(
         local,
         fitted,
         at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY,
-        lambda other: _converge(other, noise, all_forms, settings, passed, greedy=False),
+        lambda other, left: _near(_converge(other, noise, all_forms, settings, passed, greedy=False), left),
         lambda other: _weighed(other, settings, shifts),
     )
     by_model = weighed.probability.sum(axis=0)
@@ -276,17 +277,26 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
     return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight)
 
 
+def _near(moved: tuple[LocalSearch, Fitted], left: Fitted) -> tuple[LocalSearch, Fitted] | None:
+    """Return where a search has moved to, None where that leaves far more than what it has left.
+
+    A payload's slope is read off the path: away from the law that gave it, the fit leaves what that had taken.
+    """
+    local, fitted = moved
+    return moved if fitted.chi_square <= _OUTDONE * max(left.chi_square, float(len(local.system.gap))) else None
+
+
 def _most_probable(
     local: LocalSearch,
     fitted: Fitted,
     gap_certain: bool,
-    settle: Callable[[LocalSearch], tuple[LocalSearch, Fitted]],
+    settle: Callable[[LocalSearch, Fitted], tuple[LocalSearch, Fitted] | None],
     weigh: Callable[[LocalSearch], _WeighedModels],
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Move to the most probable set of effects until the current set is the most probable about its own path, too.
 
     Where sets take turns, each the most probable about the other's path, that of the fewest effects; of as many, that
-    which is the most probable about its own.
+    which is the most probable about its own. A set whose fit runs away (`settle` gives None) is not moved to.
     """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):
@@ -303,7 +313,10 @@ def _most_probable(
                 turns[turns.index(most_probable) :], key=lambda name: (len(name), -visited[name][2].current_weight)
             )
             return visited[fewest_first[0]]
-        local, fitted = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)))
+        moved = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)), fitted)
+        if moved is None:
+            return visited[own]
+        local, fitted = moved
     return list(visited.values())[-1]
 
 

@@ -171,9 +171,17 @@ def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_pat
         return _WeighedModels(models, np.array([[0.6, 0.4]]), np.array([True]), 1.0, at_hand)  # type: ignore[arg-type]
 
     start = Sets(("a",) if first else other)
-    settle = lambda local: (local, None)  # noqa: E731
+    settle = lambda local, fitted: (local, None)  # noqa: E731
     kept, _, _ = _most_probable(start, None, False, settle, weigh)  # type: ignore[arg-type, return-value]
     assert kept.current_effects == (other if better and len(other) == 1 else ("a",))
+
+
+def test_a_set_whose_fit_runs_away_is_not_moved_to() -> None:
+    def weigh(local: Sets) -> _WeighedModels:
+        return _WeighedModels([("b",), ("a",)], np.array([[0.6, 0.4]]), np.array([True]), 1.0, 0.0)  # type: ignore[list-item]
+
+    kept, _, _ = _most_probable(Sets(("a",)), None, False, lambda local, fitted: None, weigh)  # type: ignore[arg-type]
+    assert kept.current_effects == ("a",)
 
 
 def test_without_a_gap_nothing_comes_first() -> None:
