@@ -147,3 +147,13 @@ def test_links_and_special_files_of_a_vehicle_leave_the_others_alone(fleet: Path
     for vehicle in ("linked", "pipe", "nowhere"):
         assert found[vehicle]["why"]
     assert found["v1"]["status"] == found["v2"]["status"] == "fitted"
+
+
+@pytest.mark.parametrize("endless", ["device", "pipe"])
+def test_settings_without_an_end_are_not_read(fleet: Path, endless: str) -> None:
+    """A link to an endless device was read for ever, a pipe waited for; the vehicle is none that was simulated."""
+    settings = fleet / "v1" / "campaign.toml"
+    settings.unlink()
+    settings.symlink_to("/dev/zero") if endless == "device" else os.mkfifo(settings)
+    simulated = (fleet / "v2" / "campaign.toml").read_text().count("simulated = true")
+    assert store.any_simulated(fleet) == bool(simulated)
