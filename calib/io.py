@@ -8,6 +8,7 @@ a file system without the swap) the new entries are made inside the folder toget
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -172,7 +173,9 @@ def inside(
 
 
 def sha256_file(path: Path) -> str:
-    """Return the SHA-256 of a file as lower-case hexadecimal."""
+    """Return the SHA-256 of a file as lower-case hexadecimal; OSError for a device or FIFO, which may have no end."""
+    if _is_stream(Path(path)):
+        raise OSError(errno.EINVAL, "a device, FIFO or stream; a regular file was expected", str(path))
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

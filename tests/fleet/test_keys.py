@@ -15,6 +15,7 @@ from calib.fleet import store
 from calib.fleet.run import fit_fleet
 from calib.fleet.store import SUMS
 from calib.fleet.survey import survey_fleet
+from calib.io import sha256_file
 from calib.reporting.files import Heads, write_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -157,3 +158,5 @@ def test_settings_without_an_end_are_not_read(fleet: Path, endless: str) -> None
     settings.symlink_to("/dev/zero") if endless == "device" else os.mkfifo(settings)
     simulated = (fleet / "v2" / "campaign.toml").read_text().count("simulated = true")
     assert store.any_simulated(fleet) == bool(simulated)
+    with pytest.raises(OSError, match="a regular file was expected"):
+        sha256_file(settings)
