@@ -202,19 +202,6 @@ def _candidates(
 
     An effect that a parameter is declared to stand for is left to it, as is one of the calibration that the parameters
     reproduce: there is nothing that could tell them apart, and the parameter is what can be set.
-
-    Parameters
-    ----------
-    observations : Observations
-        With what the simulator predicts.
-    differences : Differences
-        What each parameter changes.
-    settings : SimulatorSettings
-        The parameters.
-    exclude : sequence of str
-        Effects to leave out.
-    campaign : Campaign
-        Has effects of its own.
     """
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
