@@ -139,6 +139,8 @@ def read_public(folder: Path) -> Mapping[str, Any]:
     """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each."""
     path = Path(folder) / PUBLIC
     try:
+        if path.exists() and not path.is_file():
+            raise OSError("no regular file")
         data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadFileError(

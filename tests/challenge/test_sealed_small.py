@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from calib.challenge.recipe import SEEDS
 from calib.challenge.run import run
 from calib.challenge.score import Score, score
-from calib.challenge.seal import make
+from calib.challenge.seal import make, read_public
+from calib.errors import BadFileError
 
 pytest.importorskip("calib.gap.diagnose")
 
@@ -22,6 +26,13 @@ def scored(tmp_path_factory: pytest.TempPathFactory) -> Score:
 
 def test_no_case_ends_in_an_error(scored: Score) -> None:
     assert [case.error for case in scored.cases if case.verdict in ("error", "missing")] == []
+
+
+def test_a_set_whose_list_of_cases_has_no_end_is_refused(tmp_path: Path) -> None:
+    """A pipe would be waited for."""
+    os.mkfifo(tmp_path / "challenge.json")
+    with pytest.raises(BadFileError, match="no regular file"):
+        read_public(tmp_path)
 
 
 def test_empty_campaigns_raise_no_alarm(scored: Score) -> None:
