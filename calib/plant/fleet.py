@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.campaign.write import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
+from calib.io import write_bytes
 from calib.plant.make import make_campaign, random_model
 from calib.plant.plans import good_design
 from calib.plant.world import Cause
@@ -174,8 +175,9 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
             where.mkdir(parents=True, exist_ok=True)
             # a path is taken for the address of a store, and may be no UTF-8
-            with (where / "runs.parquet").open("wb") as stream:
-                pq.write_table(pa.table(table), stream)
+            sink = pa.BufferOutputStream()
+            pq.write_table(pa.table(table), sink)
+            write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)
     (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
     lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in fleet.labels["hall"].items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
