@@ -120,6 +120,8 @@ MOST_SEARCHED: Final = 200_000
 #: files that calib writes and never reads as measurements: inside an input folder they may be replaced
 _OUTPUT_SUFFIXES: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})
 _FIT: Final = "fit.json"
+#: JSON that is read: a fit, and the cases of a sealed set
+_READ: Final = frozenset({_FIT, "challenge.json"})
 #: inputs of the running command; empty for a program that uses calib as a library
 _INPUTS: Final[ContextVar[tuple[Path, ...]]] = ContextVar("inputs", default=())
 
@@ -178,7 +180,7 @@ def _is_data(path: Path, between: list[Path]) -> bool:
     """Return whether a file inside an input folder belongs to the input; `between`: the folders between them."""
     if any((folder / _FIT).is_file() for folder in between):
         return False  # a result inside the campaign's folder
-    return path.suffix.lower() not in _OUTPUT_SUFFIXES or (path.name == _FIT and not between)
+    return path.suffix.lower() not in _OUTPUT_SUFFIXES or (path.name in _READ and not between)
 
 
 def _is_linked_from(folder: Path, at: os.stat_result) -> bool:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from calib.arguments import inputs_kept, refuse_input
 from calib.challenge.recipe import SEEDS
 from calib.challenge.run import run
 from calib.challenge.score import Score, score
 from calib.challenge.seal import make, read_public
-from calib.errors import BadFileError
+from calib.errors import BadFileError, BadInputError
 
 pytest.importorskip("calib.gap.diagnose")
 
@@ -33,6 +34,16 @@ def test_a_set_whose_list_of_cases_has_no_end_is_refused(tmp_path: Path) -> None
     os.mkfifo(tmp_path / "challenge.json")
     with pytest.raises(BadFileError, match="no regular file"):
         read_public(tmp_path)
+
+
+def test_the_list_of_cases_is_an_input(tmp_path: Path) -> None:
+    """Other JSON in a folder is a result, which may be replaced."""
+    (tmp_path / "challenge.json").write_text("{}")
+    (tmp_path / "score.json").write_text("{}")
+    with inputs_kept([tmp_path]):
+        refuse_input(tmp_path / "score.json")
+        with pytest.raises(BadInputError, match="found an input of this command"):
+            refuse_input(tmp_path / "challenge.json")
 
 
 def test_empty_campaigns_raise_no_alarm(scored: Score) -> None:

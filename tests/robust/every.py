@@ -121,7 +121,8 @@ def json_to_a_fifo(command: str, usual: int) -> Iterator[str]:
 
 def _inputs(command: str) -> list[Path]:
     """Return the files that the command's inputs are, or hold: of a folder one of each name, and one log."""
-    named = [Path(word) for word in SOUND[command].split() if Path(word).exists() and not word.startswith("out")]
+    given = SOUND[command].split()[len(command.split()) :]
+    named = [Path(word) for word in given if Path(word).exists() and not word.startswith("out")]
     within: dict[str, Path] = {}
     for path in (path for place in named if place.is_dir() for path in sorted(place.rglob("*")) if path.is_file()):
         within.setdefault(path.suffix if path.parent.name == "logs" else path.name, path)
@@ -181,7 +182,7 @@ def _hashes() -> dict[str, str]:
     return {
         str(path): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(Path().rglob("*"))
-        if path.is_file() and not str(path).startswith("out")
+        if path.is_file() and not str(path).startswith("out") and path.parent.name != "verdicts"
     }
 
 
