@@ -241,16 +241,17 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:
-    """Return the effects that the named causes are confounded with."""
+    """Return which named causes these runs cannot tell from which effects."""
     most = _confounded(diagnosis)
     if most > LARGEST_GROUP:
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
     named = {cause.effect for cause in diagnosis.causes}
-    others = [
-        _joined((_named(effect, diagnosis) for effect in group.effects if effect not in named), "or")
-        for group in diagnosis.groups
-    ]
-    return f", which these runs cannot tell from {_joined(filter(None, others), 'and')}" if any(others) else ""
+    pairs = []
+    for effects in (group.effects for group in diagnosis.groups):
+        others = _joined((_named(effect, diagnosis) for effect in effects if effect not in named), "or")
+        if others:
+            pairs.append(f"{_joined((effect for effect in effects if effect in named), 'and')} from {others}")
+    return f"; these runs cannot tell {', nor '.join(pairs)}" if pairs else ""
 
 
 def _located(where: GapLocation | None) -> str:

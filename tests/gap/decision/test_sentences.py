@@ -86,6 +86,17 @@ def test_confounded_effects_are_named_unless_they_are_too_many_to_identify_the_c
     assert "(curve_scrub)" not in seven and "7 effects explain it equally well" in seven
 
 
+def test_what_a_cause_cannot_be_told_from_is_said_of_that_cause() -> None:
+    """Of two causes, not of the last one in the list."""
+    named = diagnosis("partly_explained", ("unequal_radii", 0.9), ("reference_lever_arm", 0.8)).causes
+    groups = (Group(("unequal_radii", "lost_counts")), Group(("reference_lever_arm", "floor_slope")))
+    one, both = (
+        sentence(Diagnosis(VerdictKind.PARTLY_EXPLAINED, "", named, groups=groups[:n], closure=CLOSED)) for n in (1, 2)
+    )
+    assert "; these runs cannot tell unequal_radii from counts lost by one encoder (lost_counts);" in one
+    assert "(lost_counts), nor reference_lever_arm from " in both and "(floor_slope);" in both
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [
