@@ -2,7 +2,7 @@
 
 Each campaign of `examples/mujoco_agv/make_campaign.py` hides one change; `calib diagnose --simulator` runs on it with
 an empty cache. Printed, a row of the manual's table each: verdict, what to set, end position before and after, runs of
-the simulator, wall time in all. Names of parameters as arguments choose some of the changes.
+the simulator, wall time in all and of one run. Names of parameters as arguments choose some of the changes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "mujoco_agv"
@@ -24,6 +25,17 @@ HIDDEN = {
     "friction": 0.3,
     "reference_delay": 0.04,
 }
+
+
+def seconds_of_one_run(campaign: Path, folder: Path, environment: dict[str, str]) -> float:
+    """Run the simulator's command once with its nominal parameters, and return what it took by the clock."""
+    settings = tomllib.loads((FOLDER / "SIM.toml").read_text())
+    parameters, out = folder / "nominal.json", folder / "nominal.csv"
+    parameters.write_text(json.dumps({each["name"]: each["nominal"] for each in settings["parameter"]}))
+    words = [word.format(campaign=campaign, parameters=parameters, out=out) for word in settings["command"]]
+    begun = time.monotonic()
+    subprocess.run(words, check=True, cwd=FOLDER, env=environment, capture_output=True)
+    return time.monotonic() - begun
 
 
 def row(name: str, folder: Path) -> str:
@@ -40,6 +52,7 @@ def row(name: str, folder: Path) -> str:
     seconds = time.monotonic() - begun
     if done.returncode not in {0, 1}:
         raise RuntimeError(done.stderr)
+    one = seconds_of_one_run(campaign, folder, environment)
     runs = len(list((folder / "cache" / name).rglob("*.json")))
     document = json.loads(out.read_text())
     closure = document["closure"]
@@ -48,7 +61,7 @@ def row(name: str, folder: Path) -> str:
     return (
         f"{name}={HIDDEN[name]} | {document['verdict']} | {named or groups} | set {document['fix']['parameters']} | "
         f"{1e3 * closure['before_rms_m']:.3g} -> {1e3 * closure['after_rms_m']:.3g} mm, "
-        f"noise {1e3 * closure['floor_rms_m']:.3g} mm | {runs} runs | {seconds:.0f} s in all"
+        f"noise {1e3 * closure['floor_rms_m']:.3g} mm | {runs} runs | {seconds:.0f} s in all, {one:.1f} s one run"
     )
 
 
