@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -79,6 +80,32 @@ class MissingExtraError(CalibError):
 def would_overwrite(path: Path | str) -> BadInputError:
     """Return the error for an output that already exists."""
     return BadInputError(f"{path}: found an existing file; expected a new one; give force=True to replace it")
+
+
+def missing_reader(shown: str, what: str, package: str, extra: str) -> BadFileError:
+    """Return the error of a format whose package is not installed, with the command that installs it."""
+    return BadFileError(
+        shown, f"{what}, and no reader for it", package, f"install it with: pip install 'calib[{extra}]'"
+    )
+
+
+def error_words(error: Exception) -> str:
+    """Return what a library says of a damaged file, on one line; its kind of error where it says nothing."""
+    return " ".join(str(error).split())[:100] or type(error).__name__
+
+
+@contextmanager
+def damage_named(shown: str, what: str, expected: str, remedy: str) -> Iterator[None]:
+    """Turn what a library answers to damage, in errors of many kinds, into one error with its words.
+
+    What memory, the file system or calib itself refuses is raised as it is.
+    """
+    try:
+        yield
+    except (BadFileError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        raise BadFileError(shown, f"{what} that is cut or damaged ({error_words(error)})", expected, remedy) from error
 
 
 #: a settings file: campaign, mapping, plan, route, seeds (TOML)
@@ -174,6 +201,18 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
         found, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
         row = text.count("\n", 0, deep.start()) + 1
         raise BadFileError(shown, found, expected, "correct the line", row=row)
+
+
+def refuse_other_than_date(text: str, first_year: int = 1) -> None:
+    """Raise BadInputError where a text is no date as YYYY-MM-DD, from a year on."""
+    from datetime import date
+
+    try:
+        fine = len(text) == len("YYYY-MM-DD") and date.fromisoformat(text).year >= first_year
+    except ValueError:
+        fine = False
+    if not fine:
+        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
 
 
 def refuse_hostile_document(document: dict[str, object], shown: str) -> None:

@@ -1,4 +1,4 @@
-"""Types that all stages share: arrays of numbers and texts, and the callback that reports progress."""
+"""What all stages share: types of arrays, the callback that reports progress, and operations on samples and poses."""
 
 from __future__ import annotations
 
@@ -31,3 +31,28 @@ def stepped(items: Collection[Item], progress: Progress, stage: str) -> Iterator
         progress(number, len(items), stage)
         yield item
     progress(len(items), len(items), stage)
+
+
+def since_start(steps: FloatArray, offsets: IntArray) -> FloatArray:
+    """Return running sums of steps within each run, 0 at its first sample; runs stand in the last axis, same shape."""
+    total = np.cumsum(steps, axis=-1)
+    return np.asarray(total - np.repeat(total[..., offsets[:-1]], np.diff(offsets), axis=-1))
+
+
+def unwrapped(theta: FloatArray) -> FloatArray:
+    """Return headings without jumps of whole turns, NaN where they were, shape (n,)."""
+    good = np.isfinite(theta)
+    headings = theta.copy()
+    headings[good] = np.unwrap(theta[good])
+    return headings
+
+
+def in_frame(apart: FloatArray, heading_rad: FloatArray) -> FloatArray:
+    """Return differences of poses, shape (3, n), ahead, to the left and in heading, at headings (n,), shape (n, 3)."""
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    return np.stack([cosine * apart[0] + sine * apart[1], cosine * apart[1] - sine * apart[0], apart[2]], axis=1)
+
+
+def evenly(count: int, most: int) -> IntArray:
+    """Return the indices of at most `most` of `count` samples, at equal distances, both ends among them."""
+    return np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64)

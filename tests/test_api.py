@@ -125,6 +125,7 @@ def test_a_diagnosis_is_that_of_the_command(
 def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
     plan = calib.plan(campaign, most=2)
     assert len(plan.runs) <= 2 and all(run.why for run in plan.runs)
+    assert plan.plot().axes
     assert len(plan.table) == len(plan.runs) == len(plan.to_dict()["next_runs"])
     assert plan.diagnosis.to_dict()["verdict"] in plan.to_dict()["verdict"]
 

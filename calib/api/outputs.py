@@ -58,14 +58,8 @@ def simulate(
     from calib.vehicle import Vehicle
 
     vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
-    simulation = run(
-        study,
-        routes=routes,
-        track_m=vehicle.track_m,
-        under=None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N),
-        rng=_generator(seed),
-    )
-    return simulation
+    under = None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N)
+    return run(study, routes=routes, track_m=vehicle.track_m, under=under, rng=_generator(seed))
 
 
 @checked
@@ -147,7 +141,7 @@ def report(
 
     given = source if isinstance(source, Fit) else opened(source)
     seed = 0 if diagnosis else None
-    reported = report_of(given, issued=issue_date(date), accept=accept_implausible, seed=seed).report
+    reported = report_of(given, issued=issue_date(date), accept=accept_implausible, seed=seed)
     path = place_of(reported.name, Path(target), force=force)
     return write_bytes(path, to_pdf(reported), force=force)
 

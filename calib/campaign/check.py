@@ -18,8 +18,9 @@ from calib.campaign.checks.design import SIDES, implausible_column, implausible_
 from calib.campaign.checks.measurements import implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
+from calib.campaign.read import log_totals
 from calib.campaign.settings import OdometryModel
-from calib.types import BoolArray, FloatArray, Progress, silent, stepped
+from calib.types import FloatArray, Progress, silent, stepped
 from calib.units import split_suffix
 from calib.vehicle import Usual, Vehicle
 
@@ -30,7 +31,7 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     `campaign`: rows that are flagged as excluded are passed over.
     """
     kept = campaign.included()
-    for check in _CHECKS:
+    for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
         yield from check(kept)
 
 
@@ -139,16 +140,6 @@ def _columns(campaign: Campaign) -> Iterator[Note]:
         yield implausible_column("amplitude_m, wavelength_m", text)
 
 
-_CHECKS: Final[tuple[Callable[[Campaign], Iterator[Note]], ...]] = (
-    _settings,
-    _model,
-    implausible_distances,
-    implausible_loads,
-    _columns,
-    implausible_poses,
-)
-
-
 Span = tuple[float, float]
 _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature_C", "counts_left", "counts_right")
 
@@ -238,9 +229,7 @@ class CheckReport:
     @property
     def verdict(self) -> str:
         """``sound``, ``look at this`` where something is suspicious, or ``wrong``."""
-        if self.wrong:
-            return "wrong"
-        return "look at this" if self.suspicious else "sound"
+        return "wrong" if self.wrong else "look at this" if self.suspicious else "sound"
 
     @property
     def sound(self) -> bool:
@@ -294,13 +283,8 @@ def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
 def summarise(campaign: Campaign) -> CampaignContents:
     """Return what a campaign holds: runs, sessions, loads, spans and rates."""
     runs, logs = campaign.runs, campaign.logs
-    present: BoolArray = logs.present
-    duration = np.empty(0)
-    rate = np.empty(0)
-    if present.any():
-        time = logs.columns["t_s"]
-        duration = time[logs.offsets[1:][present] - 1] - time[logs.offsets[:-1][present]]
-        rate = (logs.lengths[present] - 1)[duration > 0] / duration[duration > 0]
+    duration = log_totals(logs, "t_s")
+    rate = (logs.lengths - 1)[duration > 0] / duration[duration > 0]
     payload = runs.number("payload_kg")
     return CampaignContents(
         n_runs=len(runs),
@@ -309,7 +293,7 @@ def summarise(campaign: Campaign) -> CampaignContents:
         kinds=_counted(runs.label("kind")),
         payloads_kg=tuple(float(value) for value in np.unique(np.round(payload[np.isfinite(payload)], 3))),
         **{name: _span(runs.number(name)) for name in _SPANS},
-        n_logs=int(present.sum()),
+        n_logs=int(logs.present.sum()),
         n_samples=int(logs.offsets[-1]),
         rate_Hz=_span(rate),
         duration_s=_span(duration),

@@ -264,13 +264,10 @@ class LogStack:
         self._lengths = np.zeros(n_runs, dtype=np.int64)
         self._columns: dict[str, FloatArray] = {}
         self._size = 0
-        self._next = 0
 
     def add(self, run: int, columns: Mapping[str, FloatArray]) -> None:
         """Add the log of a run, whose columns each have shape (n_samples,); runs come in their order."""
-        if run < self._next:
-            raise ValueError(f"run: found {run} after {self._next - 1}; expected rising numbers")
-        begin, self._next = self._size, run + 1
+        begin = self._size
         self._lengths[run] = n_samples = len(columns["t_s"])
         self._size += n_samples
         for name in LOG_COLUMNS:

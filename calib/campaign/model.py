@@ -131,13 +131,11 @@ class RunTable:
 
     def label(self, name: str) -> StrArray:
         """Return a text column, shape (n_runs,); empty texts where the table lacks it."""
-        column = self.labels.get(name)
-        return column if column is not None else np.full(len(self), "", dtype=np.str_)
+        return self.labels[name] if name in self.labels else np.full(len(self), "", dtype=np.str_)
 
     def number(self, name: str) -> FloatArray:
         """Return a numeric column, shape (n_runs,); NaN where the table lacks it."""
-        column = self.numbers.get(name)
-        return column if column is not None else np.full(len(self), np.nan)
+        return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -249,16 +247,13 @@ class Logs:
     @property
     def present(self) -> BoolArray:
         """Whether a run has a log of two samples or more, shape (n_runs,)."""
-        enough: BoolArray = self.lengths >= 2
-        return enough
+        return self.lengths >= 2
 
     def of(self, run: int) -> dict[str, FloatArray]:
         """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are omitted."""
         part, columns = slice(int(self.offsets[run]), int(self.offsets[run + 1])), self.columns
-        if isinstance(columns, LogColumns):
-            cut = {name: columns.part(name, part) for name in columns}
-        else:
-            cut = {name: column[part] for name, column in columns.items()}
+        read = columns.part if isinstance(columns, LogColumns) else lambda name, part: columns[name][part]
+        cut = {name: read(name, part) for name in columns}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
     def select(self, keep: npt.ArrayLike) -> Logs:

@@ -22,7 +22,7 @@ from calib.campaign.settings_file import read_settings
 from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, odometry_source, on_one_axle, with_counts, without_rear_wheels
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import inside, settle, sha256_file
-from calib.types import FloatArray, Progress, silent
+from calib.types import FloatArray, IntArray, Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"
@@ -131,7 +131,7 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
     for name in _COUNTS:
         fill(name, log_totals(logs, name), f"filled from the log's {name}", "filled")
-    fill("distance_m", _last(logs, "range_m"), "filled from the log's range_m", "filled")
+    fill("distance_m", _sample(logs, "range_m", logs.offsets[1:] - 1), "filled from the log's range_m", "filled")
     campaign = replace(campaign, runs=replace(runs, numbers=numbers))
     for name in _COUNTS:
         if name in numbers:
@@ -147,8 +147,7 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
     """Undo overflows of the table's totals: against the log, or against the distance where the width is given."""
     runs, encoder = campaign.runs, campaign.encoder
     total, logged = runs.number(name), log_totals(campaign.logs, name)
-    per_rev = encoder.counts_per_rev_left if name == _COUNTS[0] else encoder.counts_per_rev_right
-    driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * per_rev
+    driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * encoder.per_rev(name)
     for bits in (encoder.wrap_bits,) if encoder.wrap_bits else (16, 32):
         full = 2.0**bits
         turns = rewrap_total(total, logged, bits, np.full(len(runs), _SAME_COUNTS))
@@ -171,18 +170,15 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
 
 def log_totals(logs: Logs, name: str) -> FloatArray:
     """Return last minus first of a log column for each run, shape (n_runs,); NaN where there is none."""
-    first = np.full(len(logs.lengths), np.nan)
-    if name in logs.columns and logs.present.any():
-        first[logs.present] = logs.columns[name][logs.offsets[:-1][logs.present]]
-    return np.asarray(_last(logs, name) - first)
+    return np.asarray(_sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1]))
 
 
-def _last(logs: Logs, name: str) -> FloatArray:
-    """Return the last value of a log column for each run, shape (n_runs,); NaN where there is none."""
-    last = np.full(len(logs.lengths), np.nan)
+def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
+    """Return one sample of a log column for each run, shape (n_runs,); NaN where there is none."""
+    values = np.full(len(logs.lengths), np.nan)
     if name in logs.columns and logs.present.any():
-        last[logs.present] = logs.columns[name][logs.offsets[1:][logs.present] - 1]
-    return last
+        values[logs.present] = logs.columns[name][at[logs.present]]
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,8 +303,8 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
     except CalibError:
         return np.full(len(campaign.runs), np.nan)
     model, encoder = axle.model, axle.encoder
-    left = axle.runs.number("counts_left") / encoder.counts_per_rev_left * model.radius_left_m
-    right = axle.runs.number("counts_right") / encoder.counts_per_rev_right * model.radius_right_m
+    left, right = (axle.runs.number(name) / encoder.per_rev(name) for name in _COUNTS)
+    left, right = left * model.radius_left_m, right * model.radius_right_m
     return np.asarray(2.0 * np.pi * (right - left) / model.track_m)
 
 
@@ -326,7 +322,6 @@ def read_or_ingest(
     it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
     used.
     """
-    path = Path(path)
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:
         raise BadInputError(

@@ -52,6 +52,12 @@ class Encoder:
         """Counts a revolution of the front wheel, the left wheel's where it has none of its own."""
         return self.counts_per_rev_left if self.counts_per_rev_front is None else self.counts_per_rev_front
 
+    def per_rev(self, column: str) -> float:
+        """Return the counts a revolution of the wheel that a column counts; of a drive shaft, of the rear wheels."""
+        if column == "counts_front":
+            return self.front
+        return self.counts_per_rev_right if column.endswith("right") else self.counts_per_rev_left
+
 
 @dataclass(frozen=True, slots=True)
 class FrontModel:
@@ -140,7 +146,7 @@ class Odometry:
 
 #: columns of the run table that are often weighed in kilograms
 WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
-_BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
+_BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 # units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
 _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
 
@@ -163,11 +169,17 @@ class Recognised:
 
 def spelled(found: str) -> str:
     """Return a column name with blanks as underscores and a unit in brackets as its suffix."""
-    name = found.strip()
-    if match := _BRACKETS.fullmatch(name):
-        unit = unit_named(match[2])
-        name = f"{match[1]}_{unit}" if unit else match[1] if match[2] in {"", "-", "1"} else name
+    name, (stem, inside) = found.strip(), bracketed(found)
+    if inside is not None:
+        unit = unit_named(inside)
+        name = f"{stem}_{unit}" if unit else stem if inside in {"", "-", "1"} else name
     return re.sub(r"[\s\-]+", "_", name.strip())
+
+
+def bracketed(name: str) -> tuple[str, str | None]:
+    """Return a column's name without the brackets at its end, and what stands in them; None where there are none."""
+    match = _BRACKETS.fullmatch(name.strip())
+    return (match[1], match[2]) if match else (name.strip(), None)
 
 
 def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
@@ -246,8 +258,7 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = 10.0 ** np.clip(14 - np.floor(np.log10(np.abs(out))), -22, 22)
         rounded = np.rint(out * scale) / scale
-    usable: FloatArray = np.where(np.isfinite(rounded), rounded, out)
-    return usable
+    return np.where(np.isfinite(rounded), rounded, out)
 
 
 def second_column(match: Recognised, column: str, shown: str) -> BadFileError:

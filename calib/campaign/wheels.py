@@ -139,10 +139,9 @@ def _motion(
         ahead, turn = front_motion(front, rolled, log["steer_rad"])
         return ahead, np.zeros_like(ahead), turn
     wheels = model.mecanum or mecanum_model(campaign)
-    per_rev = (encoder.counts_per_rev_left, encoder.counts_per_rev_right) * 2
     front_left, front_right, rear_left, rear_right = (
-        np.diff(log[name], prepend=log[name][:1]) * (2 * np.pi / scale)
-        for name, scale in zip(WHEEL_COLUMNS["wheels"], per_rev, strict=True)
+        np.diff(log[name], prepend=log[name][:1]) * (2 * np.pi / encoder.per_rev(name))
+        for name in WHEEL_COLUMNS["wheels"]
     )
     quarter = 0.25 * wheels.radius_m
     return (
@@ -154,8 +153,7 @@ def _motion(
 
 def counts_per_rev(encoder: Encoder, source: str) -> tuple[float, ...]:
     """Return the counts per revolution of the wheels of `WHEEL_COLUMNS`; of a drive shaft: of the rear wheels."""
-    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
-    return {"rear": (left, right), "front": (encoder.front,), "wheels": (left, right) * 2, "shaft": (left,)}[source]
+    return tuple(map(encoder.per_rev, WHEEL_COLUMNS[source]))
 
 
 def mecanum_model(campaign: Campaign) -> MecanumModel:
@@ -247,9 +245,9 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
     computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
-    for name, speed_mps, per_rev in _wheel_speeds(columns, encoder, vehicle):
+    for name, speed_mps in _wheel_speeds(columns, vehicle):
         way_m = _integral(speed_mps, columns["t_s"], logs)
-        counts = way_m * (per_rev / (2.0 * np.pi * vehicle.wheel_radius_m))
+        counts = way_m * (encoder.per_rev(name) / (2.0 * np.pi * vehicle.wheel_radius_m))
         logged = columns.get(name)
         columns[name] = counts if logged is None else np.where(np.isnan(logged), counts, logged)
         border.say("logs", f"{name} integrated from speeds, by the nominal radius", "speeds")
@@ -257,20 +255,14 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
     return Logs(logs.offsets, kept)
 
 
-def _wheel_speeds(
-    columns: dict[str, FloatArray], encoder: Encoder, vehicle: Vehicle
-) -> list[tuple[str, FloatArray, float]]:
-    """Return the column of counts, the speed, shape (n_samples,), and the counts per revolution of each wheel."""
-    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
-    wheels: list[tuple[str, FloatArray, float]] = []
+def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tuple[str, FloatArray]]:
+    """Return the column of counts and the speed, shape (n_samples,), of each wheel."""
+    wheels: list[tuple[str, FloatArray]] = []
     if {"v_mps", "omega_radps"} <= columns.keys():
         half = 0.5 * vehicle.track_m * columns["omega_radps"]
-        wheels += [("counts_left", columns["v_mps"] - half, left), ("counts_right", columns["v_mps"] + half, right)]
-    for side, per_rev in (("left", left), ("right", right), ("rear", left)):
-        speed = columns.get(f"speed_{side}_mps")
-        if speed is not None:
-            wheels.append((f"counts_{side}", speed, per_rev))
-    return wheels
+        wheels += [("counts_left", columns["v_mps"] - half), ("counts_right", columns["v_mps"] + half)]
+    sides = [side for side in ("left", "right", "rear") if f"speed_{side}_mps" in columns]
+    return wheels + [(f"counts_{side}", columns[f"speed_{side}_mps"]) for side in sides]
 
 
 def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:

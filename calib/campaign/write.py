@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
-import io
 import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign, RunTable
+from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import FORMAT
 from calib.errors import BadInputError
 from calib.io import write_folder
@@ -38,7 +38,7 @@ def _section(table: Mapping[str, Any], path: tuple[str, ...], lines: list[str]) 
     plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
     if path and (plain or not table):
         lines += ["", f"[{'.'.join(_key(part) for part in path)}]"]
-    lines += [f"{_key(key)} = {_value(value, key)}" for key, value in plain.items()]
+    lines += [f"{_key(key)} = {toml_value(value, key)}" for key, value in plain.items()]
     for key, value in table.items():
         if isinstance(value, Mapping):
             _section(value, (*path, key), lines)
@@ -53,15 +53,16 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _value(value: Any, key: str) -> str:
+def toml_value(value: Any, key: str = "value") -> str:
+    """Return a value as TOML on one line; see `to_toml`."""
     if isinstance(value, datetime.datetime | datetime.date | datetime.time):
         return value.isoformat()
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(str(k))} = {_value(v, str(k))}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(str(k))} = {toml_value(v, str(k))}" for k, v in value.items()) + "}"
     if isinstance(value, str):
         return _text(value)
     if isinstance(value, Sequence):
-        return "[" + ", ".join(_value(item, key) for item in value) + "]"
+        return "[" + ", ".join(toml_value(item, key) for item in value) + "]"
     if isinstance(value, int | float) and math.isfinite(value):
         return json.dumps(value)
     raise BadInputError(
@@ -101,45 +102,32 @@ def write_campaign(
     """
 
     def fill(scratch: Path) -> None:
-        _write_into(campaign, scratch, log_decimals or {})
-        for name, data in (beside or {}).items():
+        logs = _log_names(campaign)
+        parts = ((name, _log_bytes(campaign.logs.of(run), log_decimals or {})) for run, name in logs.items())
+        for name, data in chain(parts, (beside or {}).items()):
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_bytes(data)
+        (scratch / "runs.csv").write_bytes(_runs_bytes(campaign.runs, logs))
+        (scratch / "campaign.toml").write_text(to_toml(_settings(campaign)), encoding="utf-8", newline="\n")
 
-    ingested = (Path(folder) / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
+    folder = Path(folder)
+    ingested = (folder / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
     # a folder of that name which no ingestion made is the user's own
     names = (*_OURS, _RECORDINGS) if ingested else _OURS
     return write_folder(folder, names, fill, force=force)
 
 
-def _write_into(campaign: Campaign, folder: Path, log_decimals: Mapping[str, int]) -> None:
-    logs = _log_names(campaign)
-    for index, name in logs.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_log_bytes(campaign.logs.of(index), log_decimals))
-    (folder / "runs.csv").write_bytes(_runs_bytes(campaign.runs, logs))
-    (folder / "campaign.toml").write_text(to_toml(_settings(campaign)), encoding="utf-8", newline="\n")
-
-
 def _settings(campaign: Campaign) -> dict[str, object]:
-    encoder = _plain(campaign.encoder)
-    if encoder["counts_per_rev_left"] == encoder["counts_per_rev_right"]:
-        both = encoder.pop("counts_per_rev_right")
-        encoder = {"counts_per_rev": both} | {
-            key: value for key, value in encoder.items() if key != "counts_per_rev_left"
-        }
-    encoder = {key: _short(value) for key, value in encoder.items()}
     document: dict[str, object] = {
         "format": FORMAT,
         "name": campaign.name,
         "simulated": bool(campaign.simulated),
         **({"assumed": list(campaign.assumed)} if campaign.assumed else {}),
-        "vehicle": _plain(campaign.vehicle),
-        "encoder": encoder,
-        "model": _plain(campaign.model),
-        "rangefinder": _plain(campaign.rangefinder),
-        "reference": _plain(campaign.reference),
+        **{
+            name: _plain(getattr(campaign, name))
+            for name in ("vehicle", "encoder", "model", "rangefinder", "reference")
+        },
+        "encoder": _encoder_keys(campaign.encoder),
     }
     if campaign.odometry.source is not None:
         document["odometry"] = {"from": campaign.odometry.source}
@@ -162,8 +150,16 @@ def _plain(section: Any) -> dict[str, float | str]:
     }
 
 
-def _short(value: float | str) -> float | str:
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+def _encoder_keys(encoder: Encoder) -> dict[str, float | str]:
+    """Return the keys of an encoder, whole numbers as such, one key for both wheels where they count alike."""
+    values = {
+        name: int(value) if isinstance(value, float) and value.is_integer() else value
+        for name, value in _plain(encoder).items()
+    }
+    if values["counts_per_rev_left"] == values["counts_per_rev_right"]:
+        values = {"counts_per_rev": values.pop("counts_per_rev_left")} | values
+        del values["counts_per_rev_right"]
+    return values
 
 
 def _log_names(campaign: Campaign) -> dict[int, str]:
@@ -196,11 +192,15 @@ def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
     unknown = set(runs.labels) - set(LABEL_COLUMNS)
     if unknown:
         raise BadInputError(f"run table: found the text columns {sorted(unknown)}; expected {', '.join(LABEL_COLUMNS)}")
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return out.getvalue().encode("utf-8")
+    return csv_bytes(columns)
+
+
+def csv_bytes(columns: Mapping[str, Any]) -> bytes:
+    """Return columns, shape (n_rows,) each, as a table in the form that calib writes: CSV with line feeds, UTF-8."""
+    import pandas as pd
+
+    text: str = pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
+    return text.encode("utf-8")
 
 
 def _cell(value: float) -> str:
@@ -210,8 +210,6 @@ def _cell(value: float) -> str:
 
 
 def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -> bytes:
-    import pandas as pd
-
     frame: dict[str, object] = {}
     for name in LOG_COLUMNS:
         if name not in columns:
@@ -224,5 +222,4 @@ def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -
         # minus zero has no integer form, and would read back as plus zero
         whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
         frame[name] = values.astype(np.int64) if whole else values + 0.0
-    text: str = pd.DataFrame(frame).to_csv(index=False, lineterminator="\n")
-    return text.encode("utf-8")
+    return csv_bytes(frame)

@@ -23,7 +23,7 @@ from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.plans import good_design, poor_design
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Cause, Noise, random_noise
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
@@ -243,10 +243,9 @@ def ceiling_of(
     noise = rng.standard_normal((2, draws, frame.shape[1]))
     truth = rng.integers(len(present), size=draws)
     seen = noise[0] + signal * np.stack([_direction(spaces, int(effect), rng) for effect in truth])
-    evidence, empty = (_log_evidence(spaces, len(present), readings, signal) for readings in (seen, noise[1]))
-    level = np.quantile(_log_mean(empty), 1 - ALARMS)
+    evidence, passed = _weighed(spaces, len(present), seen, noise[1], signal)
     largest = np.exp(evidence.max(axis=1) - _log_mean(evidence)) / len(present)
-    return Ceiling(float(largest.mean()), float((largest * (_log_mean(evidence) > level)).mean()))
+    return Ceiling(float(largest.mean()), float((largest * passed).mean()))
 
 
 def ceiling_of_truth(
@@ -278,11 +277,18 @@ def ceiling_of_truth(
     present, spaces, frame = _framed(_spaces(known, one_sign), left)
     noise = rng.standard_normal((2, draws, frame.shape[1]))
     seen = noise[0] + signal * (left @ frame) / np.linalg.norm(left)
-    evidence, empty = (_log_evidence(spaces, len(present), readings, signal) for readings in (seen, noise[1]))
-    level = np.quantile(_log_mean(empty), 1 - ALARMS)
+    evidence, passed = _weighed(spaces, len(present), seen, noise[1], signal)
     tied = evidence > evidence.max(axis=1, keepdims=True) - ALIKE_NATS
     hit = tied[:, present.index(number)] / tied.sum(axis=1)
-    return Ceiling(float(hit.mean()), float((hit * (_log_mean(evidence) > level)).mean()))
+    return Ceiling(float(hit.mean()), float((hit * passed).mean()))
+
+
+def _weighed(
+    spaces: Sequence[_Space], n_effects: int, seen: FloatArray, empty: FloatArray, signal: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return each effect's evidence in what is seen, and what passes the gate that noise alone sets."""
+    evidence, of_noise = (_log_evidence(spaces, n_effects, readings, signal) for readings in (seen, empty))
+    return evidence, _log_mean(evidence) > np.quantile(_log_mean(of_noise), 1 - ALARMS)
 
 
 def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
@@ -353,5 +359,4 @@ def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> Float
 def _log_mean(logs: FloatArray) -> FloatArray:
     """Return the log of the mean of exponentials along the second axis, shape (n,)."""
     largest = logs.max(axis=1)
-    mean: FloatArray = largest + np.log(np.exp(logs - largest[:, None]).mean(axis=1))
-    return mean
+    return np.asarray(largest + np.log(np.exp(logs - largest[:, None]).mean(axis=1)))

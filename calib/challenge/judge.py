@@ -148,7 +148,8 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
     strong = tuple(_grouped(effect, named, groups) for effect in _strong(truth))
     sets = [set(credible) for credible in given.get("credible_sets", [])]
-    sure = [cause for cause in named if cause not in effects and not _with_truth(cause, effects, groups, near)]
+    # neither true, nor in a group with a true one by the verdict or by the plant's own measure
+    sure = [cause for cause in named if cause not in near and not _grouped(cause, effects, groups)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
@@ -243,8 +244,3 @@ def _strong(truth: Truth) -> list[str]:
 def _grouped(effect: str, named: tuple[str, ...], groups: list[set[str]]) -> bool:
     """Return whether an effect is named, or stands in a group with a named one."""
     return effect in named or any(effect in group and group & set(named) for group in groups)
-
-
-def _with_truth(cause: str, effects: tuple[str, ...], groups: list[set[str]], near: set[str]) -> bool:
-    """Return whether a named cause is in a group with a true one, by the verdict or by the plant's own measure."""
-    return cause in near or any(cause in group and group & set(effects) for group in groups)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Final
 from zlib import crc32
 
@@ -17,7 +18,7 @@ from calib.gap.decision.diagnosis import Diagnosis
 from calib.plant.effects import effects as plant_effects
 from calib.plant.effects import forms_of
 from calib.plant.signal import CALIBRATION, strength
-from calib.plant.world import Form, Moment, World, standardised
+from calib.plant.world import Form, Moment, World, scaled, standardised
 from calib.types import FloatArray, IntArray
 
 #: changes a world by a size
@@ -42,8 +43,9 @@ def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | 
     n_repeated = int((np.bincount(condition) > 1).sum())
     drawn = rng.standard_normal((2, int(condition.max()) + 1))
     turns_left = bool((replay.observations.turn_rad > 0).any())
+    crossed = None if columns is None else _on_both_radii(_standard(columns[0]) * _standard(columns[1]))
     return {
-        "interaction": "no two columns vary apart" if columns is None else _interaction(*columns),
+        "interaction": crossed or "no two columns vary apart",
         "one_speed": "all runs have one speed" if len(speeds) < 2 else _one_speed(float(speeds[len(speeds) // 2])),
         "left_turns": _left_turns if turns_left else "nothing turns left",
         "unlogged": "fewer than three conditions have repeats" if n_repeated < 3 else _unlogged(drawn, condition),
@@ -76,15 +78,7 @@ def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
         order,
     ]
     varying = [v for v in candidates if np.isfinite(v).all() and np.std(v) > 1e-6 * (1e-3 + np.abs(np.mean(v)))]
-    for number, column in enumerate(varying):
-        for other in varying[number + 1 :]:
-            if abs(float(np.corrcoef(column, other)[0, 1])) < ALIKE:
-                return column, other
-    return None
-
-
-def _interaction(column: FloatArray, other: FloatArray) -> SizedAct:
-    return _on_both_radii(_standard(column) * _standard(other))
+    return next((pair for pair in combinations(varying, 2) if abs(float(np.corrcoef(*pair)[0, 1])) < ALIKE), None)
 
 
 def _one_speed(at_mps: float) -> SizedAct:
@@ -125,7 +119,7 @@ STEERED: Final = ("steering_zero", "steering_scale")
 OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
 #: a planted change of so much of the path driven, or of the heading, is no small effect any more
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
-_SIZE: Final = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
+_SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
 _RELATIVE_STEP: Final = 1e-4
 
 
@@ -142,16 +136,12 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
     sizes = []
     for part in text.split(","):
         match = _SIZE.fullmatch(part)
-        try:
-            value = float(match.group(1)) if match else 0.0
-        except ValueError:
-            value = 0.0
-        if match is None or value == 0.0:
+        if match is None or float(match[1]) == 0.0:
             raise BadInputError(
                 f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a "
                 "signal of 10), 2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
             )
-        sizes.append(Size(value, match.group(2)))
+        sizes.append(Size(float(match[1]), match[2]))
     return tuple(sizes)
 
 
@@ -261,13 +251,11 @@ def _bound(form: Form, knobs: dict[str, float]) -> SizedAct:
 
 def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
     """Return what small changes of radii and track do, along and across the end heading, (n_units, 6, 3)."""
-    step = _RELATIVE_STEP
 
     def of(name: str) -> FloatArray:
-        def act(world: object) -> None:
-            setattr(world, name, getattr(world, name) * (1 + step))
-
-        return _along_and_across(diagnosis, replay.change(act)) / step
+        enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)
+        change = replay.change(lambda world: enlarged(world, size, {}))
+        return _along_and_across(diagnosis, change) / _RELATIVE_STEP
 
     left, right = of("left"), of("right")
     if diagnosis.observations.by_front:

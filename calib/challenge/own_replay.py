@@ -41,8 +41,7 @@ class OwnNoise:
             members = np.flatnonzero(self.group == number)
             chosen[members] = rng.choice(members, len(members))
         sign = np.where(self.repeated[chosen], 1.0, rng.choice([-1.0, 1.0], n_units))
-        drawn: FloatArray = np.einsum("uij,uj->ui", self.root, self.whitened[chosen] * sign[:, None])
-        return drawn
+        return np.asarray(np.einsum("uij,uj->ui", self.root, self.whitened[chosen] * sign[:, None]))
 
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
@@ -69,8 +68,7 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
 
 def _numbered(by: IntArray, channels: IntArray) -> IntArray:
     """Return a number for each unit, the same where both arrays (n_units,) agree."""
-    numbers: IntArray = np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1]
-    return numbers
+    return np.asarray(np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1])
 
 
 #: the sensor has turned round once it came back by this, or by so many standard deviations of its noise

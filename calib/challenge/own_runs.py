@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -20,7 +20,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
-from calib.types import FloatArray
+from calib.types import FloatArray, Progress, silent
 
 #: verdicts that name no cause
 SILENT: Final = ("no_gap", "undecided", "unknown")
@@ -39,9 +39,8 @@ class Answer:
     first: bool  #: the planted effect is named first
     in_group: bool  #: it is named, stands in a group with a named one, or its family is named
     open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
-    wrong: (
-        bool  #: causes are named, and neither it nor its group is among them; of an outside one: a fix is recommended
-    )
+    #: causes are named, and neither it nor its group is among them; of an outside one: a fix is recommended
+    wrong: bool
 
 
 def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
@@ -174,8 +173,6 @@ SIZES: Final = "5s,10s,25s"
 #: empty campaigns for each round of plants
 EMPTY_EACH: Final = 4
 
-Tick = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, slots=True)
 class Asked:
@@ -211,13 +208,13 @@ class _Job:
     seeds: tuple[int, ...]
 
 
-def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | None = None) -> Own:
+def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Progress = silent) -> Own:
     """Plant known effects on a campaign's own noise and route, and diagnose each.
 
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
     its own. The same answer comes out for any number of workers, as long as the time is enough.
 
-    `asked` says what to plant; `tick` is called as ``tick(done, total)``.
+    `asked` says what to plant; `progress` is called as diagnoses are done.
 
     Raises RefusedError where the campaign has a blunder of the counters, or cannot be diagnosed; BadInputError where an
     effect is unknown.
@@ -236,10 +233,9 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, tick: Tick | N
     bench = _bench(campaign, diagnosis)
     families = {effect.id: effect.family.value for effect in diagnosis.effects}
     jobs = list(_jobs(plants, families, asked, len(diagnosis.observations)))
-    report = tick or (lambda _done, _total: None)
-    report(0, len(jobs))
+    progress(0, len(jobs), "diagnoses")
     work = partial(_diagnosed, bench, began + asked.seconds)
-    answers = each(work, jobs, asked.workers, lambda done: report(done, len(jobs)))
+    answers = each(work, jobs, asked.workers, lambda done: progress(done, len(jobs), "diagnoses"))
     by_plant: dict[int, list[Answer]] = {}
     for job, answer in zip(jobs, answers, strict=True):
         if answer is not None:

@@ -85,7 +85,7 @@ class Recipe:
 
 def read_seeds(path: Path) -> Seeds:
     """Read a seeds file; raises BadFileError where an entry is missing or is none that can be made."""
-    data = load_toml(Path(path), str(path), remedy="give one of calib/challenge/seeds")
+    data = load_toml(path, str(path), remedy="give one of calib/challenge/seeds")
     if data.pop("format", None) != _FORMAT:
         raise BadFileError(path, column="format", found="another format", expected=_FORMAT, remedy=_REMEDY)
     try:

@@ -16,7 +16,7 @@ from calib.campaign.read import read_campaign
 from calib.challenge.seal import each, read_public
 from calib.errors import CalibError
 from calib.io import inside, write_json
-from calib.types import FloatArray
+from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
@@ -131,7 +131,6 @@ def run_case(
     exclude, seed, diagnoser
         Effects that the library is denied, the seed of the diagnosis, and what diagnoses.
     """
-    folder = Path(folder)
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
     again = folder / "fresh" / case
     started = time.perf_counter()
@@ -155,7 +154,7 @@ def run(
     seed: int = 0,
     limit: int | None = None,
     diagnoser: Diagnoser | None = None,
-    tick: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Ran:
     """Diagnose the cases that have no verdict yet.
 
@@ -167,20 +166,18 @@ def run(
         Processes (1 stays in this one), and only the first so many cases.
     seed, diagnoser
         Of the diagnosis; one in place of the library's own needs ``workers=1``.
-    tick
-        ``tick(done, total)``.
+    progress
+        Called as cases are done.
     """
-    folder = Path(folder)
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [
         (case, tuple(entry["exclude"])) for case, entry in cases if not (folder / "verdicts" / f"{case}.json").exists()
     ]
     skipped = len(cases) - len(waiting)
-    report = tick or (lambda _done, _total: None)
-    report(skipped, len(cases))
+    progress(skipped, len(cases), "cases")
     work = partial(_job, folder, seed, diagnoser or diagnose_and_try)
     alone = diagnoser is not None or not waiting
-    fine = each(work, waiting, 1 if alone else workers, lambda done: report(skipped + done, len(cases)))
+    fine = each(work, waiting, 1 if alone else workers, lambda done: progress(skipped + done, len(cases), "cases"))
     return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))
 
 

@@ -20,20 +20,20 @@ from calib.io import sha256_file
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of hits / total; (0, 1) where there is nothing."""
-    return _interval(hits, total, "wilson")
+    return _interval95(hits, total, "wilson")
 
 
-def clopper_pearson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the exact interval of hits / total; (0, 1) where there is nothing."""
-    return _interval(hits, total, "beta", level)
+def clopper_pearson(hits: int, total: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of hits / total; (0, 1) where there is nothing."""
+    return _interval95(hits, total, "beta")
 
 
-def _interval(hits: int, total: int, method: str, level: float = 0.95) -> tuple[float, float]:
+def _interval95(hits: int, total: int, method: str) -> tuple[float, float]:
     from statsmodels.stats.proportion import proportion_confint
 
     if total == 0:
         return 0.0, 1.0
-    low, high = proportion_confint(hits, total, alpha=1 - level, method=method)
+    low, high = proportion_confint(hits, total, alpha=0.05, method=method)
     return float(low), float(high)
 
 
@@ -133,19 +133,13 @@ class Score:
 def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
     """Open the sealed truth of a set, once its hash agrees with the one that was stored first."""
     public = read_public(folder)
-    path = Path(truth_file) if truth_file else truth_path(folder)
+    path = truth_file or truth_path(folder)
     if not path.is_file():
-        raise BadFileError(
-            path, found="no such file", expected="the sealed truth", remedy="give truth_file, or make the set anew"
-        )
+        raise BadFileError(path, "no such file", "the sealed truth", "give truth_file, or make the set anew")
     digest = sha256_file(path)
     if digest != public["truth_sha256"]:
-        raise BadFileError(
-            path,
-            found=f"SHA-256 {digest}",
-            expected=f"{public['truth_sha256']}, as sealed",
-            remedy="the truth was changed after sealing: make the set anew and run it again",
-        )
+        remedy = "the truth was changed after sealing: make the set anew and run it again"
+        raise BadFileError(path, f"SHA-256 {digest}", f"{public['truth_sha256']}, as sealed", remedy)
     data = json.loads(path.read_text(encoding="utf-8"))
     if data.get("format") != TRUTH_FORMAT:
         raise BadFileError(path, found=repr(data.get("format")), expected=TRUTH_FORMAT, remedy="make the set anew")
@@ -157,7 +151,6 @@ def score(folder: Path, *, truth_file: Path | None = None) -> Score:
 
     A case without a verdict counts as a miss.
     """
-    folder = Path(folder)
     truths, digest = open_truth(folder, truth_file)
     judged = []
     for case in read_public(folder)["cases"]:
@@ -167,9 +160,7 @@ def score(folder: Path, *, truth_file: Path | None = None) -> Score:
             try:
                 verdict = json.loads(path.read_text(encoding="utf-8"))
             except ValueError as error:
-                raise BadFileError(
-                    path, found=str(error), expected="a verdict as JSON", remedy="delete it and run again"
-                ) from error
+                raise BadFileError(path, str(error), "a verdict as JSON", "delete it and run again") from error
         judged.append(judge(truths[case], verdict))
     return score_of(judged, purpose=str(read_public(folder).get("purpose", "")), truth_sha256=digest)
 
@@ -236,16 +227,10 @@ def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
     First for any effect of the library on these runs, then for the true one of each case.
     """
     cases = [case for case in singles if case.signal == signal]
-    free, gated, over = _reached([(case.ceiling, case.first) for case in cases])
-    own_free, own_gated, own_over = _reached([(case.own_ceiling, case.first) for case in cases])
-    return {
-        "free": free,
-        "gated": gated,
-        "hits_over_gated": over,
-        "own_free": own_free,
-        "own_gated": own_gated,
-        "hits_over_own_gated": own_over,
-    }
+    any_effect = _reached([(case.ceiling, case.first) for case in cases])
+    true_one = _reached([(case.own_ceiling, case.first) for case in cases])
+    keys = ("free", "gated", "hits_over_gated", "own_free", "own_gated", "hits_over_own_gated")
+    return dict(zip(keys, (*any_effect, *true_one), strict=True))
 
 
 def _reached(
@@ -255,9 +240,8 @@ def _reached(
     both = [(ceiling, first) for ceiling, first in cases if ceiling is not None]
     if not both:
         return None, None, None
-    free, gated = np.mean([ceiling for ceiling, _ in both], axis=0)
-    hits = float(np.mean([first for _, first in both]))
-    return float(free), float(gated), hits / float(gated) if gated > 0 else None
+    free, gated = np.mean([ceiling for ceiling, _ in both], axis=0).tolist()
+    return free, gated, float(np.mean([first for _, first in both])) / gated if gated > 0 else None
 
 
 def _of(cases: list[Judged], group: str) -> list[Judged]:

@@ -17,6 +17,7 @@ from calib.documents import plain, to_json
 from calib.errors import BadFileError, RefusedError, refuse_workers
 from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
+from calib.types import Progress, silent
 
 PUBLIC: Final = "challenge.json"
 HASH: Final = "truth.sha256"
@@ -26,7 +27,6 @@ TRUTH_FORMAT: Final = "calib-challenge-truth/1"
 #: pieces of work that a case counts as beside the reading of a file: a batch has one
 WEIGHT: Final = 64
 
-Tick = Callable[[str, int, int], None]
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -43,7 +43,6 @@ class Sealed:
 
 def truth_path(folder: Path) -> Path:
     """Return where the truth of a set lies by default: beside its folder, not in it."""
-    folder = Path(folder)
     if folder.name in {"", ".."}:
         folder = Path(os.path.abspath(folder))  # noqa: PTH100  (a link to a set is not followed)
     return folder.parent / f"{folder.name}.truth.json"
@@ -87,8 +86,8 @@ def make(
     truth_file: Path | None = None,
     workers: int = 2,
     force: bool = False,
-    tick: Tick | None = None,
-    sealed: Callable[[str], None] | None = None,
+    progress: Progress = silent,
+    sealed: Callable[[str], None] = lambda _digest: None,
 ) -> Sealed:
     """Make a sealed set.
 
@@ -108,27 +107,24 @@ def make(
         Processes.
     force
         Replace a set that stands there.
-    tick
-        ``tick(stage, done, total)``.
+    progress
+        Called as cases are done: of the stage ``truths``, then of ``campaigns``.
     sealed
         Gets the hash as soon as the truth is sealed, before any campaign is driven.
     """
-    folder = Path(folder)
-    truth_file = Path(truth_file) if truth_file else truth_path(folder)
+    truth_file = truth_file or truth_path(folder)
     refuse_existing([folder / PUBLIC, truth_file], force=force)
     seeds = read_seeds(seeds_file)
     wanted = recipes(seeds, limit)
-    report: Tick = tick or (lambda _stage, _done, _total: None)
     drawn = [(item, seeds.seed, seeds.max_runs) for item in wanted]
-    truths = each(_draw_one, drawn, workers, lambda done: report("truths", done, len(wanted)))
+    truths = each(_draw_one, drawn, workers, lambda done: progress(done, len(wanted), "truths"))
     sealed_cases = {truth.recipe.case: plain(truth) for truth in truths}
     content = {"format": TRUTH_FORMAT, "purpose": seeds.purpose, "cases": sealed_cases}
     write_text(truth_file, to_json(content), force=force)
     digest = sha256_file(truth_file)
     write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
-    if sealed is not None:
-        sealed(digest)
-    each(partial(_write_one, folder), truths, workers, lambda done: report("campaigns", done, len(wanted)))
+    sealed(digest)
+    each(partial(_write_one, folder), truths, workers, lambda done: progress(done, len(wanted), "campaigns"))
     cases = {recipe.case: {"exclude": [recipe.deleted] if recipe.deleted else []} for recipe in wanted}
     public = {"format": _PUBLIC_FORMAT, "purpose": seeds.purpose, "truth_sha256": digest, "cases": cases}
     write_text(folder / PUBLIC, to_json(public), force=True)
@@ -137,20 +133,14 @@ def make(
 
 def read_public(folder: Path) -> Mapping[str, Any]:
     """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each."""
-    path = Path(folder) / PUBLIC
+    path = folder / PUBLIC
     try:
         if path.exists() and not path.is_file():
             raise OSError("no regular file")
         data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BadFileError(
-            path, found=str(error), expected="a set made by 'calib challenge make'", remedy="make one first"
-        ) from error
+        raise BadFileError(path, str(error), "a set made by 'calib challenge make'", "make one first") from error
     if not isinstance(data, dict) or data.get("format") != _PUBLIC_FORMAT or not isinstance(data.get("cases"), dict):
-        raise BadFileError(
-            path,
-            found=f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})",
-            expected=_PUBLIC_FORMAT,
-            remedy="make the set again with this version",
-        )
+        found = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
+        raise BadFileError(path, found, _PUBLIC_FORMAT, "make the set again with this version")
     return data

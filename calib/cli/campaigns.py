@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 _LISTED_RUNS = 8
 
 
-def init(folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")]) -> None:
+def init(folder: Annotated[Path, argument(None, "Campaign folder to make.")]) -> None:
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
     What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
@@ -34,15 +33,12 @@ def init(folder: Annotated[Path, typer.Argument(help="Campaign folder to make.")
 
 def ingest(
     sources: Annotated[
-        list[Path],
-        typer.Argument(help="Run table first, where there is one; then logs, recordings or folders of them."),
+        list[Path], argument(None, "Run table first, where there is one; then logs, recordings or folders of them.")
     ],
-    into: Annotated[Path | None, typer.Option(metavar="CAMPAIGN", help="Campaign folder to make.")] = None,
-    mapping: Annotated[Path | None, typer.Option(metavar="FILE", help="TOML that names the columns.")] = None,
-    describe: Annotated[
-        bool, typer.Option("--describe", help="Describe the files and propose a mapping, as TOML.")
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but write.")] = False,
+    into: Annotated[Path | None, option("CAMPAIGN", "Campaign folder to make.")] = None,
+    mapping: Annotated[Path | None, option("FILE", "TOML that names the columns.")] = None,
+    describe: Annotated[bool, option(None, "Describe the files and propose a mapping, as TOML.", "--describe")] = False,
+    dry_run: Annotated[bool, option(None, "Do everything but write.", "--dry-run")] = False,
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
@@ -110,8 +106,8 @@ def _say_cuts(ingested: Ingested) -> None:
 
 
 def check(
-    campaign: Annotated[Path, typer.Argument(help="Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
-    strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 on suspicious things, too.")] = False,
+    campaign: Annotated[Path, argument(None, "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
+    strict: Annotated[bool, option(None, "Exit status 1 on suspicious things, too.", "--strict")] = False,
     mapping: terminal.MappingOption = None,
 ) -> int:
     """Say what was found in a campaign, what is wrong and what is suspicious; nothing is changed.

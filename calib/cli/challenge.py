@@ -5,21 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
+from calib.documents import plain
 from calib.errors import BadInputError
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="A set made by 'calib challenge make'.")]
-Cases = Annotated[int | None, typer.Option("--cases", metavar="N", min=1, help="Only so many cases.")]
-Truth = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="The sealed truth; DIR.truth.json where not given.")
-]
+Folder = Annotated[Path, argument("DIR", "A set made by 'calib challenge make'.")]
+Cases = Annotated[int | None, option("N", "Only so many cases.", "--cases", min=1)]
+Truth = Annotated[Path | None, option("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
 
 
 def make(
-    seeds: Annotated[Path, typer.Option(metavar="FILE", help="Seeds file; see calib/challenge/seeds.")],
-    into: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the set.")],
+    seeds: Annotated[Path, option("FILE", "Seeds file; see calib/challenge/seeds.")],
+    into: Annotated[Path, option("DIR", "Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,
     workers: terminal.Workers = 2,
@@ -38,18 +36,12 @@ def make(
             truth_file=truth,
             workers=workers,
             force=terminal.forced(),
-            tick=lambda stage, done, total: tick(done, total, stage),
+            progress=tick,
             sealed=lambda digest: terminal.say(f"truth sealed, SHA-256 {digest}"),
         )
     terminal.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
-    document = {
-        "folder": str(sealed_set.folder),
-        "truth": str(sealed_set.truth),
-        "sha256": sealed_set.sha256,
-        "cases": sealed_set.cases,
-    }
     terminal.then("challenge make", c=into)
-    terminal.emit_json(document)
+    terminal.emit_json(plain(sealed_set))
 
 
 def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed: terminal.Seed = 0) -> None:
@@ -61,20 +53,16 @@ def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed
 
     terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
     with terminal.progress("diagnosing") as tick:
-        ran = run_set(
-            folder, workers=workers, seed=seed, limit=cases, tick=lambda done, total: tick(done, total, "cases")
-        )
+        ran = run_set(folder, workers=workers, seed=seed, limit=cases, progress=tick)
     terminal.say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error")
     terminal.then("challenge run", c=folder)
-    terminal.emit_json({"done": ran.done, "skipped": ran.skipped, "failed": ran.failed})
+    terminal.emit_json(plain(ran))
 
 
 def score(
     folder: Folder,
     truth: Truth = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="PNG, SVG or PDF; the confusion matrix goes beside it.")
-    ] = None,
+    plot: Annotated[Path | None, option("FILE", "PNG, SVG or PDF; the confusion matrix goes beside it.")] = None,
 ) -> int:
     """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed.
 
@@ -99,16 +87,14 @@ def score(
 
 
 def own(
-    folder: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml, runs.csv, logs.")],
-    effects: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Effects to plant; all that the runs can show by default.")
-    ] = None,
+    folder: Annotated[Path, argument("CAMPAIGN", "Folder with campaign.toml, runs.csv, logs.")],
+    effects: Annotated[str | None, option("A,B", "Effects to plant; all that the runs can show by default.")] = None,
     sizes: Annotated[
-        str, typer.Option(metavar="LIST", help="10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
+        str, option("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
-    planted: Annotated[int, typer.Option(metavar="N", min=1, help="How often each.")] = 5,
+    planted: Annotated[int, option("N", "How often each.", min=1)] = 5,
     workers: terminal.Workers = 2,
-    seconds: Annotated[float, typer.Option(metavar="S", min=1.0, help="Begin no diagnosis after so long.")] = 900.0,
+    seconds: Annotated[float, option("S", "Begin no diagnosis after so long.", min=1.0)] = 900.0,
     seed: terminal.Seed = 0,
 ) -> int:
     """Plant known effects on this campaign's own noise and route, and say what its data would find.
@@ -128,7 +114,7 @@ def own(
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
     campaign = read_campaign(folder)
     with terminal.progress("planting") as tick:
-        own_score = challenge_own(campaign, asked, tick=lambda done, total: tick(done, total, "diagnoses"))
+        own_score = challenge_own(campaign, asked, tick)
     if own_score.done < own_score.asked:
         terminal.note(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"

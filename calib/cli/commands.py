@@ -90,15 +90,6 @@ def _refuse_dash(ctx: Any) -> None:
             )
 
 
-class Application(typer.Typer):
-    """A group whose commands are guarded, so that none has to think of it."""
-
-    def command(self, *args: Any, **kwargs: Any) -> Any:
-        """Add a command; see `typer.Typer.command`."""
-        kwargs.setdefault("cls", Guarded)
-        return super().command(*args, **kwargs)
-
-
 def _inputs(parameters: dict[str, object], outputs: frozenset[str]) -> Iterator[Path]:
     for name, value in parameters.items():
         if name in outputs:
@@ -180,8 +171,8 @@ def function_of(name: str) -> Callable[..., Any]:
 
 def options_of(name: str) -> set[str]:
     """Return the options of a command, long and short."""
-    application = Application(add_completion=False)
-    application.command(name)(function_of(name))
+    application = typer.Typer(add_completion=False)
+    application.command(name, cls=Guarded)(function_of(name))
     return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}
 
 
@@ -205,7 +196,7 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     `arguments`: with a command's name in it, only that command is imported; with none, names and summaries alone.
     Without arguments every command is there in full. Heavy imports happen inside the body of a command.
     """
-    application = Application(
+    application = typer.Typer(
         name="calib",
         no_args_is_help=True,
         add_completion=True,
@@ -224,24 +215,17 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
             raise typer.Exit
 
     words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
-    groups: dict[str, Application] = {}
+    parents = {"": application}
     for name in COMMANDS:
         group, _, inner = name.rpartition(" ")
-        parent: typer.Typer = application
-        if group:
-            if group not in groups:
-                groups[group] = _group(group)
-                application.add_typer(groups[group], name=group)
-            parent = groups[group]
+        if group not in parents:
+            parents[group] = typer.Typer(no_args_is_help=True, rich_markup_mode=None, epilog=GROUPS[group])
+            application.add_typer(parents[group], name=group, help=SUMMARIES[group])
         if words is None or words[: len(name.split())] == name.split():
-            parent.command(inner)(function_of(name))
+            parents[group].command(inner, cls=Guarded)(function_of(name))
         else:
-            parent.command(inner, help=SUMMARIES[name])(_not_imported)
+            parents[group].command(inner, cls=Guarded, help=SUMMARIES[name])(_not_imported)
     return application
-
-
-def _group(name: str) -> Application:
-    return Application(no_args_is_help=True, rich_markup_mode=None, help=SUMMARIES[name], epilog=GROUPS[name])
 
 
 def _not_imported() -> None:

@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
-
-import typer
+from typing import Annotated, Final
 
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 from calib.errors import BadInputError
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-    from calib.odometry.law_journey import LoadSweep
-    from calib.radius.run_deviation import RunDeviations
-
 
 DISTANCE_M: Final = 40.0
 AMPLITUDES_M: Final = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
@@ -23,24 +16,19 @@ WAVELENGTHS_M: Final = (40.0, 5.0)
 
 def deviation(
     campaign: Annotated[
-        Path | None,
-        typer.Argument(metavar="[CAMPAIGN]", help="Campaign whose runs are judged; without it only the table is made."),
+        Path | None, argument("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
     ] = None,
-    tolerance: Annotated[float, typer.Option(metavar="SHARE", help="Largest relative error of a radius.")] = 0.0005,
+    tolerance: Annotated[float, option("SHARE", "Largest relative error of a radius.")] = 0.0005,
     amplitude: Annotated[
-        list[float] | None, typer.Option(metavar="M", help="Amplitude of the weave in the table; may be given again.")
+        list[float] | None, option("M", "Amplitude of the weave in the table; may be given again.")
     ] = None,
     wavelength: Annotated[
-        list[float] | None, typer.Option(metavar="M", help="Wavelength of the weave in the table; may be given again.")
+        list[float] | None, option("M", "Wavelength of the weave in the table; may be given again.")
     ] = None,
-    distance: Annotated[
-        float | None, typer.Option(metavar="M", help="Distance S_O of the table; 40 m, or the campaign's median.")
-    ] = None,
-    track: Annotated[
-        float | None, typer.Option(metavar="M", help="Distance between the wheels; 0.7 m, or the campaign's.")
-    ] = None,
+    distance: Annotated[float | None, option("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
+    track: Annotated[float | None, option("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
     radius_ratio: Annotated[
-        float | None, typer.Option(metavar="E_R", help="Also show the steady arc of wheels with r_R / r_L = E_R.")
+        float | None, option("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")
     ] = None,
 ) -> int:
     """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
@@ -49,11 +37,14 @@ def deviation(
 
     Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
     """
+    from calib.campaign.read import read_campaign
     from calib.radius import deviation as table
+    from calib.radius.run_deviation import judge_runs
     from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):
-        read, judged = _judged(campaign, tolerance)
+        read = None if campaign is None else read_campaign(campaign)
+        judged = None if read is None else judge_runs(read, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
     rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
     arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
@@ -75,44 +66,30 @@ def deviation(
     return 0 if judged is None or judged.passed else 1
 
 
-def _judged(folder: Path | None, tolerance: float) -> tuple[Campaign | None, RunDeviations | None]:
-    """Return the campaign and the verdict on its runs; nothing without a folder."""
-    from calib.campaign.read import read_campaign
-    from calib.radius.run_deviation import judge_runs
-
-    if folder is None:
-        return None, None
-    campaign = read_campaign(folder)
-    return campaign, judge_runs(campaign, tolerance)
-
-
 COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
 #: what is swept -> name of the figure's files
 STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
 
 
 def loads(
-    payload: Annotated[float, typer.Option(metavar="KG", help="Mass of the payload.")] = 0.0,
-    x: Annotated[float, typer.Option(metavar="M", help="Its centre of mass ahead of the rear axle.")] = 0.0,
-    y: Annotated[float, typer.Option(metavar="M", help="Its centre of mass left of the centre line.")] = 0.0,
-    sweep: Annotated[str | None, typer.Option(metavar="WHAT", help="Vary payload, x or y (Fig. 3).")] = None,
-    first: Annotated[float | None, typer.Option("--from", help="First value of the sweep.")] = None,
-    last: Annotated[float | None, typer.Option("--to", help="Last value of the sweep.")] = None,
-    steps: Annotated[int, typer.Option(help="Values of the sweep.")] = 21,
+    payload: Annotated[float, option("KG", "Mass of the payload.")] = 0.0,
+    x: Annotated[float, option("M", "Its centre of mass ahead of the rear axle.")] = 0.0,
+    y: Annotated[float, option("M", "Its centre of mass left of the centre line.")] = 0.0,
+    sweep: Annotated[str | None, option("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
+    first: Annotated[float | None, option(None, "First value of the sweep.", "--from")] = None,
+    last: Annotated[float | None, option(None, "Last value of the sweep.", "--to")] = None,
+    steps: Annotated[int, option(None, "Values of the sweep.")] = 21,
     weighed: Annotated[
-        str | None,
-        typer.Option(metavar="F,L,R", help="Weighed loads in N (front,left,right): find the payload instead."),
+        str | None, option("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
     ] = None,
-    sigma: Annotated[float, typer.Option(metavar="N", help="Standard uncertainty of each weighing.")] = 0.0,
-    vehicle: Annotated[
-        Path | None, typer.Option(metavar="CAMPAIGN|COEFFICIENTS", help="Take the vehicle from there.")
-    ] = None,
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the vehicle.")] = None,
-    cog_x: Annotated[float | None, typer.Option(metavar="M", help="Its centre of mass, ahead of the axle.")] = None,
-    cog_y: Annotated[float | None, typer.Option(metavar="M", help="Its centre of mass, left positive.")] = None,
-    track: Annotated[float | None, typer.Option(metavar="M", help="Track.")] = None,
-    wheelbase: Annotated[float | None, typer.Option(metavar="M", help="Wheelbase.")] = None,
-    max_load: Annotated[float | None, typer.Option(metavar="N", help="Permissible wheel load.")] = None,
+    sigma: Annotated[float, option("N", "Standard uncertainty of each weighing.")] = 0.0,
+    vehicle: Annotated[Path | None, option("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
+    mass: Annotated[float | None, option("KG", "Mass of the vehicle.")] = None,
+    cog_x: Annotated[float | None, option("M", "Its centre of mass, ahead of the axle.")] = None,
+    cog_y: Annotated[float | None, option("M", "Its centre of mass, left positive.")] = None,
+    track: Annotated[float | None, option("M", "Track.")] = None,
+    wheelbase: Annotated[float | None, option("M", "Wheelbase.")] = None,
+    max_load: Annotated[float | None, option("N", "Permissible wheel load.")] = None,
     figures: terminal.Figures = None,
 ) -> None:
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
@@ -150,13 +127,11 @@ def loads(
     terminal.refuse_outputs(*terminal.figure_files(figures, [stem]))
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     swept = sweep_loads(meant, payload, x, y, swept=swept_column, span=span, steps=steps)
-    written = [] if figures is None else _drawn(stem, swept, figures)
+    written: list[Path] = []
+    if figures is not None:
+        from calib.reporting.figures.motion import load_figure
+
+        written = terminal.draw(lambda: {stem: load_figure(swept)}, figures)
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
     terminal.then("loads")
-
-
-def _drawn(stem: str, swept: LoadSweep, folder: Path) -> list[Path]:
-    from calib.reporting.figures.motion import load_figure
-
-    return terminal.draw(lambda: {stem: load_figure(swept)}, folder)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import option
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -16,37 +15,29 @@ if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.types import Progress
 
-    #: a diagnosis; the effects that calib's own model has already, None for a simulator; how often that ran
-    Judged = tuple[Diagnosis, tuple[EffectSection, ...] | None, str]
 
 RESULT_FILE = "diagnosis.json"
 Simulator = Annotated[
-    Path | None,
-    typer.Option(metavar="SIM.toml", help="Your own simulator: its command, which is run, and its parameters."),
+    Path | None, option("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
 ]
-Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Runs of the simulator at once.")]
+Workers = Annotated[int, option("N", "Runs of the simulator at once.", "--workers", min=1)]
 
 
 def run(
     campaign: terminal.CampaignOrRecording,
-    model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Coefficient file that the simulator believes.")
-    ] = None,
+    model: Annotated[Path | None, option("FILE", "Coefficient file that the simulator believes.")] = None,
     exclude: Annotated[
-        list[str] | None, typer.Option(metavar="EFFECT", help="Leave an effect out of the library; again for more.")
+        list[str] | None, option("EFFECT", "Leave an effect out of the library; again for more.")
     ] = None,
     seed: terminal.Seed = 0,
     apply: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the model with the named effect; of a simulator: what to set."),
+        Path | None, option("FILE", "Write the model with the named effect; of a simulator: what to set.")
     ] = None,
     figures: terminal.Figures = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write one page to look into, with linked panels.")
-    ] = None,
-    into: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Result folder: diagnosis.json.")] = None,
+    html: Annotated[Path | None, option("FILE", "Write one page to look into, with linked panels.")] = None,
+    into: Annotated[Path | None, option("FOLDER", "Result folder: diagnosis.json.")] = None,
     journeys: Annotated[
-        Path | None, typer.Option(metavar="PLAN", help="Runs to come, to compare the corrections of tied causes on.")
+        Path | None, option("PLAN", "Runs to come, to compare the corrections of tied causes on.")
     ] = None,
     simulator: Simulator = None,
     workers: Workers = 1,
@@ -59,6 +50,7 @@ def run(
 
     Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
+    from calib.api.results import diagnosed
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.reporting.present import after_diagnosis
@@ -73,11 +65,14 @@ def run(
     left_out = tuple(exclude or ())
     with terminal.progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
-        diagnosis, effects, ran = (
-            _diagnosed(read, model, left_out, seed, journeys, tick)
-            if simulator is None
-            else _simulated(read, simulator, left_out, seed, workers, tick)
-        )
+        effects: tuple[EffectSection, ...] | None = None
+        if simulator is not None:
+            diagnosis, ran = _simulated(read, simulator, left_out, seed, workers, tick)
+        else:
+            if left_out:
+                _check_excluded(left_out, read)
+            name, ran = "" if model is None else model.name, ""
+            diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, name=name, progress=tick)
     document = verdict_document(diagnosis)
     terminal.show(diagnosis_full(diagnosis))
     terminal.say(ran)
@@ -127,35 +122,9 @@ def _pictures(folder: Path | None) -> list[Path]:
     return terminal.figure_files(folder, GAP_FIGURES)
 
 
-def _diagnosed(
-    campaign: Campaign, model: Path | None, exclude: tuple[str, ...], seed: int, journeys: Path | None, tick: Progress
-) -> Judged:
-    """Return the diagnosis, and the effects that the model has already."""
-    from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.effects.applied import model_of, with_sensor_of
-    from calib.gap.plan.plan_file import read_plan
-
-    if exclude:
-        _check_excluded(exclude, campaign)
-    believed, effects = (None, ()) if model is None else model_of(model, campaign)
-    campaign = campaign if model is None else with_sensor_of(model, campaign)
-    name = "" if model is None else model.name
-    diagnosis = diagnose_in_full(
-        campaign,
-        seed=seed,
-        exclude=exclude,
-        model=believed,
-        applied=effects,
-        model_name=name,
-        journeys=None if journeys is None else read_plan(journeys),
-        progress=tick,
-    )
-    return diagnosis, tuple(effects), ""
-
-
 def _simulated(
     campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
-) -> Judged:
+) -> tuple[Diagnosis, str]:
     """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
     from calib.errors import refuse_workers
@@ -178,7 +147,7 @@ def _simulated(
             runs = "1 run" if finished == 1 else f"{finished} runs"
             terminal.keep(f"results of {runs} of the simulator, which will not run again")
         raise
-    return done.diagnosis, None, done.runs.sentence
+    return done.diagnosis, done.runs.sentence
 
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -19,14 +18,10 @@ DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 
 
 def effects(
-    effect: Annotated[
-        str | None, typer.Argument(metavar="ID", help="An effect, of which all is said; without it a list.")
-    ] = None,
+    effect: Annotated[str | None, argument("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CAMPAIGN", help="Judge on this campaign's runs; its columns and declared effects are listed, too."
-        ),
+        option("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too."),
     ] = None,
     figures: terminal.Figures = None,
 ) -> None:
@@ -39,7 +34,7 @@ def effects(
     """
     with terminal.waiting("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
-    drawable = [_file_name(entry) for entry in entries if entry.signature is not None]
+    drawable = {_file_name(entry): entry.signature for entry in entries if entry.signature is not None}
     terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
     from calib.reporting.topics.effects import effect_content, effects_content
 
@@ -47,8 +42,7 @@ def effects(
     if figures is not None:
         from calib.reporting.figures.geometry import signature_figure
 
-        shown = {_file_name(one): one.signature for one in entries if one.signature is not None}
-        terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in shown.items()}, figures)
+        terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in drawable.items()}, figures)
     terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
@@ -84,18 +78,17 @@ MATRIX = "plan-matrix"
 
 
 def plan(
-    campaign: Annotated[Path | None, typer.Argument(metavar="[CAMPAIGN]", help="Campaign that was driven.")] = None,
+    campaign: Annotated[Path | None, argument("[CAMPAIGN]", "Campaign that was driven.")] = None,
     source: Annotated[
-        Path | None,
-        typer.Option("--from", metavar="PLAN.toml", help="A plan of runs, judged before anything is driven."),
+        Path | None, option("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")
     ] = None,
     candidates: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Runs to choose from, as [[runs]]; else the usual ones.")
+        Path | None, option("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")
     ] = None,
-    most: Annotated[int, typer.Option(min=1, max=50, help="How many runs to name.")] = 5,
+    most: Annotated[int, option(None, "How many runs to name.", min=1, max=50)] = 5,
     seed: terminal.Seed = 0,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="With --from: write the matrix there as PNG, SVG and PDF.")
+        Path | None, option("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")
     ] = None,
 ) -> int:
     """List the runs to drive next, best first, with what each tells apart.
@@ -141,7 +134,8 @@ def _judge(source: Path, figures: Path | None) -> int:
     from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.reporting.topics.effects import outlook_content, promise_table
+    from calib.reporting.topics.diagnosis import promise_table
+    from calib.reporting.topics.effects import outlook_content
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
     with terminal.progress("judging the plan") as tick:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY
@@ -18,59 +17,43 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.coefficients.formats import Artifact
     from calib.radius.result import Fit
-    from calib.reporting.content import Reported
+    from calib.reporting.content import Report
     from calib.types import Progress
 
 
 Loads = Annotated[
     list[str] | None,
-    typer.Option(
-        "--load", metavar="N", help="Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv)."
-    ),
+    option("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load"),
 ]
 Controllers = Annotated[
     list[str] | None,
-    typer.Option(
-        "--controller",
-        metavar="NAME",
-        help="ROS 2 controller, may be given again; without it those of the vehicle's drive.",
-    ),
+    option("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
 ]
 VelocityFeedback = Annotated[
-    bool, typer.Option("--velocity-feedback", help="ROS 2: the joints report velocities, not positions.")
+    bool, option(None, "ROS 2: the joints report velocities, not positions.", "--velocity-feedback")
 ]
-OpenLoop = Annotated[
-    bool, typer.Option("--open-loop", help="ROS 2: odometry from the commands, not from the encoders.")
-]
+OpenLoop = Annotated[bool, option(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
 Output = Annotated[
-    Path | None, typer.Option(help="File, or folder where several files are made; without it, or '-': standard output.")
+    Path | None, option(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
-Outside = Annotated[
-    str | None, typer.Option(metavar="RULE", help="Loads that were not measured: refuse (the default) or clamp.")
-]
+Outside = Annotated[str | None, option("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
 Model = Annotated[
-    Path | None,
-    typer.Option("--into", metavar="MODEL", help="Your simulator's model; a copy is patched (mjcf, urdf, sdf)."),
+    Path | None, option("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")
 ]
-Left = Annotated[str, typer.Option(metavar="NAME", help="Joint, body or link of the left rear wheel in MODEL.")]
-Right = Annotated[str, typer.Option(metavar="NAME", help="The same of the right rear wheel.")]
+Left = Annotated[str, option("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
+Right = Annotated[str, option("NAME", "The same of the right rear wheel.")]
 
 
 def export(
     source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CAMPAIGN|FIT", help="Campaign, result folder of calib fit, its fit.json, or coefficients.json."
-        ),
+        Path, argument("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
     ],
-    to: Annotated[
-        str, typer.Option(metavar="FORMAT", help=f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")
-    ],
+    to: Annotated[str, option("FORMAT", f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")],
     output: Output = None,
     load: Loads = None,
     outside: Outside = None,
-    date: Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Date written into the file.")] = None,
+    date: Annotated[str | None, option("YYYY-MM-DD", "Date written into the file.")] = None,
     controller: Controllers = None,
     model: Model = None,
     left: Left = "",
@@ -144,23 +127,18 @@ def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[st
 
 def report(
     source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CAMPAIGN|RESULT", help="Campaign folder, or result folder of calib fit, or its fit.json."
-        ),
+        Path, argument("CAMPAIGN|RESULT", "Campaign folder, or result folder of calib fit, or its fit.json.")
     ],
     into: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE|FOLDER", help="PDF file, or folder for it; without it: reports/<campaign>.pdf."),
+        Path | None, option("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
     ] = None,
     date: terminal.Date = None,
     figures: terminal.Figures = None,
     html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the same as one HTML page, too; with --diagnosis, to look into."),
+        Path | None, option("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")
     ] = None,
     diagnosis: Annotated[
-        bool, typer.Option("--diagnosis", help="Add the diagnosis of the gap between measured and simulated motion.")
+        bool, option(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
     ] = False,
     seed: terminal.Seed = 0,
     accept_implausible: terminal.AcceptImplausible = "",
@@ -184,7 +162,7 @@ def report(
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
         given = opened(source, progress=tick)
-        content = report_of(
+        report = report_of(
             given,
             issued=issued,
             accept=accept_implausible.strip(),
@@ -192,42 +170,40 @@ def report(
             where=source,
             progress=tick,
         )
-        report = content.report
         target = place_of(report.name, into, force=terminal.forced())
         drawn = (
             [] if figures is None else write_figures(report.figures(), figures, force=terminal.forced(), progress=tick)
         )
-        page = "" if html is None else _page(content, given, tick)
+        page = "" if html is None else _page(report, given, tick)
         write_bytes(target, to_pdf(report, tick), force=terminal.forced())
     if html is not None:
         write_text(html, page, force=terminal.forced())
-    _tell(content, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
-    terminal.then(_next_step(content), c=source)
+    _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
+    terminal.then(_next_step(report), c=source)
     document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     terminal.emit_json(document)
     return 0 if report.passed else 1
 
 
-def _next_step(content: Reported) -> str:
+def _next_step(report: Report) -> str:
     from calib.reporting.present import after_diagnosis, after_geometry
 
-    if content.diagnosis is not None:
-        return after_diagnosis(content.diagnosis)
-    if content.geometry is not None:
-        return after_geometry(content.geometry, None)
-    return "report" if content.report.passed else "report failed"
+    if report.diagnosis is not None:
+        return after_diagnosis(report.diagnosis)
+    if report.geometry is not None:
+        return after_geometry(report.geometry, None)
+    return "report" if report.passed else "report failed"
 
 
-def _tell(content: Reported, target: Path, html: Path | None, drawn: str) -> None:
+def _tell(report: Report, target: Path, html: Path | None, drawn: str) -> None:
     """Say what was written, and whether the law or the geometry can be used."""
-    report, geometry = content.report, content.geometry
     marked = ", simulated data" if report.simulated else ""
     terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
     terminal.wrote([] if html is None else [html])
     if drawn:
         terminal.wrote([], what=drawn)
     if not report.passed:
-        what = "law" if geometry is None else "geometry"
+        what = "law" if report.geometry is None else "geometry"
         terminal.say(f"A check failed: the {what} should not be used as it is; the report says why.")
 
 
@@ -240,21 +216,20 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
     if settings.is_file():
         place_of(read_settings(settings, str(settings)).name, into, force=terminal.forced())
     if figures is not None:
-        from calib.reporting.figures.gap import GAP_PICTURES
-        from calib.reporting.figures.style import figure_paths
+        from calib.reporting.pages import GAP_PICTURES
         from calib.reporting.topics.fit import FIT_PICTURES
 
-        terminal.refuse_outputs(*figure_paths(figures, (*FIT_PICTURES, *GAP_PICTURES)))
+        terminal.refuse_outputs(*terminal.figure_files(figures, (*FIT_PICTURES, *GAP_PICTURES)))
 
 
-def _page(content: Reported, given: Fit | Campaign, tick: Progress) -> str:
+def _page(report: Report, given: Fit | Campaign, tick: Progress) -> str:
     """Return the page, with linked panels where there is a diagnosis to look into."""
     from calib.campaign.model import Campaign
     from calib.reporting.pages import to_html
 
     tick(0, 0, "page")
-    if content.diagnosis is None or not isinstance(given, Campaign):
-        return to_html(content.report)
+    if report.diagnosis is None or not isinstance(given, Campaign):
+        return to_html(report)
     from calib.reporting.interactive import interactive_panels
 
-    return to_html(content.report, interactive_panels(content.diagnosis, given))
+    return to_html(report, interactive_panels(report.diagnosis, given))

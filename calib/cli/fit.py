@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import option
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -19,23 +18,17 @@ if TYPE_CHECKING:
 def fit(
     campaign: terminal.CampaignOrRecording,
     into: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Result folder: fit.json and runs.csv, for report and export.")
+        Path | None, option("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")
     ] = None,
     reference_load: Annotated[
         float | None,
-        typer.Option(
-            metavar="N",
-            help="Load on which the coefficients are centred; without it: reference_load_N of campaign.toml.",
-        ),
+        option("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Coefficient file whose law the fitted one is held against, at that law's reference load.",
-        ),
+        option("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),
     ] = None,
-    runs: Annotated[bool, typer.Option("--runs", help="List the radius of every run.")] = False,
+    runs: Annotated[bool, option(None, "List the radius of every run.", "--runs")] = False,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
 ) -> int:
@@ -94,7 +87,7 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
 def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[Block, ...]]:
     """Return the fit held against the model, as plain values and as blocks."""
     from calib.coefficients.export import effects_left_out
-    from calib.radius.fit import compare_laws
+    from calib.radius.comparison import compare_laws
     from calib.reporting.topics.fit import comparison_content
 
     notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
@@ -110,17 +103,11 @@ RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
 
 def geometry(
     campaign: terminal.CampaignOrRecording,
-    using: Annotated[
-        str | None, typer.Option(metavar="WHAT", help="end-poses or windows; without it what the campaign has.")
-    ] = None,
-    kind: Annotated[
-        list[str] | None, typer.Option(metavar="KIND", help="Use runs of this kind alone; may be given again.")
-    ] = None,
-    leave_out: Annotated[
-        str | None, typer.Option(metavar="WHAT", help="Leave each session, kind or run out in turn: end errors.")
-    ] = None,
-    into: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the result there (geometry.json).")] = None,
-    output: Annotated[Path | None, typer.Option(metavar="COEFFICIENTS", help="Write a coefficient file.")] = None,
+    using: Annotated[str | None, option("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
+    kind: Annotated[list[str] | None, option("KIND", "Use runs of this kind alone; may be given again.")] = None,
+    leave_out: Annotated[str | None, option("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
+    into: Annotated[Path | None, option("FOLDER", "Write the result there (geometry.json).")] = None,
+    output: Annotated[Path | None, option("COEFFICIENTS", "Write a coefficient file.")] = None,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
     accept_implausible: terminal.AcceptImplausible = "",

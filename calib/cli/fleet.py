@@ -5,18 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 from calib.errors import refuse_workers
 
 
 def run(
-    folder: Annotated[Path, typer.Argument(help="One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
-    into: Annotated[Path, typer.Option(metavar="FOLDER", help="Result folder; a later run goes on there.")],
-    what: Annotated[str, typer.Option(help="fit, check, geometry or diagnose.")] = "fit",
+    folder: Annotated[Path, argument(None, "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
+    into: Annotated[Path, option("FOLDER", "Result folder; a later run goes on there.")],
+    what: Annotated[str, option(None, "fit, check, geometry or diagnose.")] = "fit",
     workers: terminal.Workers = 1,
-    scheduler: Annotated[str, typer.Option(metavar="TCP", help="Dask scheduler, tcp://host:port.")] = "",
+    scheduler: Annotated[str, option("TCP", "Dask scheduler, tcp://host:port.")] = "",
     date: terminal.Date = None,
 ) -> int:
     """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
@@ -39,17 +38,13 @@ def run(
         if what == "fit":
             from calib.fleet.run import fit_fleet
 
-            fleet = fit_fleet(
-                folder, into, workers=workers, scheduler=scheduler, progress=lambda done, n: tick(done, n, "files")
-            )
+            fleet = fit_fleet(folder, into, workers=workers, scheduler=scheduler, progress=tick)
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
         else:
             from calib.fleet.survey import survey_fleet
 
-            survey = survey_fleet(
-                folder, into, what, workers=workers, scheduler=scheduler, progress=lambda k, n: tick(k, n, "vehicles")
-            )
+            survey = survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
     terminal.answer(document, blocks)
@@ -63,18 +58,16 @@ def run(
 
 
 def simulate(
-    into: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the dataset.")],
-    vehicles: Annotated[int, typer.Option(min=1, help="How many vehicles.")] = 400,
-    runs: Annotated[int, typer.Option(min=6, help="Runs a vehicle.")] = 60,
-    months: Annotated[int, typer.Option(min=1, help="Months that they are spread over.")] = 6,
-    outliers: Annotated[int, typer.Option(min=0, help="Vehicles with a wheel of their own.")] = 20,
-    drifting: Annotated[int, typer.Option(min=0, help="Vehicles whose radius drifts.")] = 5,
-    common: Annotated[int, typer.Option(min=0, help="Vehicles in hall B, whose floor shows.")] = 40,
+    into: Annotated[Path, option("FOLDER", "New folder for the dataset.")],
+    vehicles: Annotated[int, option(None, "How many vehicles.", min=1)] = 400,
+    runs: Annotated[int, option(None, "Runs a vehicle.", min=6)] = 60,
+    months: Annotated[int, option(None, "Months that they are spread over.", min=1)] = 6,
+    outliers: Annotated[int, option(None, "Vehicles with a wheel of their own.", min=0)] = 20,
+    drifting: Annotated[int, option(None, "Vehicles whose radius drifts.", min=0)] = 5,
+    common: Annotated[int, option(None, "Vehicles in hall B, whose floor shows.", min=0)] = 40,
     poses: Annotated[
         bool,
-        typer.Option(
-            "--poses", help="A campaign folder a vehicle, with logs and end poses, for geometry and diagnose."
-        ),
+        option(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses"),
     ] = False,
     seed: terminal.Seed = 0,
 ) -> None:

@@ -65,7 +65,9 @@ def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
     if isinstance(error, ImplausibleError):
         return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
     if isinstance(error, CalibError):
-        return as_typed(str(error), _options_given(given)) + _nearest_path(str(error), given), EXIT_BAD_INPUT
+        name = command_called(with_default(given))
+        message = as_typed(str(error), options_of(name) if name else ())
+        return message + _nearest_path(str(error), given), EXIT_BAD_INPUT
     if isinstance(error, typer.TyperException):
         return _usage(error), EXIT_BAD_INPUT
     if os.environ.get("CALIB_TRACEBACK"):
@@ -114,12 +116,6 @@ def _machine_refused(error: Exception) -> str:
         why = str(error).rpartition("Original error was: ")[2].strip().partition("\n")[0]
         return f"out of memory; found no room for a library ({why}); allow more address space (ulimit -v)"
     return ""
-
-
-def _options_given(arguments: Sequence[str]) -> set[str]:
-    """Return the options of the command that was called."""
-    name = command_called(with_default(arguments))
-    return set() if name is None else options_of(name)
 
 
 def _usage(error: Exception) -> str:
@@ -225,8 +221,7 @@ def run(
     ``settle``, called before the last line is printed, and ``interrupted`` tell whether the user interrupted the
     command: libraries may turn an interruption into an error of their own, or let it pass.
     """
-    if sys.stdout is None or sys.stderr is None:
-        _reopen()
+    _reopen()
     # figures go to files only, no matter what window system the environment asks for
     os.environ["MPLBACKEND"] = "agg"
     # where HOME cannot be written, it works without its cache and need not say so

@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
+from calib.cli.terminal import argument, option
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
+    from calib.reporting.blocks import Block, Section
 
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
 
 Routes = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[ROUTE]...",
-        help="corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum "
-        "file.",
+    argument(
+        "[ROUTE]...",
+        "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
     ),
 ]
 Law = Annotated[
-    Path | None,
-    typer.Option("--law", "--model", metavar="PATH", help="A campaign, a result of calib fit, or a coefficient file."),
+    Path | None, option("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")
 ]
-Track = Annotated[
-    float | None, typer.Option("--track", metavar="M", help="Track that the odometry believes (0.7, or the law's).")
-]
-Draws = Annotated[int, typer.Option("--draws", help="Draws of the Monte Carlo.")]
-Output = Annotated[Path | None, typer.Option("--output", metavar="FOLDER", help="Write figures and tables there.")]
-Tum = Annotated[Path | None, typer.Option("--tum", metavar="FOLDER", help="Write trajectories there, TUM format.")]
-Speed = Annotated[float, typer.Option("--speed", metavar="M/S", help="Speed that times the trajectories.")]
+Track = Annotated[float | None, option("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
+Draws = Annotated[int, option(None, "Draws of the Monte Carlo.", "--draws")]
+Output = Annotated[Path | None, option("FOLDER", "Write figures and tables there.", "--output")]
+Tum = Annotated[Path | None, option("FOLDER", "Write trajectories there, TUM format.", "--tum")]
+Speed = Annotated[float, option("M/S", "Speed that times the trajectories.", "--speed")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +55,6 @@ def finish(
 
     `law`: where the law came from that the vehicle drove under.
     """
-    from calib.reporting.blocks import items
     from calib.reporting.files import simulation_trajectories, write_simulation
     from calib.reporting.topics.simulation import simulation_content
 
@@ -71,27 +66,27 @@ def finish(
             simulation, targets.tum, speed_mps=targets.speed_mps, force=terminal.forced()
         )
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
-    files = [str(path) for path in written]
-    document = simulation.to_dict() | {"seed": seed, "notes": every_note, "files": files}
-    terminal.emit_json(document)
-    if not terminal.wants_stdout():
-        terminal.show([*simulation_content(simulation), *items(every_note)])
-        terminal.wrote(written)
+    _tell(simulation.to_dict() | {"seed": seed}, simulation_content(simulation), every_note, written)
     terminal.then("simulate --law" if law else "simulate", c=law or "")
+
+
+def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: list[str], written: list[Path]) -> None:
+    """Write a result with its notes and files as JSON, or show it."""
+    from calib.reporting.blocks import items
+
+    terminal.answer(document | {"notes": notes, "files": [str(path) for path in written]}, [*content, *items(notes)])
+    if not terminal.wants_stdout():
+        terminal.wrote(written)
 
 
 def route(
     route: Routes = None,
-    real: Annotated[str | None, typer.Option(metavar="L,R", help="Real radii, m.")] = None,
-    believed: Annotated[
-        str | None, typer.Option(metavar="L,R", help="Radii the odometry believes, m (0.1,0.1).")
-    ] = None,
-    ratio: Annotated[str | None, typer.Option(metavar="E,E..", help="Ratios of radii, E_r = r_R / r_L.")] = None,
-    which: Annotated[
-        str, typer.Option("--wheel", help="Which wheel --ratio sets off: right, left, both, equal.")
-    ] = "right",
+    real: Annotated[str | None, option("L,R", "Real radii, m.")] = None,
+    believed: Annotated[str | None, option("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
+    ratio: Annotated[str | None, option("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
+    which: Annotated[str, option(None, "Which wheel --ratio sets off: right, left, both, equal.", "--wheel")] = "right",
     track: Track = None,
-    real_track: Annotated[float | None, typer.Option(metavar="M", help="Real track, if another.")] = None,
+    real_track: Annotated[float | None, option("M", "Real track, if another.")] = None,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
@@ -137,29 +132,27 @@ def route(
 def journey(
     law: Annotated[
         Path,
-        typer.Option(
+        option(
+            "PATH",
+            "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
             "--law",
             "--model",
-            metavar="PATH",
-            help="Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
         ),
     ],
     route: Routes = None,
-    load: Annotated[
-        list[str] | None, typer.Option(metavar="L,R", help="Wheel loads, N; again for more journeys.")
-    ] = None,
+    load: Annotated[list[str] | None, option("L,R", "Wheel loads, N; again for more journeys.")] = None,
     payload: Annotated[
-        list[str] | None, typer.Option(metavar="KG,X,Y", help="The same from a payload and its place; again for more.")
+        list[str] | None, option("KG,X,Y", "The same from a payload and its place; again for more.")
     ] = None,
     payload_at: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="S,KG,X,Y",
-            help="Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
+        option(
+            "S,KG,X,Y",
+            "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
         ),
     ] = None,
     reference: Annotated[
-        str, typer.Option("--reference-load", metavar="L,R", help="Loads whose radii the uncorrected odometry uses, N.")
+        str, option("L,R", "Loads whose radii the uncorrected odometry uses, N.", "--reference-load")
     ] = "300,300",
     track: Track = None,
     draws: Draws = DRAWS,
@@ -197,12 +190,10 @@ def journey(
 
 
 def study(
-    name: Annotated[str, typer.Argument(metavar="STUDY", help="symmetric, asymmetric or corrected.")],
+    name: Annotated[str, argument("STUDY", "symmetric, asymmetric or corrected.")],
     law: Law = None,
-    load: Annotated[
-        list[str] | None, typer.Option(metavar="L,R", help="With --law: wheel loads in place of the study's, N.")
-    ] = None,
-    route: Annotated[list[str] | None, typer.Option(help="Another route than the study's; again for more.")] = None,
+    load: Annotated[list[str] | None, option("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
+    route: Annotated[list[str] | None, option(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,
@@ -248,9 +239,9 @@ def study(
 
 
 def replay(
-    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign with logs and end poses.")],
+    campaign: Annotated[Path, argument("CAMPAIGN", "Campaign with logs and end poses.")],
     law: Law = None,
-    scheme: Annotated[str, typer.Option(help="exact, mid_point, euler or end_point.")] = "exact",
+    scheme: Annotated[str, option(None, "exact, mid_point, euler or end_point.")] = "exact",
     seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
@@ -266,7 +257,6 @@ def replay(
     from calib.campaign.read import read_campaign
     from calib.coefficients.export import coefficients_of, effects_left_out
     from calib.odometry.replay import replay as replay_runs
-    from calib.reporting.blocks import items
     from calib.reporting.files import replay_trajectories, write_replay
     from calib.reporting.topics.simulation import replay_content
 
@@ -280,18 +270,10 @@ def replay(
         notes.append(
             "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"
         )
-    document = {
-        "campaign": read.name,
-        "simulated": read.simulated,
-        "scheme": scheme,
-        **replayed.to_dict(),
-        "notes": notes,
-    }
+    about = {"campaign": read.name, "simulated": read.simulated, "scheme": scheme}
+    document = about | replayed.to_dict() | {"notes": notes}
     written = [] if output is None else write_replay(replayed, output, document, force=terminal.forced())
     if tum is not None:
         written += replay_trajectories(read, source.file, tum, force=terminal.forced())
-    terminal.emit_json(document | {"files": [str(path) for path in written]})
-    if not terminal.wants_stdout():
-        terminal.show([*replay_content(replayed), *items(notes)])
-        terminal.wrote(written)
+    _tell(document, replay_content(replayed), notes, written)
     terminal.then("simulate replay", c=campaign)

@@ -295,34 +295,41 @@ def _write(stream: Any, text: str) -> None:
         stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")
 
 
+def option(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
+    """Return an option: how its value is called in the help, the help, and its names where its parameter says no other.
+
+    `metavar` is None for a switch, and for a value called by its type; `limits` are those of `typer.Option`.
+    """
+    return typer.Option(*names, metavar=metavar, help=text, **limits)
+
+
+def argument(metavar: str | None, text: str) -> Any:
+    """Return an argument: how it is called in the help, and the help."""
+    return typer.Argument(metavar=metavar, help=text)
+
+
 JsonTarget = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+    str | None, option("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")
 ]
 MappingOption = Annotated[
-    Path | None,
-    typer.Option("--mapping", metavar="FILE", help="TOML that maps a recording or table, read as if ingested."),
+    Path | None, option("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")
 ]
-CampaignOrRecording = Annotated[
-    Path, typer.Argument(metavar="CAMPAIGN", help="Folder with campaign.toml and runs.csv, or a recording.")
-]
-Figures = Annotated[
-    Path | None, typer.Option("--figures", metavar="FOLDER", help="Write the figures there as PNG, SVG and PDF.")
-]
+CampaignOrRecording = Annotated[Path, argument("CAMPAIGN", "Folder with campaign.toml and runs.csv, or a recording.")]
+Figures = Annotated[Path | None, option("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
 Date = Annotated[
-    str | None,
-    typer.Option("--date", metavar="YYYY-MM-DD", help="Date of issue; without it: today. Fixes the bytes of the PDF."),
+    str | None, option("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
+Force = Annotated[bool, option(None, "Replace existing output files.", "--force")]
 AcceptImplausible = Annotated[
     str,
-    typer.Option(
+    option(
+        "REASON",
+        "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
         "--accept-implausible",
-        metavar="REASON",
-        help="Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
     ),
 ]
-Workers = Annotated[int, typer.Option("--workers", metavar="N", min=1, help="Processes of this machine.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything that is drawn.")]
+Workers = Annotated[int, option("N", "Processes of this machine.", "--workers", min=1)]
+Seed = Annotated[int, option("N", "Seed of everything that is drawn.", "--seed")]
 
 
 def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:

@@ -7,7 +7,6 @@ import importlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -15,7 +14,7 @@ from calib.campaign.wheels import SOURCE_NAMES
 from calib.coefficients import formats
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
-from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.errors import BadFileError, BadInputError, RefusedError, refuse_other_than_date
 from calib.io import refuse_existing, write_bytes, write_files
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ def coefficients_of(
     if outside not in (None, *get_args(Outside)):
         raise BadInputError(f"outside: found {outside!r}; expected refuse or clamp; choose one of them")
     if created is not None:
-        _check_date(created)
+        refuse_other_than_date(created)
     changes = {key: value for key, value in (("outside", outside), ("created", created)) if value is not None}
     if not path.exists():
         expected = "a campaign folder, a result folder of calib fit, or a coefficient file"
@@ -102,15 +101,6 @@ def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
         return ()
     names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
     return (f"{what}: {names} of the model; its radius laws and its track alone are used",)
-
-
-def _check_date(text: str) -> None:
-    try:
-        fine = len(text) == len("YYYY-MM-DD") and bool(date.fromisoformat(text))
-    except ValueError:
-        fine = False
-    if not fine:
-        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
 
 
 def _is_coefficients(path: Path) -> bool:

@@ -135,11 +135,7 @@ class CoefficientFile(Section):
         together = self.joint_geometry
         if together is None or together.source != "rear":
             return None
-        wheels = self.wheels
-        joint = np.zeros((len(JOINT), len(JOINT)))
-        for at, wheel in ((0, wheels.left), (2, wheels.right)):
-            joint[at : at + 2, at : at + 2] = wheel.law.covariance
-        joint[4, 4] = self.vehicle.track_std.value**2
+        joint = RadiusLaw(self.wheels.left.law, self.wheels.right.law).covariance(self.vehicle.track_std.value)
         for entry in together.covariance:
             if entry.first in JOINT and entry.second in JOINT:
                 one, other = JOINT.index(entry.first), JOINT.index(entry.second)

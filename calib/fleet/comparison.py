@@ -134,8 +134,7 @@ def quantities_of(
     populations = {}
     for name, column in own.items():
         known = usual & np.isfinite(column)
-        found = population(column[known], std[name][known])
-        if found is not None:
+        if found := population(column[known], std[name][known]):
             populations[name] = found
     return Quantities(populations, tuple(one for one in apart if one.vehicle not in drifting), common)
 

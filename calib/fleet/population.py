@@ -86,8 +86,7 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
     if falling(0.0) <= 0.0:
         return 0.0
-    root: float = brentq(falling, 0.0, 2.0 * high, xtol=1e-13 * high + 1e-300, rtol=1e-14)
-    return root
+    return float(brentq(falling, 0.0, 2.0 * high, xtol=1e-13 * high + 1e-300, rtol=1e-14))
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:

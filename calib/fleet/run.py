@@ -18,11 +18,11 @@ from calib.documents import plain, plain_fields
 from calib.errors import CalibError
 from calib.fleet.comparison import LabelDifference, Labels, Outlier, quantities_of
 from calib.fleet.population import Population, any_false
-from calib.fleet.store import SUMS, Kept, Keys, Part, Progress, labels_of, members_of, one_line, renewed
+from calib.fleet.store import SUMS, Kept, Keys, Part, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
 from calib.fleet.workers import engine
 from calib.radius.effective import effective_radii
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, Progress, StrArray, silent
 
 #: column of the run table that gives the day of a run; any origin
 DAY: Final = "day"
@@ -54,13 +54,13 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     return PartSums(part.name, key, reference, nominal, left, right)
 
 
-def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None) -> Campaign:
+def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
     """Return the campaign of a file of journeys; tables of a dataset take the fleet's settings and have no logs.
 
     `settings`: those read before, by folder; those read now are added. Raises CalibError where it cannot be used.
     """
     if part.path.parent == part.settings:
-        return read_campaign(part.settings)
+        return read_campaign(part.settings, lenient=lenient)
     known = {} if settings is None else settings
     if part.settings not in known:
         known[part.settings] = read_settings(part.settings / "campaign.toml", "campaign.toml")
@@ -112,18 +112,15 @@ class Fleet:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
         outliers = {outlier.vehicle: outlier.why for outlier in self.view.outliers}
-        vehicles = []
-        for record in self.records:
-            values = record.to_dict()
-            values["outlier"] = record.vehicle in outliers
-            values["why"] = values["why"] or outliers.get(record.vehicle, "")
-            vehicles.append(values)
+        vehicles = [
+            record.to_dict()
+            | {"outlier": record.vehicle in outliers, "why": record.why or outliers.get(record.vehicle, "")}
+            for record in self.records
+        ]
         return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": plain(self.view)}
 
 
-def fit_fleet(
-    folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress | None = None
-) -> Fleet:
+def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
     """Fit every vehicle of a fleet.
 
     The result is the same for any engine, number of workers and order.
@@ -144,7 +141,7 @@ def fit_fleet(
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(Path(into) / SUMS, parts, opened, sums_of_parts, sums_given_up, progress)
+        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
         # a record is made in a fraction of the time that a file takes to read
         made = opened.run(records_of, vehicles, record_given_up)
@@ -233,7 +230,5 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
         due = drift.last_day + DUE_RELATIVE * getattr(record, side).radius_ref_m / abs(drift.per_day_m)
         half = float(stdtrit(drift.dof, 0.975)) * drift.std_m
         new = DriftingVehicle(record.vehicle, side, drift.per_day_m, half, float(due))
-        have = drifting.get(record.vehicle)
-        if have is None or new.due_day < have.due_day:
-            drifting[record.vehicle] = new
+        drifting[record.vehicle] = min(drifting.get(record.vehicle, new), new, key=lambda one: one.due_day)
     return tuple(sorted(drifting.values(), key=lambda one: (one.due_day, one.vehicle)))

@@ -21,6 +21,7 @@ from calib.documents import VERSION, plain
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.fleet.workers import Engine, Task
 from calib.io import inside, sha256_file, write_text
+from calib.types import Progress
 
 SETTINGS: Final = "campaign.toml"
 LABELS: Final = "vehicles.csv"
@@ -55,23 +56,15 @@ def members_of(folder: Path) -> tuple[Member, ...]:
     folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those of
     ``runs.csv``. Raises BadFileError where the folder holds no vehicle.
     """
-    folder = Path(folder)
     if not folder.is_dir():
-        raise BadFileError(
-            folder,
-            found="a file" if folder.exists() else "no such folder",
-            expected="a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle",
-            remedy="give the fleet's folder",
-        )
-    found = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
-    if not found:
-        raise BadFileError(
-            folder,
-            found="no vehicle",
-            expected="campaign folders, or campaign.toml beside folders vehicle=ID of .parquet files",
-            remedy="give the folder that holds them",
-        )
-    return found
+        found = "a file" if folder.exists() else "no such folder"
+        expected = "a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle"
+        raise BadFileError(folder, found, expected, "give the fleet's folder")
+    members = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
+    if not members:
+        expected = "campaign folders, or campaign.toml beside folders vehicle=ID of .parquet files"
+        raise BadFileError(folder, "no vehicle", expected, "give the folder that holds them")
+    return members
 
 
 def _campaigns(folder: Path) -> tuple[Member, ...]:
@@ -138,16 +131,11 @@ def any_simulated(folder: Path) -> bool:
     import tomllib
 
     for settings in {part.settings for member in members_of(folder) for part in member.parts}:
-        if not (settings / SETTINGS).is_file():
-            # a device or a pipe may have no end
-            continue
-        try:
-            with (settings / SETTINGS).open("rb") as stream:
-                if tomllib.load(stream).get("simulated") is True:
-                    return True
-        except (OSError, ValueError):
-            # a vehicle whose settings cannot be read is listed as failed
-            continue
+        path = settings / SETTINGS
+        # a device or a pipe may have no end; a vehicle whose settings cannot be read is listed as failed
+        with suppress(OSError, ValueError):
+            if path.is_file() and tomllib.loads(path.read_text(encoding="utf-8")).get("simulated") is True:
+                return True
     return False
 
 
@@ -156,26 +144,19 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
 
     `folder`: may hold ``vehicles.csv``, a column ``vehicle`` and further columns of labels.
     """
-    path = Path(folder) / LABELS
+    path = folder / LABELS
     if not path.is_file():
         return {}
     columns = dict(read_table(path, LABELS).columns)
     if "vehicle" not in columns:
-        raise BadFileError(
-            LABELS,
-            found=f"the columns {', '.join(columns)[:80]}",
-            expected="a column vehicle",
-            remedy="name the vehicles as their folders are named",
-        )
+        found, remedy = f"the columns {', '.join(columns)[:80]}", "name the vehicles as their folders are named"
+        raise BadFileError(LABELS, found, "a column vehicle", remedy)
     ids = [str(cell) for cell in columns.pop("vehicle")]
     known = {member.vehicle for member in members}
+    labelled = {name: zip(ids, cells, strict=True) for name, cells in columns.items()}
     return {
-        name: {
-            vehicle: str(cell)
-            for vehicle, cell in zip(ids, cells, strict=True)
-            if vehicle in known and cell not in (None, "")
-        }
-        for name, cells in columns.items()
+        name: {vehicle: str(cell) for vehicle, cell in pairs if vehicle in known and cell not in (None, "")}
+        for name, pairs in labelled.items()
     }
 
 
@@ -186,8 +167,6 @@ def one_line(error: Exception) -> str:
 
 SUMS: Final = "sums.jsonl"
 Source = TypeVar("Source", Part, Member)
-#: called with the number of files or vehicles done and the number to do
-Progress = Callable[[int, int], None]
 #: key of a line's seal: a digest of its other values, so that a damaged line is read anew
 SEAL: Final = "seal"
 
@@ -228,7 +207,8 @@ def renewed(
     opened: Engine,
     task: Task[Source, Kept],
     given_up: Callable[[Source, str], Kept],
-    progress: Progress | None,
+    progress: Progress,
+    stage: str,
     weigh: Callable[[Source], int] = lambda _source: 1,
 ) -> tuple[dict[str, Kept], int]:
     """Do a task for each source that is new or has changed; records of the others are kept.
@@ -244,8 +224,8 @@ def renewed(
         By the names of their records.
     opened, task, given_up
         As `calib.fleet.workers.Engine.run` takes them.
-    progress
-        Called with the number of sources done and the number to do.
+    progress, stage
+        Called as sources are done, with this name of the stage.
     weigh
         As `calib.fleet.workers.Engine.run` takes it.
     """
@@ -260,8 +240,7 @@ def renewed(
             stream.write(record.line.encode())
             stream.flush()
             records[record.name] = record
-            if progress is not None:
-                progress(number, len(todo))
+            progress(number, len(todo), stage)
     write_text(path, "".join(records[name].line for name in sorted(records)), force=True)
     return records, len(todo)
 
@@ -306,32 +285,29 @@ class Keys:
     def __init__(self) -> None:
         self._settings: dict[Path, str] = {}
 
-    def of(self, part: Part) -> str:
-        """Return the key of a file of journeys with its settings and logs.
+    def of(self, source: Part | Member) -> str:
+        """Return the key of a file of journeys with its settings and logs, or of all files of a vehicle.
 
         Raises OSError where it cannot be read, CalibError where it may not be.
         """
-        if part.why:
-            raise CalibError(part.why)
+        if isinstance(source, Member):
+            return "|".join(f"{part.name}:{self.of(part)}" for part in source.parts)
+        if source.why:
+            raise CalibError(source.why)
         digest = hashlib.blake2b(VERSION.encode(), digest_size=DIGEST_BYTES)
-        if part.path.parent == part.settings:
-            for line in _lines(part.settings):
+        if source.path.parent == source.settings:
+            for line in _lines(source.settings):
                 digest.update(line.encode("utf-8", "surrogateescape"))
         else:
-            if part.settings not in self._settings:
-                self._settings[part.settings] = sha256_file(part.settings / SETTINGS)
-            digest.update(f"{self._settings[part.settings]} {sha256_file(part.path)}".encode())
+            if source.settings not in self._settings:
+                self._settings[source.settings] = sha256_file(source.settings / SETTINGS)
+            digest.update(f"{self._settings[source.settings]} {sha256_file(source.path)}".encode())
         return digest.hexdigest()
-
-    def of_member(self, member: Member) -> str:
-        """Return the key of all files of a vehicle."""
-        return "|".join(f"{part.name}:{self.of(part)}" for part in member.parts)
 
     def hold(self, kept: Kept | None, source: Part | Member) -> bool:
         """Return whether a record is there and its source is unchanged."""
         with suppress(CalibError, OSError):
-            if kept is not None and kept.key:
-                return kept.key == (self.of(source) if isinstance(source, Part) else self.of_member(source))
+            return kept is not None and kept.key != "" and kept.key == self.of(source)
         return False
 
 

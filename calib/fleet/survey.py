@@ -15,8 +15,9 @@ from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet.comparison import Labels, Quantities, SharedCause, VehicleResult, quantities_of, shared_causes
 from calib.fleet.run import campaign_of
-from calib.fleet.store import Kept, Keys, Member, Progress, labels_of, members_of, one_line, renewed
+from calib.fleet.store import Kept, Keys, Member, labels_of, members_of, one_line, renewed
 from calib.fleet.workers import engine
+from calib.types import Progress, silent
 
 #: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64
@@ -39,18 +40,13 @@ class Survey:
             {"id": record.name, "status": record.status, **record.values, "why": record.why} for record in self.records
         ]
         failed = sum(record.status == "failed" for record in self.records)
-        fleet = {
-            "n_vehicles": len(self.records),
-            "n_failed": failed,
-            "shared": [cause.to_dict() for cause in self.shared],
-        }
-        if self.quantities is not None:
-            fleet |= plain(self.quantities)
+        fleet = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
+        fleet |= {} if self.quantities is None else plain(self.quantities)
         return {"format": "calib-fleet/1", "what": self.what, "vehicles": vehicles, "fleet": fleet}
 
 
 def survey_fleet(
-    folder: Path, into: Path, what: str, *, workers: int = 1, scheduler: str = "", progress: Progress | None = None
+    folder: Path, into: Path, what: str, *, workers: int = 1, scheduler: str = "", progress: Progress = silent
 ) -> Survey:
     """Do a task for every vehicle.
 
@@ -69,8 +65,8 @@ def survey_fleet(
         raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")
     members = {member.vehicle: member for member in members_of(folder)}
     with engine(workers, scheduler) as opened:
-        path, task = Path(into) / f"{what}.jsonl", partial(_results, what)
-        kept, n_new = renewed(path, members, opened, task, _given_up, progress, lambda _member: WEIGHT)
+        path, task = into / f"{what}.jsonl", partial(_results, what)
+        kept, n_new = renewed(path, members, opened, task, _given_up, progress, "vehicles", lambda _member: WEIGHT)
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = shared_causes(records, labels)
@@ -87,7 +83,7 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
     for member in members:
         key = ""
         try:
-            key = keys.of_member(member)
+            key = keys.of(member)
             results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
         except (CalibError, OSError) as error:
             results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
@@ -108,23 +104,19 @@ def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities 
     return quantities_of([record.name for record in done], values, std, labels)
 
 
-def _campaign(member: Member) -> Campaign:
+def _campaign(member: Member, *, lenient: bool = False) -> Campaign:
     if len(member.parts) != 1:
         raise RefusedError(
             f"{member.vehicle}: found {len(member.parts)} files of journeys; expected one for this task; "
             "put a vehicle's journeys into one campaign folder"
         )
-    return campaign_of(member.parts[0])
+    return campaign_of(member.parts[0], lenient=lenient)
 
 
 def _check(member: Member) -> dict[str, object]:
     from calib.campaign.check import check_campaign
-    from calib.campaign.read import read_campaign
 
-    part = member.parts[0] if len(member.parts) == 1 else None
-    own_folder = part is not None and part.path.parent == part.settings
-    campaign = read_campaign(part.settings, lenient=True) if part is not None and own_folder else _campaign(member)
-    report = check_campaign(campaign)
+    report = check_campaign(_campaign(member, lenient=True))
     return {
         "sound": report.sound,
         "wrong": [note.code for note in report.wrong],

@@ -1,9 +1,9 @@
 """The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
 
-The sums are taken in the order driven, so that intervals allow for runs that scatter alike: what `calib.radius.order`
-does with the runs, from sums. A first-order autoregression within each session, its lag-one autocorrelation freed of
-the bias that the session means give it. The slope's variance is that of two autoregressive series,
-``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
+The sums are taken in the order driven, so that intervals allow for runs that scatter alike, as those of
+`calib.radius.sessions` do. A first-order autoregression within each session, its lag-one autocorrelation freed of the
+bias that the session means give it. The slope's variance is that of two autoregressive series, ``(1 + rho phi) / (1 -
+rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.radius.law import LineEstimate
-from calib.radius.order import LARGEST, MIN_DOF, PRECISION, WIDENED_BELOW
-from calib.radius.sessions import SessionSums, line_from_sums
+from calib.radius.session_sums import SessionSums, line_from_sums
+from calib.radius.sessions import LARGEST, MIN_DOF, PRECISION, WIDENED_BELOW
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")

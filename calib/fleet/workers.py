@@ -9,7 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from calib.errors import BadInputError, MissingExtraError, RefusedError
+from calib.errors import BadInputError, MissingExtraError, RefusedError, error_words
 
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
@@ -343,11 +343,10 @@ class DaskEngine(Engine):
         except (OSError, TimeoutError) as error:
             raise self._lost(error) from error
 
-    def _lost(self, error: BaseException) -> RefusedError:
-        why = " ".join(str(error).split())[:100] or type(error).__name__
+    def _lost(self, error: Exception) -> RefusedError:
         return RefusedError(
-            f"scheduler {self._address}: found no answer ({why}); expected a Dask scheduler; start one, or leave the "
-            "scheduler away; what was done before is kept"
+            f"scheduler {self._address}: found no answer ({error_words(error)}); expected a Dask scheduler; start one, "
+            "or leave the scheduler away; what was done before is kept"
         )
 
 
@@ -369,5 +368,4 @@ def _unpacked(header: Any, frames: Any) -> list[Any]:
     from distributed.protocol import deserialize
 
     task, items = deserialize(header, frames)
-    results: list[Any] = task(items)
-    return results
+    return list(task(items))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -38,6 +39,13 @@ class Path:
     def steps(self) -> Steps:
         """The steps of all observations; integrated anew each time where they are too many to be kept: see `parts`."""
         return steps_of(self.s, self.perturbation) if self.kept is None else self.kept
+
+    def traces(self) -> list[FloatArray]:
+        """Return the poses (n, 3) of each observation: its start, the middles of its steps, its end."""
+        steps = self.steps
+        places = np.column_stack((steps.x_m, steps.y_m, steps.mid_rad))
+        pieces = zip(pairwise(self.s.starts.tolist()), self.end, strict=True)
+        return [np.vstack((np.zeros(3), places[first:last], end)) for (first, last), end in pieces]
 
     def parts(self) -> Iterator[tuple[slice, Path]]:
         """Yield observations some at a time, each time with the path of these alone; itself where steps are few."""

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import SENSOR, nominal_values
-from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.drives import STEERING_ZERO, nominal_values
+from calib.kinematics.joint_fit import Fitted, with_own_zeros
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.per_recording import STEERING_ZERO, with_own_zeros
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -85,6 +84,12 @@ class Residuals:
         """What a further recording leaves: noise, and differences between recordings."""
         return math.hypot(self.noise, self.between)
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """The sizes by name; 0 where nothing was measured."""
+        sizes = {"before": self.before, "after": self.after, "noise": self.expected, "held_out": self.held_out}
+        return sizes if self.before or self.after else dict.fromkeys(sizes, 0.0)
+
 
 def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:
     """Return whether a result is to be used by what it leaves, and the reason why not.
@@ -120,28 +125,22 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
 
 
 @dataclass(frozen=True, slots=True)
-class Adequacy:
-    """Root mean square errors at the ends of runs, or of windows: of the position, and of the heading."""
-
-    before_rms_m: float
-    after_rms_m: float
-    noise_rms_m: float
-    held_out_rms_m: float
-    heading_before_rms_rad: float
-    heading_after_rms_rad: float
-    heading_noise_rms_rad: float
-    heading_held_out_rms_rad: float
-
-
-@dataclass(frozen=True, slots=True)
 class Judgement:
     """A verdict with its figures and reasons; no reasons where it is ``calibrated``."""
 
     verdict: GeometryVerdict
-    adequacy: Adequacy
+    #: at the ends of runs, or of windows
+    position: Residuals
+    heading: Residuals
     why: tuple[str, ...]
     #: blunders that are named: none of those recognised where the data stay unexplained once they are corrected
     faults: tuple[Fault, ...] = ()
+
+    @property
+    def adequacy(self) -> dict[str, float]:
+        """Root mean square errors of the position and of the heading, as the JSON names them."""
+        parts = (("", "m", self.position), ("heading_", "rad", self.heading))
+        return {f"{of}{at}_rms_{unit}": size for of, unit, part in parts for at, size in part.figures.items()}
 
 
 def judged(
@@ -173,10 +172,10 @@ def judged(
         """Return the figures of a part of the pose."""
         at = used & seen[:, columns].any(axis=1)
         scatter = _scatter(after[:, columns], replicates, at)
-        sizes = [_rms(part[at, columns]) for part in (before, after, held_out)]
-        total = _rms(travelled[at, None])
+        sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
+        total = rms(travelled[at, None])
         noise = usual if scatter is None else scatter
-        between = _rms(by_zero[at, columns])
+        between = rms(by_zero[at, columns])
         return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, between)
 
     reference = campaign.reference
@@ -204,18 +203,8 @@ def judged(
         *_zeros_apart(fitted, heading),
     )
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
-    # 0 where nothing was measured
-    figures = (
-        value if part.before or part.after else 0.0
-        for part in (position, heading)
-        for value in (part.before, part.after, part.expected, part.held_out)
-    )
-    return Judgement(
-        max(verdicts, key=list(GeometryVerdict).index),
-        Adequacy(*figures),
-        (*(fault.text for fault in named), *extra, *reasons, *more),
-        named,
-    )
+    why = (*(fault.text for fault in named), *extra, *reasons, *more)
+    return Judgement(max(verdicts, key=list(GeometryVerdict).index), position, heading, why, named)
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
@@ -237,12 +226,12 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
-    body = model.drive.motion(values[: -len(SENSOR)], model.recording.steps).body
+    body = model.motion(values).body
     turn = np.abs(body[2])
     return model.segments.between(np.hypot(body[0], body[1]) + 0.1 * turn), model.segments.between(turn)
 
 
-def _rms(residuals: FloatArray) -> float:
+def rms(residuals: FloatArray) -> float:
     """Return the root mean square of residuals, shape (n, n_channels), of all channels together."""
     return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
 
@@ -292,8 +281,8 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
             continue
         seen = Model(model.drive, fitted.logged, rest)
         fit = solve(seen, fitted.parameters, solution.values, solution.scales)
-        if fitted.own_zeros is not None:
-            fit = with_own_zeros(replace(fitted, model=seen, solution=fit, own_zeros=None)).solution
+        if fitted.zero_spread_rad:
+            fit = with_own_zeros(replace(fitted, model=seen, solution=fit)).solution
         residuals[away] = logged.predict(fit.values).residuals[away]
     return residuals
 
@@ -330,19 +319,19 @@ def _sideways(position: Residuals, heading: Residuals) -> list[str]:
 
 def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     """Return what a standard deviation of the recordings' steering zeros does to each segment, shape (n, 3)."""
-    if fitted.own_zeros is None:
+    if not fitted.zero_spread_rad:
         return np.zeros((len(logged.segments), 3))
     values = fitted.solution.values.copy()
     common = logged.predict(values).residuals
-    values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.own_zeros.spread_rad
+    values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.zero_spread_rad
     return np.asarray(logged.predict(values).residuals - common)
 
 
 def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
     """Return a sentence where the recordings' steering zeros differ by more than small headings."""
-    if fitted.own_zeros is None or heading.between <= SMALL_SHARE * heading.travelled:
+    if not fitted.zero_spread_rad or heading.between <= SMALL_SHARE * heading.travelled:
         return []
-    spread = f"{1e3 * fitted.own_zeros.spread_rad:.2g} mrad"
+    spread = f"{1e3 * fitted.zero_spread_rad:.2g} mrad"
     return [
         f"{STEERING_ZERO} differs between recordings by {spread} (standard deviation), beyond chance: the steering has "
         f"play, or does not follow its command; a further recording ends off by {heading.between:.2g} rad; log "

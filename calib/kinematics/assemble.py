@@ -1,4 +1,9 @@
-"""From a fit to the result: residuals by route, intervals and notes; intervals that planned runs promise."""
+"""From a fit to the result: residuals by route, UMBmark, intervals and notes; intervals that planned runs promise.
+
+UMBmark: radii and track from squares driven both ways (Borenstein and Feng, IEEE T-RA 12, 1996). A wrong track turns
+every corner by alpha too much, unequal wheels bend every side by beta. Clockwise and counter-clockwise the two add and
+subtract, so that the mean end position errors of both senses give them apart.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +20,12 @@ from calib.kinematics.adequacy import judged
 from calib.kinematics.blunders import Fault, factor_faults
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
-from calib.kinematics.model import Model, Segments, end_pose_segments
+from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual
+from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, Umbmark
 from calib.kinematics.solve import COMPONENTS, Solution
-from calib.kinematics.umbmark import Umbmark, umbmark
 from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -94,10 +98,10 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         estimates=estimates,
         covariance=covariance,
         # where one radius stands for two, directions of the free parameters say nothing of both
-        freedom=None if isinstance(model.drive, MeanHeld) else fitted.clustering.uncertainty.freedom,
+        freedom=None if isinstance(model.drive, MeanHeld) else fitted.uncertainty.freedom,
         undetermined=_undetermined(fitted),
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
-        clusters=(fitted.clustering.name, fitted.clustering.uncertainty.clusters),
+        clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=Channels.rms(after.residuals),
         outliers=outliers,
@@ -113,9 +117,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
 
 def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     """Return the estimates and their covariance; where the mean radius is held, both radii are among them."""
-    from scipy.special import stdtrit
-
-    parameters, uncertainty = fitted.parameters, fitted.clustering.uncertainty
+    parameters, uncertainty = fitted.parameters, fitted.uncertainty
     index = np.flatnonzero(parameters.free)
     names = [parameters.names[at] for at in index]
     nominal, values = parameters.nominal[index], fitted.solution.values[index]
@@ -139,14 +141,8 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
         covariance = covariance.copy()
         covariance[at, at] += (GYRO_SCALE_STD * values[at]) ** 2
         free = free * np.square(np.diag(covariance) / by_runs)
-    std = np.sqrt(np.diag(covariance))
-    half = std * stdtrit(free, 0.975)
-    rows = zip(names, nominal, values, std, half, dof, strict=True)
-    estimates = tuple(
-        Estimate(name, float(before), float(value), float(sd), (float(value - wide), float(value + wide)), float(own))
-        for name, before, value, sd, wide, own in rows
-    )
-    return estimates, np.asarray(covariance)
+    columns = (part.tolist() for part in (nominal, values, np.sqrt(np.diag(covariance)), dof, free))
+    return tuple(map(Estimate.of, names, *columns)), np.asarray(covariance)
 
 
 def _undetermined(fitted: Fitted) -> tuple[str, ...]:
@@ -181,9 +177,8 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
 
 def _notes(fitted: Fitted) -> tuple[str, ...]:
     """Return notes on the estimates, in sentences."""
-    recording, clustering = fitted.model.recording, fitted.clustering
+    recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     notes = []
-    name, n = clustering.name, clustering.uncertainty.clusters
     if name in {"session", "route"}:
         notes.append(
             f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
@@ -249,3 +244,79 @@ def _of_end_poses(campaign: Campaign, known: FloatArray | None = None) -> Fitted
     recording = recording_of(campaign, source)
     drive, segments = drive_of(campaign, source, recording), end_pose_segments(recording)
     return fit_parameters(campaign, drive, recording, segments, sensor=False, known=known)
+
+
+#: how far from a side's direction a piece of the way may point and still belong to it
+SIDE_RAD: Final = 0.35
+#: share of the way that belongs to sides, and of the shortest side beside the mean one
+SIDES_SHARE: Final = 0.8
+SHORTEST_SIDE: Final = 0.7
+#: runs of each sense below which the scatter says nothing
+FEWEST: Final = 2
+
+
+def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray]:
+    """Return the mean side of each stretch that is a square, NaN of others, and whether it is counter-clockwise.
+
+    A square starts along a side, and its way points along four directions at right angles for nearly all its length.
+    """
+    pose = prediction.path.pose
+    side, left = np.full(len(segments), np.nan), np.zeros(len(segments), dtype=np.bool_)
+    for at, (first, last) in enumerate(zip(segments.first, segments.last, strict=True)):
+        theta = pose[2, first : last + 1] - pose[2, first]
+        step = np.hypot(np.diff(pose[0, first : last + 1]), np.diff(pose[1, first : last + 1]))
+        turn = float(theta[-1])
+        if not 1.4 * np.pi < abs(turn) < 2.1 * np.pi or step.sum() <= 0.0:
+            continue
+        quarter = 0.5 * (theta[1:] + theta[:-1]) * np.sign(turn) / (0.5 * np.pi)
+        number = np.rint(quarter)
+        near = (np.abs(quarter - number) * 0.5 * np.pi < SIDE_RAD) & (number >= 0) & (number <= 3)
+        lengths = np.bincount(number[near].astype(np.int64), step[near], minlength=4)
+        if lengths.sum() > SIDES_SHARE * step.sum() and lengths.min() > SHORTEST_SIDE * lengths.mean():
+            side[at], left[at] = step.sum() / 4.0, turn > 0.0
+    return side, left
+
+
+def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
+    """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
+
+    `prediction`: of the nominal vehicle: its errors are what is looked at; `calibrated`: of the calibrated one: its way
+    shows which runs are squares; `track_m`: nominal track.
+    """
+    side, left = squares(calibrated, segments)
+    square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
+    n_ccw, n_cw = int((square & left).sum()), int((square & ~left).sum())
+    if not n_ccw or not n_cw:
+        missing = (
+            "squares" if not n_ccw and not n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
+        )
+        return Umbmark(False, n_cw=n_cw, n_ccw=n_ccw, why=f"no {missing} among the runs")
+    from scipy.linalg import block_diag
+
+    error = prediction.residuals[:, :2]
+    side_m = float(np.mean(side[square]))
+    both = [error[square & left], error[square & ~left]]
+    centres = np.stack([part.mean(axis=0) for part in both])
+    ratios = _ratios(centres, side_m, track_m)
+    std = np.full(2, np.nan)
+    if min(n_ccw, n_cw) >= FEWEST:
+        # both ratios are nearly linear in the four means
+        step = 1e-6 * np.eye(4).reshape(4, 2, 2)
+        slopes = np.array([np.subtract(_ratios(centres + d, side_m, track_m), ratios) for d in step]) / 1e-6
+        spread = block_diag(*(np.cov(part.T) / len(part) for part in both))
+        std = np.sqrt(np.diag(slopes.T @ spread @ slopes))
+    E_d, E_b = ratios
+    return Umbmark(
+        True, E_d, E_b, 2.0 / (E_d + 1.0), 2.0 / (1.0 / E_d + 1.0), float(std[0]), float(std[1]), side_m, n_cw, n_ccw
+    )
+
+
+def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, float]:
+    """Return E_d and E_b of mean end position errors, rows counter-clockwise and clockwise, both axes averaged."""
+    (x_ccw, y_ccw), (x_cw, y_cw) = centres
+    alpha = 0.5 * ((x_cw + x_ccw) + (y_cw - y_ccw)) / (4.0 * side_m)
+    beta = 0.5 * ((x_ccw - x_cw) - (y_ccw + y_cw)) / (4.0 * side_m)
+    curvature = 2.0 * np.sin(0.5 * beta) / side_m
+    return float((1.0 + 0.5 * track_m * curvature) / (1.0 - 0.5 * track_m * curvature)), float(
+        0.5 * np.pi / (0.5 * np.pi + alpha)
+    )

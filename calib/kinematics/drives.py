@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from calib.campaign.settings import Reference
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 #: factor on the true turn that a gyro measures
 GYRO_SCALE: Final = "gyro_scale"
@@ -47,6 +47,12 @@ class Parameter:
     prior_std: float
 
 
+#: zero of the steering angle, and factor on the angle that the sensor says
+STEERING_ZERO: Final = "steering_zero_rad"
+STEERING_SCALE: Final = "steering_scale"
+STEERING: Final = (Parameter(STEERING_ZERO, 0.0, 0.1), Parameter(STEERING_SCALE, 1.0, 0.1))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
     """Parameters in a fixed order, with those that are to be estimated."""
@@ -54,7 +60,7 @@ class Parameters:
     #: all parameters of drive and sensor
     items: tuple[Parameter, ...]
     #: which are estimated; the others stay at their nominal value, shape (n_parameters,)
-    free: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    free: BoolArray
 
     @staticmethod
     def of(items: Sequence[Parameter], free: Iterable[str]) -> Parameters:
@@ -105,14 +111,15 @@ def nominal_values(drive: Drive) -> FloatArray:
     return np.array([*(item.nominal for item in drive.parameters), *UNMOVED_SENSOR])
 
 
+def nominal_turn(drive: Drive, steps: Steps) -> FloatArray:
+    """Return the turn in each step by the nominal values of a drive, shape (n_samples,)."""
+    return np.asarray(drive.motion(np.array([item.nominal for item in drive.parameters]), steps).body[2])
+
+
 #: spread of a length about its nominal value, relative
 LENGTH_STD: Final = 0.10
 #: spread of the radius' change with load, relative to the radius, per newton: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
-#: factor on the steering angle that the sensor says
-STEERING_SCALE: Final = "steering_scale"
-STEERING_ZERO_STD_RAD: Final = 0.1
-STEERING_SCALE_STD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,17 +252,14 @@ class FrontWheel:
         return (
             length_parameter("front_radius_m", self.front_radius_m),
             length_parameter("wheelbase_m", self.wheelbase_m),
-            Parameter("steering_zero_rad", 0.0, STEERING_ZERO_STD_RAD),
-            Parameter(STEERING_SCALE, 1.0, STEERING_SCALE_STD),
+            *STEERING,
         )
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the rear axle's middle (Eqs 12 to 14)."""
-        if steps.steer_rad is None:
-            raise ValueError("a front wheel needs its steering angle in every step")
         radius, wheelbase, zero, scale = values
-        phi = steps.turned_rad[0]
-        angle = scale * steps.steer_rad + zero
+        phi, steer = steps.turned_rad[0], np.asarray(steps.steer_rad)
+        angle = scale * steer + zero
         cosine, sine = np.cos(angle), np.sin(angle)
         travel = radius * phi
         body = np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase])
@@ -263,7 +267,7 @@ class FrontWheel:
         derivative[0, 0], derivative[0, 2] = phi * cosine, phi * sine / wheelbase
         derivative[1, 2] = -travel * sine / wheelbase**2
         derivative[2, 0], derivative[2, 2] = -travel * sine, travel * cosine / wheelbase
-        derivative[3] = derivative[2] * steps.steer_rad
+        derivative[3] = derivative[2] * steer
         return Motion(body, derivative)
 
 
@@ -335,9 +339,7 @@ def integrate_motion(motion: Motion) -> Path:
 
 def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     """Return displacements from poses `first` to poses `last` in the frames of the former, shape (n, 3)."""
-    delta = pose[:, last] - pose[:, first]
-    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
-    return np.stack([cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0], delta[2]], axis=1)
+    return in_frame(pose[:, last] - pose[:, first], pose[2, first])
 
 
 def displacement(
@@ -349,12 +351,10 @@ def displacement(
     (n_segments,)): which poses. Returns `moved` (shape (n_segments, 3)): forward, left, turn; `derivative` (shape
     (n_segments, 3, n_parameters)): derivatives of `moved`.
     """
-    delta = pose[:, last] - pose[:, first]
+    moved = moved_between(pose, first, last)
     cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
-    forward, left = cosine * delta[0] + sine * delta[1], cosine * delta[1] - sine * delta[0]
     d_delta = by_parameter[:, :, last] - by_parameter[:, :, first]
     d_start = by_parameter[:, 2][:, first]
-    d_forward = cosine * d_delta[:, 0] + sine * d_delta[:, 1] + left * d_start
-    d_left = cosine * d_delta[:, 1] - sine * d_delta[:, 0] - forward * d_start
-    moved = np.stack([forward, left, delta[2]], axis=1)
+    d_forward = cosine * d_delta[:, 0] + sine * d_delta[:, 1] + moved[:, 1] * d_start
+    d_left = cosine * d_delta[:, 1] - sine * d_delta[:, 0] - moved[:, 0] * d_start
     return moved, np.stack([d_forward, d_left, d_delta[:, 2]], axis=0).transpose(2, 0, 1)

@@ -13,21 +13,28 @@ import numpy as np
 
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
+from calib.kinematics.adequacy import rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.drives import SENSOR, nominal_values, parameters_of
-from calib.kinematics.joint_fit import Fitted, drive_of, fit_parameters
+from calib.kinematics.drives import SENSOR, nominal_turn, parameters_of
+from calib.kinematics.joint_fit import (
+    Delay,
+    Fitted,
+    drive_of,
+    fit_parameters,
+    own_delays,
+    sought_delays,
+    with_own_zeros,
+)
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
-from calib.kinematics.per_recording import Delay, own_delays, sought_delays, with_own_zeros
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunTrace, Transfer
 from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import FloatArray, IntArray, Progress, silent, stepped
+from calib.types import FloatArray, IntArray, Progress, in_frame, silent, stepped
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-    from calib.kinematics.recording import Recording
 
 Using = Literal["end_poses", "windows"]
 
@@ -119,6 +126,7 @@ class _Fit:
 def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
     """Return the fit of a recording; `found`: blunders that it was corrected for."""
     campaign, source, way = task.campaign, task.source, task.way
+    as_read = recording.end_pose
     recording, off = _with_whole_turns(campaign, source, recording)
     if off and way == "end_poses":
         text = (
@@ -128,6 +136,8 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     divisions = _divisions(recording, way)
     coarse = next(divisions)
     recording, faults = corrected(recording, coarse, source, drive_of(campaign, source, recording))
+    if faults:
+        recording, _ = _with_whole_turns(campaign, source, replace(recording, end_pose=as_read))
     drive = drive_of(campaign, source, recording)
     task.progress(0, 0, "fits")
     chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
@@ -194,8 +204,8 @@ def _bends(fitted: Fitted) -> bool:
     """Return whether heading residuals in the longest windows are too large for a linear model of positions."""
     segments = fitted.model.segments
     longest = (segments.level == 0) & segments.seen[:, 2]
-    rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2]
-    return len(rest) > 0 and float(np.sqrt(np.mean(np.square(rest)))) > BENT_RAD
+    rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2:]
+    return rms(rest) > BENT_RAD
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
@@ -226,8 +236,7 @@ def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> 
 
 def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
     """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
-    drive = drive_of(campaign, source, recording)
-    return np.asarray(drive.motion(nominal_values(drive)[: -len(SENSOR)], recording.steps).body[2])
+    return nominal_turn(drive_of(campaign, source, recording), recording.steps)
 
 
 def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
@@ -244,13 +253,6 @@ def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
         before = count
 
 
-def corrected_recording(campaign: Campaign, source: str) -> tuple[Recording, tuple[Fault, ...]]:
-    """Return wheels and reference with blunders corrected, and these faults."""
-    recording = recording_of(campaign, source)
-    divisions = _divisions(recording, _way(recording))
-    return corrected(recording, next(divisions), source, drive_of(campaign, source, recording))
-
-
 def _transfer(
     campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
 ) -> tuple[Transfer, ...]:
@@ -265,11 +267,9 @@ def _transfer(
         drive = drive_of(campaign, source, rest)
         fitted = fit_parameters(campaign, drive, rest, next(_divisions(rest, cast(Using, whole.using))), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
-        errors = [
-            float(np.sqrt(np.mean(np.square(model.predict(values).residuals[:, :2]).sum(axis=1))))
-            for values in (fitted.parameters.nominal, fitted.solution.values)
-        ]
-        rows.append(Transfer(str(label), len(tried), errors[0], errors[1]))
+        vehicles = (fitted.parameters.nominal, fitted.solution.values)
+        before, after = (rms(model.predict(values).residuals[:, :2]) for values in vehicles)
+        rows.append(Transfer(str(label), len(tried), before, after))
     return tuple(rows)
 
 
@@ -278,8 +278,10 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
 
     `campaign`: the one that was calibrated.
     """
-    recording, _ = corrected_recording(campaign, geometry.source)
-    drive = drive_of(campaign, geometry.source, recording)
+    source, recording = geometry.source, recording_of(campaign, geometry.source)
+    coarse = next(_divisions(recording, _way(recording)))
+    recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
+    drive = drive_of(campaign, source, recording)
     items = parameters_of(drive, campaign.reference)
     nominal = np.array([item.nominal for item in items])
     calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
@@ -320,7 +322,7 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
     else:
         seen = np.array([reference.shape[1] - 1], dtype=np.int64)
         measured, aligned = recording.end_pose[run][:, None], paths
-    residuals = [_residuals(path[:, seen], measured) for path in aligned]
+    residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
     return RunTrace(
         run_id=str(recording.run_id[run]),
         kind=str(recording.kind[run]),
@@ -351,10 +353,3 @@ def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
     rotate = np.array([[cosine, -sine], [sine, cosine]])
     place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
     return np.concatenate([place, path[2:] + turn])
-
-
-def _residuals(path: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return measured less predicted along and to the left of the heading, and in the heading, shape (n_poses, 3)."""
-    apart = measured - path
-    cosine, sine = np.cos(path[2]), np.sin(path[2])
-    return np.stack([cosine * apart[0] + sine * apart[1], cosine * apart[1] - sine * apart[0], apart[2]], axis=1)

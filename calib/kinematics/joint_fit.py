@@ -1,8 +1,15 @@
-"""Joint estimation of the parameters that the data determine; the others are held at nominal and named."""
+"""Joint estimation of the parameters that the data determine; the others are held at nominal and named.
+
+Some parameters differ between recordings: the delay of the reference, and the zero of the steering angle. A servo, or a
+linkage with play, comes to rest at another angle each time. One zero for all recordings then bends what the other
+parameters say; a free zero for each says nothing of a further recording. Here the deviations are random effects: the
+common zero and the other parameters are estimated by generalised least squares, each deviation is the mean of its
+distribution given the data, and the spread is part of the uncertainty.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -12,6 +19,8 @@ from calib.errors import RefusedError
 from calib.kinematics.drives import (
     GYRO_SCALE,
     SENSOR,
+    STEERING_SCALE,
+    STEERING_ZERO,
     Differential,
     Drive,
     FrontWheel,
@@ -23,9 +32,9 @@ from calib.kinematics.drives import (
 )
 from calib.kinematics.model import Model, Segments, rear_shaft
 from calib.kinematics.recording import Recording
-from calib.kinematics.solve import Solution, planned, solve
-from calib.kinematics.uncertainty import Clustering, clustered, expected, whitened
-from calib.types import FloatArray
+from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
+from calib.kinematics.uncertainty import Uncertainty, clustered, expected, whitened
+from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -38,32 +47,16 @@ NOMINAL_STD: Final = 0.01
 ALIKE: Final = 0.3
 
 
-def weakest(solution: Solution, parameters: Parameters) -> str | None:
-    """Return the parameter that the least determined direction is mostly made of; None where all are determined.
+def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
+    """Return the least determined direction of the free parameters, shape (n_free,); None where all are determined.
 
     `solution`: its whitened Jacobian, in units of the prior spread of each parameter, is decomposed; `parameters`:
     which are free, and their prior spread.
     """
-    singular, directions = _directions(solution, parameters)
-    if singular[-1] * TOLERATED >= 1.0:
-        return None
-    return parameters.free_names[int(np.argmax(np.abs(directions[-1])))]
-
-
-def scale_is_open(covariance: FloatArray, values: FloatArray) -> bool:
-    """Return whether data know the common scale of radii and track less well than their nominal values do.
-
-    `covariance` (shape (3, 3)): of both radii and the track; `values` (shape (3,)).
-    """
-    return bool(np.mean(covariance / np.outer(values, values)) > NOMINAL_STD**2)
-
-
-def scale_is_weakest(solution: Solution, parameters: Parameters) -> bool:
-    """Return whether the least determined direction is that in which radii and track grow alike.
-
-    `solution`: of two wheels on one axle; `parameters`: both radii and the track come first and are free.
-    """
-    return bool(np.min(np.abs(_directions(solution, parameters)[1][-1, :3])) > ALIKE)
+    free = parameters.free
+    jacobian = whitened(solution, free)[0] * parameters.prior_std[free]
+    _, singular, directions = np.linalg.svd(jacobian.reshape(-1, int(free.sum())), full_matrices=False)
+    return None if singular[-1] * TOLERATED >= 1.0 else np.asarray(directions[-1])
 
 
 def loosest(std: FloatArray, parameters: Parameters) -> str | None:
@@ -77,28 +70,10 @@ def loosest(std: FloatArray, parameters: Parameters) -> str | None:
     return parameters.free_names[at] if ratio[at] > TOLERATED else None
 
 
-def _directions(solution: Solution, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """Return singular values of the whitened Jacobian in units of the prior spread, and its directions as rows."""
-    free = parameters.free
-    jacobian = whitened(solution, free)[0] * parameters.prior_std[free]
-    _, singular, directions = np.linalg.svd(jacobian.reshape(-1, int(free.sum())), full_matrices=False)
-    return singular, directions
-
-
 #: a delay is sought where samples are at most so far apart
 LONGEST_STEP_S: Final = 0.25
 #: loads that vary by less than this part of their mean say nothing of a slope
 LOADS_VARY: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OwnZeros:
-    """Steering zeros of single recordings, which the angles of the fit's recording are corrected for."""
-
-    #: with the angles as they were logged
-    logged: Recording
-    #: standard deviation of the zeros about the common one
-    spread_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +83,13 @@ class Fitted:
     model: Model
     parameters: Parameters
     solution: Solution
-    clustering: Clustering
+    uncertainty: Uncertainty
     dropped: tuple[str, ...]
-    #: where each recording has a steering zero of its own
-    own_zeros: OwnZeros | None = None
-
-    @property
-    def logged(self) -> Recording:
-        """The recording with the steering angles as they were logged."""
-        return self.own_zeros.logged if self.own_zeros else self.model.recording
+    #: the recording with the steering angles as they were logged
+    logged: Recording
+    #: standard deviation of the steering zeros of single recordings, which the angles of the model's recording are
+    #: corrected for; 0 where one zero suits all
+    zero_spread_rad: float = 0.0
 
     @property
     def spread(self) -> float:
@@ -124,7 +97,7 @@ class Fitted:
         n_drive = len(self.parameters.items) - len(SENSOR)
         free = self.parameters.free
         std = self.parameters.prior_std.copy()
-        std[free] = self.clustering.uncertainty.apart
+        std[free] = self.uncertainty.apart
         if isinstance(self.model.drive, MeanHeld):
             # holding the mean does not improve the knowledge of it
             std[:n_drive] = np.hypot(std[:n_drive], NOMINAL_STD * self.solution.values[:n_drive])
@@ -196,22 +169,216 @@ def fit_parameters(
             if known is None
             else planned(model, values, known)
         )
-        loose = weakest(solution, parameters)
+        weak = weakest(solution, parameters)
         wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
-        if loose is not None and wheels is not None and scale_is_weakest(solution, parameters):
-            return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
-        if loose is None:
-            clustering = (
+        # whether all that is open is the scale of radii and track, which grow alike
+        scale = False
+        if weak is None:
+            uncertainty = (
                 clustered(solution, parameters, recording, segments)
                 if known is None
-                else Clustering("run", expected(solution, parameters.free, segments.run))
+                else expected(solution, parameters.free, segments.run)
             )
-            loose = loosest(clustering.uncertainty.std, parameters)
-            covariance = clustering.uncertainty.covariance[:3, :3]
-            if wheels is not None and scale_is_open(covariance, solution.values[:3]):
-                return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
-            if loose is None:
-                return Fitted(model, parameters, solution, clustering, tuple(dropped))
+            loose = loosest(uncertainty.std, parameters)
+            if wheels is not None:
+                relative = uncertainty.covariance[:3, :3] / np.outer(solution.values[:3], solution.values[:3])
+                scale = bool(np.mean(relative) > NOMINAL_STD**2)
+        else:
+            loose = parameters.free_names[int(np.argmax(np.abs(weak)))]
+            scale = wheels is not None and bool(np.min(np.abs(weak[:3])) > ALIKE)
+        if wheels is not None and scale:
+            return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
+        if loose is None:
+            return Fitted(model, parameters, solution, uncertainty, tuple(dropped), recording)
         dropped.append(loose)
         parameters = parameters.without([loose])
         values = np.where(parameters.free, solution.values, parameters.nominal)
+
+
+#: chance with which recordings of one delay are taken for ones of several
+CHANCE: Final = 0.001
+#: how far from the common delay one is sought, and in how many steps
+REACH_S: Final = 0.5
+TRIED: Final = 51
+#: blocks that a recording needs for a delay of its own
+FEWEST_BLOCKS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Delay of the reference's stamps in one session, or in one run where there is one session."""
+
+    label: str = field(metadata={"json": "recording"})
+    value_s: float = field(metadata={"json": "value"})
+    std_s: float = field(metadata={"json": "sd"})
+
+
+def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> FloatArray:
+    """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search.
+
+    The robust fit treats a recording with another delay as an outlier, so that the gradient does not find its delay.
+    Zero where the common delay fits each recording best.
+
+    `model`: with windows; `solution`: of the joint fit; `parameters`: the delay is the last of them.
+    """
+    group = recording_groups(model.recording)
+    n_groups = int(group.max()) + 1
+    nothing = model.recording.delay_added_s
+    if not parameters.free[-1] or n_groups < 2:
+        return nothing
+    offsets = np.linspace(-REACH_S, REACH_S, TRIED)
+    of = group[model.segments.run]
+    losses = []
+    for offset in offsets:
+        values = solution.values.copy()
+        values[-1] += offset
+        residuals = np.einsum("nij,nj->ni", solution.whitener, model.predict(values).residuals)
+        loss = np.log1p(np.square(residuals).sum(axis=1) / DEGREES)
+        losses.append(np.bincount(of, loss, minlength=n_groups))
+    best = offsets[np.argmin(losses, axis=0)]
+    return nothing if np.ptp(best) < 1.5 * (offsets[1] - offsets[0]) else nothing + best[group]
+
+
+def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tuple[tuple[Delay, ...], FloatArray]:
+    """Return the delay of each recording, and each run's difference from the common one; none where one fits all.
+
+    `model`: with windows; its recording knows what the delay of each run was taken to add so far; `solution`: of the
+    joint fit; `parameters`: the delay is the last of them. Returns `delays`: in the order driven; empty where the
+    recordings do not ask for several; `added_s` (shape (n_runs,)): to be added to the common delay in each run.
+    """
+    recording = model.recording
+    shifts = shifts_of(model, solution, parameters, "delay_s")
+    if shifts is None:
+        return (), np.zeros(len(recording))
+    group, shift, std = shifts
+    added = recording.delay_added_s + shift[group]
+    first = np.unique(group, return_index=True)[1]
+    if not _disagree(added[first], std):
+        return (), np.zeros(len(recording))
+    labels = recording.labels
+    common = float(solution.values[-1])
+    delays = [Delay(str(labels[at]), common + float(added[at]), float(std[group[at]])) for at in sorted(first)]
+    return tuple(delays), added
+
+
+def shifts_of(
+    model: Model, solution: Solution, parameters: Parameters, name: str
+) -> tuple[IntArray, FloatArray, FloatArray] | None:
+    """Return by how much each recording alone would change one parameter of a joint fit.
+
+    `model`: with windows; `name`: of the parameter. Returns the group of each run (n_runs,), and the shift of each
+    group with its standard deviation (n_groups,); None where the parameter is not free or blocks are too few.
+    """
+    group = recording_groups(model.recording)
+    n_groups = int(group.max()) + 1
+    if name not in parameters.free_names or n_groups < 2:
+        return None
+    jacobian, residuals = whitened(solution, parameters.free)
+    slope = jacobian[:, :, parameters.free_names.index(name)]
+    block = np.unique(model.segments.block, return_inverse=True)[1]
+    of_block = group[model.segments.run[np.unique(block, return_index=True)[1]]]
+    information = np.bincount(block, np.square(slope).sum(axis=1))
+    score = np.bincount(block, np.sum(slope * residuals, axis=1))
+    size = np.bincount(of_block, information, minlength=n_groups)
+    if np.bincount(of_block, minlength=n_groups).min() < FEWEST_BLOCKS or not (size > 0.0).all():
+        return None
+    shift = np.bincount(of_block, score, minlength=n_groups) / size
+    # about its own value: the score of a common shift in each block is no noise
+    about = score - shift[of_block] * information
+    return group, shift, np.sqrt(np.bincount(of_block, np.square(about), minlength=n_groups)) / size
+
+
+def steering_zero_spread_rad(model: Model, solution: Solution, parameters: Parameters) -> float:
+    """Return the standard deviation of the steering angle's zero between recordings; 0 where they agree."""
+    shifts = shifts_of(model, solution, parameters, STEERING_ZERO)
+    if shifts is None or not _disagree(shifts[1], shifts[2]):
+        return 0.0
+    _, shift, std = shifts
+    return float(np.sqrt(max(float(np.var(shift, ddof=1)) - float(np.mean(np.square(std))), 0.0)))
+
+
+def recording_groups(recording: Recording) -> IntArray:
+    """Return the number of each run's recording, shape (n_runs,)."""
+    return np.asarray(np.unique(recording.labels, return_inverse=True)[1])
+
+
+def _disagree(shift: FloatArray, std: FloatArray) -> bool:
+    """Return whether the recordings ask for several delays beyond chance."""
+    from scipy.special import chdtrc
+
+    weight = 1.0 / np.square(std)
+    mean = float(np.sum(weight * shift) / np.sum(weight))
+    return bool(chdtrc(len(shift) - 1.0, float(np.sum(weight * np.square(shift - mean)))) < CHANCE)
+
+
+#: rounds of parameters, deviations and their spread; the spread of eight recordings is settled to 0.1 % after five
+ROUNDS: Final = 8
+#: of these, those in which the noise is estimated again
+NOISE_ROUNDS: Final = 4
+#: a last change of the spread below this share of it ends the search
+SETTLED: Final = 0.01
+
+
+def with_own_zeros(fitted: Fitted) -> Fitted:
+    """Return the fit with a steering zero for each recording; the fit itself where one zero suits all.
+
+    The angles of the model's recording are then those by their own zeros.
+    """
+    spread = steering_zero_spread_rad(fitted.model, fitted.solution, fitted.parameters)
+    if not spread:
+        return fitted
+    parameters, model, logged = fitted.parameters, fitted.model, fitted.model.recording
+    group = recording_groups(logged)
+    deviation = np.zeros(int(group.max()) + 1)
+    solution = replace(fitted.solution, shared=_shared(fitted, fitted.solution, group, spread, deviation))
+    for number in range(ROUNDS):
+        before = spread
+        values, deviation, spread = _round(fitted, solution, before)
+        steer = np.asarray(logged.steps.steer_rad) + deviation[group][logged.run]
+        model = replace(model, recording=logged.with_steering(steer))
+        if number < NOISE_ROUNDS:
+            solution = solve(model, parameters, values, solution.scales, rounds=1)
+        else:
+            solution = replace(solution, values=values, prediction=model.predict(values))
+        solution = replace(solution, shared=_shared(fitted, solution, group, spread, deviation))
+    uncertainty = clustered(solution, parameters, model.recording, model.segments)
+    solution = replace(solution, converged=fitted.solution.converged and abs(spread - before) < SETTLED * spread)
+    return replace(fitted, model=model, solution=solution, uncertainty=uncertainty, zero_spread_rad=spread)
+
+
+def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
+    """Return the random effect of the recordings' zeros.
+
+    `solution`, at the deviations, is of the `fitted` with one zero; `group` is the recording of each run; `spread` the
+    standard deviation of `deviation`, that of the zero of each recording from the common one, in rad.
+    """
+    names = fitted.parameters.names
+    # a deviation is added to the angle before its scale
+    scale = solution.values[names.index(STEERING_SCALE)]
+    by_zero = solution.prediction.jacobian[:, :, names.index(STEERING_ZERO)]
+    change = np.einsum("nij,nj->ni", solution.whitener, by_zero * scale * spread)
+    weighted = change * np.sqrt(solution.weights)[:, None]
+    return Shared(group[fitted.model.segments.run], weighted, deviation / spread)
+
+
+def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return values of the parameters, deviations of the recordings and their spread after one linear step.
+
+    `solution`: with its random effect; `spread`: standard deviation of the deviations now, rad.
+    """
+    free, shared = fitted.parameters.free, solution.shared
+    assert shared is not None
+    jacobian, residuals = whitened(solution, free)
+    step = np.linalg.lstsq(jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel(), rcond=None)[0]
+    plain, left = whitened(replace(solution, shared=None), free)
+    left = left - plain @ step
+    n_groups = len(shared.amount)
+    size = np.bincount(shared.group, np.square(shared.change).sum(axis=1), minlength=n_groups)
+    pull = np.bincount(shared.group, np.sum(shared.change * left, axis=1), minlength=n_groups)
+    deviation = spread * (pull + size * shared.amount) / (1.0 + size)
+    values = solution.values.copy()
+    values[free] += step
+    # common zero and scale of the angle are told by the differences of recordings: each takes a degree of freedom
+    n_common = len({STEERING_ZERO, STEERING_SCALE} & set(fitted.parameters.free_names))
+    known = float(np.sum(np.square(deviation)) / max(n_groups - n_common, 1))
+    return values, deviation, float(np.sqrt(known + spread**2 * np.mean(1.0 / (1.0 + size))))

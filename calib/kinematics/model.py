@@ -11,9 +11,7 @@ from calib.campaign.wheels import lengthening
 from calib.errors import RefusedError
 from calib.kinematics.drives import (
     SENSOR,
-    STEERING_SCALE,
-    STEERING_SCALE_STD,
-    STEERING_ZERO_STD_RAD,
+    STEERING,
     Drive,
     Motion,
     Parameter,
@@ -163,24 +161,27 @@ class Model:
     recording: Recording
     segments: Segments
 
+    def motion(self, values: FloatArray) -> Motion:
+        """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
+        return self.drive.motion(values[: -len(SENSOR)], self.recording.steps)
+
     def predict(self, values: FloatArray) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,)."""
         n_drive = len(values) - len(SENSOR)
-        path = integrate_motion(self.drive.motion(values[:n_drive], self.recording.steps))
+        path = integrate_motion(self.motion(values))
         first, last = self.segments.first, self.segments.last
         delay = float(values[-1])
         pose, by_parameter, by_delay, first, last = _at_times(path, self.recording, first, last, delay)
         moved, derivative = displacement(pose, np.concatenate([by_parameter, by_delay[None]]), first, last)
         seen, by_sensor = _sensor(moved, values[-4:-1])
-        rotate = _rotation(-values[-2], len(moved))
         by_gyro = np.zeros((len(moved), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate(
             [
-                _through(derivative[:, :, :n_drive], rotate, moved, values[-4:-1]),
+                _through(derivative[:, :, :n_drive], moved, values[-4:-1]),
                 by_gyro,
                 by_sensor,
-                _through(derivative[:, :, n_drive:], rotate, moved, values[-4:-1]),
+                _through(derivative[:, :, n_drive:], moved, values[-4:-1]),
             ],
             axis=2,
         )
@@ -231,11 +232,6 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
     return np.asarray((pose[:, after] - pose[:, before]) / np.where(span > 0.0, span, np.inf))
 
 
-def _rotation(angle: float, n: int) -> FloatArray:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.broadcast_to(np.array([[cosine, -sine], [sine, cosine]]), (n, 2, 2))
-
-
 def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the sensor's displacement for displacements of the vehicle, and its derivatives by the sensor's pose."""
     x, y, yaw = place
@@ -252,10 +248,10 @@ def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArra
     return seen, by
 
 
-def _through(derivative: FloatArray, rotate: FloatArray, moved: FloatArray, place: FloatArray) -> FloatArray:
+def _through(derivative: FloatArray, moved: FloatArray, place: FloatArray) -> FloatArray:
     """Return derivatives of the sensor's displacement from those of the vehicle's."""
-    x, y, _ = place
-    turn = moved[:, 2]
+    x, y, yaw = place
+    turn, rotate = moved[:, 2], np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     d_forward = derivative[:, 0] + (-np.sin(turn) * x - np.cos(turn) * y)[:, None] * derivative[:, 2]
     d_left = derivative[:, 1] + (np.cos(turn) * x - np.sin(turn) * y)[:, None] * derivative[:, 2]
     moved_by = np.stack([d_forward, d_left], axis=1)
@@ -290,8 +286,7 @@ class RearShaft:
         rigid = (
             length_parameter("rear_radius_m", self.rear_radius_m),
             length_parameter("wheelbase_m", self.wheelbase_m),
-            Parameter("steering_zero_rad", 0.0, STEERING_ZERO_STD_RAD),
-            Parameter(STEERING_SCALE, 1.0, STEERING_SCALE_STD),
+            *STEERING,
         )
         if not self.slips:
             return rigid
@@ -299,12 +294,10 @@ class RearShaft:
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the rear axle's middle: ahead what the wheels roll, its curvature tan(angle) / L."""
-        if steps.steer_rad is None or steps.speed_mps is None:
-            raise ValueError("an Ackermann drive needs its steering angle and speed in every step")
         radius, wheelbase, zero, scale = values[:4]
         understeer, side_slip = values[4:] if self.slips else (0.0, 0.0)
-        phi, square = steps.turned_rad[0], steps.speed_mps**2
-        tangent = np.tan(scale * steps.steer_rad + zero)
+        phi, steer, square = steps.turned_rad[0], np.asarray(steps.steer_rad), np.square(np.asarray(steps.speed_mps))
+        tangent = np.tan(scale * steer + zero)
         travel = radius * phi
         longer = wheelbase * lengthening(understeer * square)
         turn = travel * tangent / longer
@@ -312,7 +305,7 @@ class RearShaft:
         derivative[0, 0], derivative[0, 2] = phi, phi * tangent / longer
         derivative[1, 2] = -turn / wheelbase
         derivative[2, 2] = travel * (1.0 + tangent**2) / longer
-        derivative[3, 2] = derivative[2, 2] * steps.steer_rad
+        derivative[3, 2] = derivative[2, 2] * steer
         if self.slips:
             over = understeer * square
             by_over = np.where(over >= 0.0, 1.0 / (1.0 + np.abs(over)), 1.0 / (1.0 - np.minimum(over, 0.0)))
@@ -324,9 +317,8 @@ class RearShaft:
 
 def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
     """Return the drive with its nominal values; slip is estimated where turns were fast enough to show it."""
-    if steps.steer_rad is None or steps.speed_mps is None:
-        return RearShaft(radius_m, wheelbase_m)
-    lateral_mps2 = np.square(steps.speed_mps) * np.abs(np.tan(steps.steer_rad)) / wheelbase_m
+    speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
+    lateral_mps2 = np.square(speed_mps) * np.abs(np.tan(steer_rad)) / wheelbase_m
     moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
     fast = len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2
     return RearShaft(radius_m, wheelbase_m, slips=fast)

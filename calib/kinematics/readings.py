@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import SENSOR, Drive, nominal_values
+from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.recording import Recording
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, since_start
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -141,9 +141,7 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
     z = np.concatenate([recording.reference[2], ends])
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
-    turn = np.cumsum(drive.motion(nominal_values(drive)[: -len(SENSOR)], recording.steps).body[2])
-    start = np.repeat(turn[recording.offsets[:-1]], np.diff(recording.offsets))
-    told = turn - start
+    told = since_start(nominal_turn(drive, recording.steps), recording.offsets)
 
     def headings(recording: Recording) -> Recording:
         reference, end_pose = recording.reference.copy(), recording.end_pose.copy()
@@ -259,9 +257,7 @@ def _increments(recording: Recording) -> Iterator[Reading]:
 
         def summed(recording: Recording, which: BoolArray = which) -> Recording:
             turned = recording.steps.turned_rad
-            total = np.cumsum(turned, axis=1)
-            start = np.repeat(total[:, recording.offsets[:-1]], np.diff(recording.offsets), axis=1)
-            return recording.with_turned(np.where(which[:, None], total - start, turned))
+            return recording.with_turned(np.where(which[:, None], since_start(turned, recording.offsets), turned))
 
         text = f"counts of {side}: found increments since the sample before where totals are expected; add them up"
         yield Reading(Fault("count_increments", text), summed)
@@ -287,9 +283,7 @@ def _steering(steer: FloatArray) -> Iterator[Reading]:
     """Yield steering angles in another unit, of the other sign, or that wrap."""
 
     def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
-        return lambda recording: replace(
-            recording, steps=replace(recording.steps, steer_rad=change(np.asarray(recording.steps.steer_rad)))
-        )
+        return lambda recording: recording.with_steering(change(np.asarray(recording.steps.steer_rad)))
 
     for unit, radians in ANGLE_UNITS.items():
         text = f"steer_rad: found {unit} where radians are expected; convert, or state the unit in the mapping"

@@ -11,7 +11,7 @@ from calib.campaign.read import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -63,6 +63,11 @@ class Recording:
         return len(self.run_id)
 
     @property
+    def labels(self) -> StrArray:
+        """Label of each run's recording, shape (n_runs,): its session where there are several, else itself."""
+        return self.session if len(np.unique(self.session)) > 1 else self.run_id
+
+    @property
     def run(self) -> IntArray:
         """Number of the run of each sample, shape (n_samples,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets)).astype(np.int64)
@@ -75,8 +80,7 @@ class Recording:
     @property
     def travel_rad(self) -> FloatArray:
         """Angle that the wheels turned on average since the run's start, without sign, shape (n_samples,)."""
-        total = np.cumsum(np.abs(self.steps.turned_rad).mean(axis=0))
-        return np.asarray(total - np.repeat(total[self.offsets[:-1]], np.diff(self.offsets)))
+        return since_start(np.abs(self.steps.turned_rad).mean(axis=0), self.offsets)
 
     @property
     def continuous(self) -> bool:
@@ -122,6 +126,10 @@ class Recording:
     def with_turned(self, turned_rad: FloatArray) -> Recording:
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
+
+    def with_steering(self, steer_rad: FloatArray) -> Recording:
+        """Return the recording with other steering angles."""
+        return replace(self, steps=replace(self.steps, steer_rad=steer_rad))
 
 
 #: share of runs that can be off by whole turns beside the others; more are another convention
@@ -219,7 +227,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
     reference = np.full((3, len(keep)), np.nan)
     for axis, name in enumerate(REFERENCE):
         if name in log:
-            reference[axis] = _unwrapped(log[name]) if axis == 2 else log[name]
+            reference[axis] = unwrapped(log[name]) if axis == 2 else log[name]
     turned = 2.0 * np.pi * np.diff(counts[:, keep], axis=1, prepend=counts[:, keep][:, :1]) / per_rev[:, None]
     reference = reference[:, keep]
     if _position_alone_in_a_map(campaign, reference):
@@ -290,13 +298,6 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
             return None
         loads.append(load)
     return np.stack(loads) - campaign.model.reference_load_N
-
-
-def _unwrapped(theta: FloatArray) -> FloatArray:
-    good = np.isfinite(theta)
-    unwrapped = theta.copy()
-    unwrapped[good] = np.unwrap(theta[good])
-    return unwrapped
 
 
 def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:

@@ -11,8 +11,7 @@ import numpy as np
 from calib.documents import Result, plain_fields
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
-from calib.kinematics.per_recording import Delay
-from calib.kinematics.umbmark import Umbmark
+from calib.kinematics.joint_fit import Delay
 from calib.kinematics.uncertainty import Freedom
 from calib.types import FloatArray, IntArray
 
@@ -45,6 +44,22 @@ class Estimate:
     ci95: tuple[float, float]
     dof: float
 
+    @staticmethod
+    def of(name: str, nominal: float, value: float, std: float, dof: float, free: float) -> Estimate:
+        """Return an estimate with its interval.
+
+        Parameters
+        ----------
+        name, nominal, value, std, dof
+            See the fields of these names.
+        free
+            Degrees of freedom of the interval: `dof`, unless part of `std` is taken for known.
+        """
+        from scipy.special import stdtrit
+
+        half = std * float(stdtrit(free, 0.975))
+        return Estimate(name, nominal, value, std, (value - half, value + half), dof)
+
     @property
     def half_width(self) -> float:
         """Half the width of the interval."""
@@ -75,6 +90,30 @@ class Transfer:
     n: int
     before_rms_m: float
     after_rms_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Umbmark:
+    """Radius ratio and track factor from squares driven both ways."""
+
+    #: whether there are squares of both senses
+    applies: bool
+    #: right diameter over left one; actual track over nominal one
+    E_d: float = float("nan")
+    E_b: float = float("nan")
+    #: factors on the nominal diameters that keep their mean
+    c_left: float = field(default=float("nan"), metadata={"json": "c_L"})
+    c_right: float = field(default=float("nan"), metadata={"json": "c_R"})
+    #: standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense
+    E_d_std: float = field(default=float("nan"), metadata={"json": "E_d_sd"})
+    E_b_std: float = field(default=float("nan"), metadata={"json": "E_b_sd"})
+    #: mean side of the squares
+    side_m: float = float("nan")
+    #: squares of each sense
+    n_cw: int = 0
+    n_ccw: int = 0
+    #: why it does not apply; empty where it does
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +177,8 @@ class Geometry(Result):
     faults: tuple[Fault, ...]
     #: whether a mirrored solution was corrected
     mirrored: bool = field(metadata={"json": "mirrored_solution"})
+    #: whether the estimates are to be used, with figures and reasons
+    judgement: Judgement = field(metadata={"json": False})
     #: UMBmark estimates from squares driven both ways
     umbmark: Umbmark
     #: table by route
@@ -154,8 +195,6 @@ class Geometry(Result):
     paths: tuple[RunTrace, ...] = field(default=(), metadata={"json": False})
     #: degrees of freedom of sums of the estimates; None: those of the estimates hold
     freedom: Freedom | None = field(default=None, metadata={"json": False})
-    #: whether the estimates are to be used, with figures and reasons; None where not judged
-    judgement: Judgement | None = field(default=None, metadata={"json": False})
 
     def __getitem__(self, name: str) -> Estimate:
         for estimate in self.estimates:
@@ -171,27 +210,23 @@ class Geometry(Result):
     @property
     def verdict(self) -> GeometryVerdict:
         """Whether the estimates are to be used: ``calibrated``, ``doubtful`` or ``wrong``."""
-        if self.judgement is not None:
-            return self.judgement.verdict
-        return GeometryVerdict.WRONG if self.faults else GeometryVerdict.CALIBRATED
+        return self.judgement.verdict
 
     @property
     def why(self) -> tuple[str, ...]:
         """Reasons against the estimates; empty where they are to be used."""
-        if not self.estimates:
-            return ("these runs determine no parameter",)
-        return tuple(fault.text for fault in self.faults) if self.judgement is None else self.judgement.why
+        return self.judgement.why
 
     @property
     def misfit(self) -> bool:
         """Whether the residuals or the lengths themselves speak against the estimates, blunders aside."""
         faults = {fault.text for fault in self.faults}
-        return self.judgement is not None and any(reason not in faults for reason in self.judgement.why)
+        return any(reason not in faults for reason in self.why)
 
     @property
     def passed(self) -> bool:
         """Whether the estimates are to be used."""
-        return self.verdict is GeometryVerdict.CALIBRATED and bool(self.estimates)
+        return self.verdict is GeometryVerdict.CALIBRATED
 
     @property
     def table(self) -> DataFrame:
@@ -219,8 +254,6 @@ class Geometry(Result):
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
-        from scipy.special import stdtrit
-
         # value and nominal value of each side
         over_at, under_at = (
             [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
@@ -231,8 +264,7 @@ class Geometry(Result):
         slope = np.array([over.get(name, 0.0) - value * under.get(name, 0.0) for name in names]) / under_at[0]
         std = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
         dof = self.freedom.of(slope) if self.freedom else min(self[part].dof for part in (*over, *under))
-        half = std * float(stdtrit(dof, 0.975))
-        return Estimate(name, over_at[1] / under_at[1], value, std, (value - half, value + half), dof)
+        return Estimate.of(name, over_at[1] / under_at[1], value, std, dof, dof)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values: the keys of ``calib geometry --json``."""
@@ -246,6 +278,6 @@ class Geometry(Result):
             delay_s=delay,
             residual_rms=self.residual_rms._asdict(),
             verdict=self.verdict,
-            adequacy=self.judgement and self.judgement.adequacy,
+            adequacy=self.judgement.adequacy,
             why=self.why,
         )

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.kinematics.drives import SENSOR, Parameters, Path
+from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction, Segments
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -264,9 +264,7 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
 
 
 def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
-    n_drive = len(values) - len(SENSOR)
-    body = model.drive.motion(values[:n_drive], model.recording.steps).body
-    return kernels(prediction.path, body, model.segments, float(values[-2]))
+    return kernels(prediction.path, model.motion(values).body, model.segments, float(values[-2]))
 
 
 def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:

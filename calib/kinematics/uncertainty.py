@@ -146,7 +146,8 @@ class Uncertainty:
     covariance: FloatArray
     #: degrees of freedom of each standard deviation, shape (n_free,)
     dof: FloatArray
-    #: number of groups
+    #: groups taken for independent (``run``, ``block``, ``session`` or ``route``), and their number
+    by: str
     clusters: int
     #: standard deviations with all groups independent: biased but steadier, to compare estimates by, shape (n_free,)
     apart: FloatArray
@@ -233,19 +234,30 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
     back = np.linalg.inv(directions)
     freedom = replace(freedom, directions=directions)
     return replace(
-        sandwich(solution, free, block),
+        sandwich(solution, free, block, "block"),
         covariance=back @ covariance @ back.T,
         dof=np.array([freedom.of(unit) for unit in np.eye(len(directions))]),
         freedom=freedom,
     )
 
 
-def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: float = UNBIASED) -> Uncertainty:
+def sandwich(
+    solution: Solution, free: BoolArray, cluster: IntArray, by: str, *, power: float = UNBIASED
+) -> Uncertainty:
     """Return the covariance of the free parameters.
 
-    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `cluster` (shape (n,)):
-    stretches of one cluster share their noise; `power`: of what leverage takes from the residuals; they are enlarged by
-    it.
+    Parameters
+    ----------
+    solution
+        Of the robust fit.
+    free : array of bool, shape (n_parameters,)
+        Which parameters were free.
+    cluster : array of int, shape (n,)
+        Stretches of one cluster share their noise.
+    by
+        What the clusters are.
+    power
+        Of what leverage takes from the residuals; they are enlarged by it.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     cluster = np.unique(cluster, return_inverse=True)[1]
@@ -264,7 +276,7 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, *, power: f
     factor = _influence(solution)
     covariance = factor**2 * (pull.T @ pull) * np.outer(scale, scale)
     apart = factor * np.sqrt(np.square(pull).sum(axis=0)) * scale
-    return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares)), len(pull), apart)
+    return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares)), by, len(pull), apart)
 
 
 def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
@@ -272,7 +284,7 @@ def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
     jacobian = whitened(solution, free)[0].reshape(-1, int(free.sum()))
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
     apart = np.sqrt(np.diag(covariance))
-    return replace(sandwich(solution, free, cluster, power=OF_RUNS), covariance=covariance, apart=apart)
+    return replace(sandwich(solution, free, cluster, "run", power=OF_RUNS), covariance=covariance, apart=apart)
 
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
@@ -300,17 +312,7 @@ ENOUGH_RUNS: Final = 8
 ALIKE: Final = 2.6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Clustering:
-    """The groups taken for independent, and the covariance that follows."""
-
-    #: ``run``, ``block``, ``session`` or ``route``
-    name: str
-    #: of the free parameters
-    uncertainty: Uncertainty
-
-
-def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Clustering:
+def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Uncertainty:
     """Return the covariance of the free parameters, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each: a shared error does not
@@ -324,17 +326,17 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     run = segments.run[first]
     scores = block_scores(solution, free, block)
     if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
-        best = Clustering("run", sandwich(solution, free, segments.run, power=OF_RUNS))
+        best = sandwich(solution, free, segments.run, "run", power=OF_RUNS)
     else:
         directions = own_directions(parameters.free_names, solution.values[free])
-        best = Clustering("block", sandwich_along(solution, free, block, directions))
-    alone = best.name
+        best = sandwich_along(solution, free, block, directions)
+    alone = best.by
     candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
     for name, group in candidates.items():
         if len(np.unique(group)) >= FEWEST and _alike(scores, group) > ALIKE:
-            tried = sandwich(solution, free, group[block])
-            if best.name == alone or _width(tried) > _width(best.uncertainty):
-                best = Clustering(name, tried)
+            tried = sandwich(solution, free, group[block], name)
+            if best.by == alone or _width(tried) > _width(best):
+                best = tried
     return best
 
 

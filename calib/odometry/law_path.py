@@ -12,7 +12,7 @@ import numpy as np
 from calib.errors import BadInputError
 from calib.odometry.integrate import radii_under_load
 from calib.odometry.paper import SPACING_M
-from calib.odometry.pose_covariance import RandomWalk, ellipses, jacobian, parameter_covariance, steps
+from calib.odometry.pose_covariance import RandomWalk, ellipses, jacobian, steps
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import Route
 from calib.radius.law import RadiusLaw
@@ -241,7 +241,7 @@ def law_path(
     law = axle.radii
     real = radii_under_load(law, *loads)
     kept = radii_under_load(law, *reference_N)
-    spread = parameter_covariance(law, track_std_m=axle.track_std_m, single_run=True)
+    spread = law.covariance(axle.track_std_m, single_run=True)
     half = 0.5 * axle.track_m * fine.turn_rad
     driven = []
     for believed in (kept, real):
@@ -259,7 +259,7 @@ def law_path(
         )
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
         random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
-        poses = Poses.from_stacked(_from_start(path.poses.stacked()))
+        poses = path.poses.from_origin()
         std = _std(systematic + random, reference)
         # x and y at the end by the coefficients of each wheel
         last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]

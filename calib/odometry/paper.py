@@ -67,10 +67,7 @@ def follow(route: Route, believed: Axle, real: Axle) -> Poses:
 
     The believed pose follows the route; divide the route for more poses.
     """
-    left, right, track = wheel_travel(route, believed, real)
-    driven = integrate(left, right, track)
-    zero = np.zeros((len(left), 1))
-    return Poses(*(np.concatenate((zero, part), axis=1) for part in (driven.x_m, driven.y_m, driven.theta_rad)))
+    return integrate(*wheel_travel(route, believed, real)).from_origin()
 
 
 def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:

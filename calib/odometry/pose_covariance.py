@@ -8,17 +8,13 @@ distance and heading with the square root of the distance, and the reading of th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.odometry.poses import Poses, sinc
-from calib.radius.law import JOINT, RadiusLaw
+from calib.radius.law import JOINT
 from calib.types import FloatArray
-
-#: what the Jacobian is taken by
-PARAMETERS: Final = JOINT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +79,7 @@ def steps(
 def jacobian(
     path: PathSteps, *, load_offset_left_N: npt.ArrayLike = 0.0, load_offset_right_N: npt.ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the derivatives of the pose (x, y, theta) after each step by `PARAMETERS`, shape (..., n, 3, 5).
+    """Return the derivatives of the pose (x, y, theta) after each step by `JOINT`, shape (..., n, 3, 5).
 
     The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
@@ -91,17 +87,15 @@ def jacobian(
     offset_left = np.asarray(load_offset_left_N, dtype=np.float64)
     offset_right = np.asarray(load_offset_right_N, dtype=np.float64)
     track = path.track_m
-    zero = np.zeros(path.left_m.shape)
-    by_path = (0.5 * turn_left, 0.5 * turn_left * offset_left, 0.5 * turn_right, 0.5 * turn_right * offset_right, zero)
-    by_turn = (
-        -turn_left / track,
-        -turn_left * offset_left / track,
-        turn_right / track,
-        turn_right * offset_right / track,
-        -(path.right_m - path.left_m) / track**2,
-    )
-    slopes = np.empty((*path.left_m.shape, 3, len(PARAMETERS)))
-    for number, (along, turn) in enumerate(zip(by_path, by_turn, strict=True)):
+    # by radius and slope of either wheel, and by the track: along the path, and in heading
+    parts = [
+        (0.5 * turned * times, sign * turned * times / track)
+        for sign, turned, offset in ((-1.0, turn_left, offset_left), (1.0, turn_right, offset_right))
+        for times in (1.0, offset)
+    ]
+    parts.append((np.zeros(path.left_m.shape), -(path.right_m - path.left_m) / track**2))
+    slopes = np.empty((*path.left_m.shape, 3, len(JOINT)))
+    for number, (along, turn) in enumerate(parts):
         heading = np.cumsum(turn, axis=-1)
         before = heading - turn
         slopes[..., 0, number] = np.cumsum(
@@ -112,25 +106,6 @@ def jacobian(
         )
         slopes[..., 2, number] = heading
     return slopes
-
-
-def parameter_covariance(law: RadiusLaw, *, track_std_m: float = 0.0, single_run: bool = False) -> FloatArray:
-    """Return the covariance of `PARAMETERS` under a law, shape (5, 5).
-
-    Wheels that were fitted separately are taken as independent, of each other and of the track; where wheels and track
-    were fitted together, their covariance has the track's uncertainty. `single_run` adds the scatter of single runs
-    about the law (the prediction band) to the uncertainty of its mean.
-    """
-    joint = np.zeros((5, 5))
-    for first, wheel in ((0, law.left), (2, law.right)):
-        joint[first : first + 2, first : first + 2] = wheel.covariance
-    joint[4, 4] = track_std_m**2
-    if law.joint is not None:
-        joint = law.joint.copy()
-    if single_run:
-        for first, wheel in ((0, law.left), (2, law.right)):
-            joint[first, first] += wheel.residual_std_m**2
-    return joint
 
 
 @dataclass(frozen=True, slots=True)

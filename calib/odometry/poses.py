@@ -52,6 +52,11 @@ class Poses:
         values = np.asarray(stacked, dtype=np.float64)
         return Poses(values[..., 0], values[..., 1], values[..., 2])
 
+    def from_origin(self) -> Poses:
+        """Return the poses with (0, 0, 0) before the first in the last axis."""
+        parts = (self.x_m, self.y_m, self.theta_rad)
+        return Poses(*(np.concatenate((np.zeros_like(part[..., :1]), part), axis=-1) for part in parts))
+
     def moved(self, by: Poses) -> Poses:
         """Return the poses seen as relative to `by`, expressed in the frame in which `by` stands (``by`` o self)."""
         cosine, sine = np.cos(by.theta_rad), np.sin(by.theta_rad)

@@ -30,7 +30,7 @@ from calib.odometry.integrate import (
 from calib.odometry.poses import PoseErrors, Poses, pose_errors
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
-from calib.types import BoolArray, FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, StrArray, in_frame, since_start, unwrapped
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -250,12 +250,10 @@ def with_end_poses(campaign: Campaign) -> Campaign:
     if not set(names) <= columns.keys():
         return campaign
     for run in np.flatnonzero(campaign.logs.present & np.isnan(ends).all(axis=0)):
-        part = slice(int(offsets[run]), int(offsets[run + 1]))
-        x, y, theta = (columns[name][part] for name in names)
-        if np.isfinite([x[0], y[0], theta[0], x[-1], y[-1], theta[-1]]).all():
-            cosine, sine, dx, dy = np.cos(theta[0]), np.sin(theta[0]), x[-1] - x[0], y[-1] - y[0]
-            turn = np.unwrap(theta[np.isfinite(theta)])
-            ends[:, run] = cosine * dx + sine * dy, cosine * dy - sine * dx, turn[-1] - turn[0]
+        poses = np.stack([columns[name][offsets[run] : offsets[run + 1]] for name in names])
+        if np.isfinite(poses[:, [0, -1]]).all():
+            poses[2] = unwrapped(poses[2])
+            ends[:, run] = in_frame(poses[:, -1:] - poses[:, :1], poses[2, :1])[0]
     numbers = {**campaign.runs.numbers, **dict(zip(names, ends, strict=True))}
     return replace(campaign, runs=replace(campaign.runs, numbers=numbers))
 
@@ -308,7 +306,7 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     half = 0.5 * (right - left) / model.track_m
     chord = aside * np.sinc(half / np.pi)
     x, y = (
-        _running(part, offsets)
+        since_start(part, offsets)
         for part in (-chord * np.sin(poses.theta_rad - half), chord * np.cos(poses.theta_rad - half))
     )
     return Poses(poses.x_m + x, poses.y_m + y, poses.theta_rad), np.hypot(ahead, aside)
@@ -326,12 +324,6 @@ def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
     cosine, sine = np.cos(yaw), np.sin(yaw)
     back = Poses(np.array(-cosine * x - sine * y), np.array(sine * x - cosine * y), np.array(-yaw))
     return back.moved(ends.moved(place))
-
-
-def _running(steps: FloatArray, offsets: np.ndarray) -> FloatArray:
-    """Return the running sum within each run; the first step of a run is 0."""
-    total = np.cumsum(steps)
-    return np.asarray(total - np.repeat(total[offsets[:-1]], np.diff(offsets)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

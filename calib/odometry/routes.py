@@ -91,8 +91,7 @@ class Route:
     def poses(self) -> Poses:
         """Return the poses at the start and at the end of each segment, shape (n_segments + 1,)."""
         half = 0.5 * self.turn_rad
-        driven = integrate(self.length_m - half, self.length_m + half, 1.0)
-        return Poses(*(np.concatenate(([0.0], part)) for part in (driven.x_m, driven.y_m, driven.theta_rad)))
+        return integrate(self.length_m - half, self.length_m + half, 1.0).from_origin()
 
     def distance_m(self) -> FloatArray:
         """Return the distance driven at the start and at the end of each segment, shape (n_segments + 1,)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Final
@@ -32,31 +31,22 @@ def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -
     ``figure8``, ``route_left``, ``route_right`` or ``slalom``. The squares have straight sides of `side_m` and corners
     of `radius_m`; the circles of the eight have 1.6 times that radius.
     """
-    stem = re.sub(r"_b$", "", kind)
-    if stem == "corridor":
-        return [(length_m, 0.0)]
-    if stem == "corridor_short":
-        return [(SHORT * length_m, 0.0)]
-    if stem in {"square_cw", "square_ccw"}:
-        sign = 1.0 if stem == "square_ccw" else -1.0
-        return [(side_m, 0.0), (_QUARTER * radius_m, sign / radius_m)] * 4
-    if stem == "figure8":
-        big = 1.6 * radius_m
-        return [(1.0, 0.0), (2 * np.pi * big, 1 / big), (2 * np.pi * big, -1 / big), (1.0, 0.0)]
-    if stem in {"route_left", "route_right"}:
-        sign = 1.0 if stem == "route_left" else -1.0
-        return [(5.0, 0.0), (_QUARTER * 3.0, sign / 3.0), (5.0, 0.0)]
-    if stem == "slalom":
-        bend = 3.0
-        return [
-            (2.0, 0.0),
-            *([(0.6 * bend, 1 / bend), (1.2 * bend, -1 / bend), (0.6 * bend, 1 / bend)] * 3),
-            (2.0, 0.0),
-        ]
-    raise BadInputError(
-        f"route {kind!r} found; expected corridor, square_cw, square_ccw, figure8, route_left, route_right or slalom; "
-        "name one of these"
-    )
+    big, bend = 1.6 * radius_m, 3.0
+    weave = [(0.6 * bend, 1 / bend), (1.2 * bend, -1 / bend), (0.6 * bend, 1 / bend)]
+    routes = {
+        "corridor": [(length_m, 0.0)],
+        "corridor_short": [(SHORT * length_m, 0.0)],
+        "square_cw": [(side_m, 0.0), (_QUARTER * radius_m, -1 / radius_m)] * 4,
+        "square_ccw": [(side_m, 0.0), (_QUARTER * radius_m, 1 / radius_m)] * 4,
+        "figure8": [(1.0, 0.0), (2 * np.pi * big, 1 / big), (2 * np.pi * big, -1 / big), (1.0, 0.0)],
+        "route_left": [(5.0, 0.0), (_QUARTER * bend, 1 / bend), (5.0, 0.0)],
+        "route_right": [(5.0, 0.0), (_QUARTER * bend, -1 / bend), (5.0, 0.0)],
+        "slalom": [(2.0, 0.0), *(weave * 3), (2.0, 0.0)],
+    }
+    stem = kind.removesuffix("_b")
+    if stem not in routes:
+        raise BadInputError(f"route {kind!r} found; expected one of {', '.join(routes)}; name one of these")
+    return routes[stem]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,8 +160,7 @@ class Design:
     @property
     def corridor(self) -> BoolArray:
         """Whether a run goes along the corridor, shape (n_runs,)."""
-        straight: BoolArray = np.char.startswith(self.kind, "corridor")
-        return straight
+        return np.char.startswith(self.kind, "corridor")
 
     @property
     def posed(self) -> BoolArray:

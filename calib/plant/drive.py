@@ -57,8 +57,7 @@ class Record:
 
     def last(self, values: FloatArray) -> FloatArray:
         """Return the last frame of each run of an array of shape (..., n_frames, n_runs), shape (..., n_runs)."""
-        end: FloatArray = values[..., self.frames - 1, np.arange(len(self.frames))]
-        return end
+        return values[..., self.frames - 1, np.arange(len(self.frames))]
 
 
 def drive(
@@ -131,8 +130,7 @@ class _PastAngles:
     def read(self, at: slice | IntArray) -> FloatArray:
         """Return the angle that a late sensor of these runs reads now."""
         places = (self.number - self.whole[at] - np.arange(3)[:, None]) % len(self.angles)
-        past: FloatArray = (self.weights[:, at] * self.angles[places, np.arange(len(self.whole))[at]]).sum(axis=0)
-        return past
+        return np.asarray((self.weights[:, at] * self.angles[places, np.arange(len(self.whole))[at]]).sum(axis=0))
 
 
 class _Runs:

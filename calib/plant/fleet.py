@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -167,7 +168,6 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
     except ImportError as error:
         raise MissingExtraError("a Parquet dataset", "pyarrow", "parquet") from error
     fleet = plan_fleet(rng, size)
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for row, name in enumerate(fleet.names):
         for month, table in enumerate(fleet.months(rng, row)):
@@ -179,10 +179,15 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)
     (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
-    lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in fleet.labels["hall"].items())]
-    (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "truth.json").write_text(json.dumps(asdict(fleet.truth), indent=2) + "\n", encoding="utf-8")
+    _write_beside(folder, fleet.labels["hall"], fleet.truth)
     return fleet.truth
+
+
+def _write_beside(folder: Path, halls: Mapping[str, str], truth: FleetTruth | PosedTruth) -> None:
+    """Write ``vehicles.csv``, the hall of each vehicle, and ``truth.json``."""
+    lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in halls.items())]
+    (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
 
 
 #: what each metre of the zone takes from the way of one wheel and adds to the other's
@@ -240,13 +245,8 @@ def make_posed_fleet(
     )
     place = {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m}
     zone = Cause("floor_zone", ZONE_SHARE, "heading", place)
-    lines = ["vehicle,hall"]
     for number, name in enumerate(names):
-        causes = [Cause("track_width", float(relative[number]), "plain", {})]
-        in_b = number in in_hall
-        campaign = make_campaign(design, [*causes, zone] if in_b else causes, rng, model=model, name=name)
-        write_campaign(campaign, Path(folder) / name)
-        lines.append(f"{name},{'B' if in_b else 'A'}")
-    (Path(folder) / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (Path(folder) / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
+        causes = [Cause("track_width", float(relative[number]), "plain", {}), *([zone] if number in in_hall else ())]
+        write_campaign(make_campaign(design, causes, rng, model=model, name=name), folder / name)
+    _write_beside(folder, {name: "B" if name in truth.common else "A" for name in names}, truth)
     return truth

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from calib.plant.world import (
     random_noise,
     wheel_loads,
 )
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray
 
 _STEER_STEP_RAD = 5e-4
 
@@ -49,8 +50,7 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
 
 
 def _per(values: FloatArray, by: FloatArray) -> FloatArray:
-    ratio: FloatArray = values / np.where(by > 1e-9, by, 1.0)
-    return ratio
+    return values / np.where(by > 1e-9, by, 1.0)
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
@@ -135,15 +135,7 @@ def _columns(
     return numbers | dict(design.columns)
 
 
-def campaign_of(
-    world: World,
-    noise: Noise,
-    draw: NoiseDraw,
-    record: Record,
-    *,
-    name: str = "campaign",
-    pick: IntArray | None = None,
-) -> Campaign:
+def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
     """Return the campaign in memory, as it would be read from its folder.
 
     Parameters
@@ -151,32 +143,31 @@ def campaign_of(
     world, noise, draw, record
         What is true, the scales of its noise (the campaign file states the instruments', not quite truly), and what was
         driven.
-    name, pick
-        Of the campaign; only these runs.
+    n_runs
+        Runs after which names and lines begin again: those of one campaign, where several stand end to end.
     """
     design = world.design
-    chosen = np.arange(len(design)) if pick is None else np.asarray(pick, dtype=np.int64)
-    n_runs = len(chosen)
     counts = counts_with_blunder(world, record.counts)
     poses = reference_poses(world, draw, record)
     numbers = _columns(world, draw, record, record.last(counts), record.last(poses) + draw.pose.T)
     width = max(3, len(str(n_runs)))
     logged = design.log_period_s > 0
-    run_id = np.array([f"r{number:0{width}d}" for number in range(n_runs)])
-    labels = {"run_id": run_id} | {name: getattr(design, name)[chosen] for name in ("session", "kind", "direction")}
+    number = np.arange(len(design)) % n_runs
+    run_id = np.array([f"r{one:0{width}d}" for one in number])
+    labels = {"run_id": run_id} | {name: getattr(design, name) for name in ("session", "kind", "direction")}
     if logged:
         labels["log"] = np.array([f"logs/{run}.csv" for run in run_id])
     table = RunTable(
         labels=labels,
-        numbers={column: values[chosen].astype(np.float64) for column, values in numbers.items()},
-        excluded=np.zeros(n_runs, dtype=bool),
-        line=np.arange(2, n_runs + 2, dtype=np.int64),
+        numbers={column: values.astype(np.float64) for column, values in numbers.items()},
+        excluded=np.zeros(len(design), dtype=bool),
+        line=number + 2,
     )
     sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
     laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
     return Campaign(
         root=None,
-        name=name,
+        name="campaign",
         simulated=True,
         vehicle=design.vehicle,
         encoder=Encoder(design.counts_per_rev, design.counts_per_rev),
@@ -184,19 +175,11 @@ def campaign_of(
         rangefinder=Rangefinder(sigma_m=laser_m),
         reference=Reference(sigma_xy_m=xy_m, sigma_theta_rad=theta_rad),
         runs=table,
-        logs=_logs(world, noise, draw, record, counts, poses, chosen) if logged else Logs.empty(n_runs),
+        logs=_logs(world, noise, draw, record, counts, poses) if logged else Logs.empty(len(design)),
     )
 
 
-def _logs(
-    world: World,
-    noise: Noise,
-    draw: NoiseDraw,
-    record: Record,
-    counts: FloatArray,
-    poses: FloatArray,
-    chosen: IntArray,
-) -> Logs:
+def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: FloatArray, poses: FloatArray) -> Logs:
     design = world.design
     columns = {"t_s": np.round(record.t_s, 3), "counts_left": counts[0], "counts_right": counts[1]}
     if design.front:
@@ -211,12 +194,9 @@ def _logs(
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
         for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), read, strict=True):
             columns[column] = np.round(values, 5)
-    kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T[chosen]  # (n_runs, n_frames)
+    kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)
     offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
-    return Logs(
-        offsets=offsets,
-        columns={name: np.ascontiguousarray(values.T[chosen][kept]) for name, values in columns.items()},
-    )
+    return Logs(offsets, {name: np.ascontiguousarray(values.T[kept]) for name, values in columns.items()})
 
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
@@ -308,7 +288,6 @@ def make_campaigns(
     world = apply_causes(build_world(stacked, model), causes)
     draw = draw_noise(noise, n_runs * times, rng)
     record = drive(world, draw)
-    return tuple(
-        campaign_of(world, noise, draw, record, name=name, pick=np.arange(n_runs) + number * n_runs)
-        for number, name in enumerate(names)
-    )
+    driven = campaign_of(world, noise, draw, record, n_runs)
+    parts = np.split(np.arange(n_runs * times), times)
+    return tuple(replace(driven.select(part), name=name) for part, name in zip(parts, names, strict=True))

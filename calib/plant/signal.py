@@ -129,8 +129,7 @@ def recalibration(world: World, record: Record) -> FloatArray:
     right = levers.way + 0.5 * track * levers.turned
 
     def to(path: FloatArray, turn: FloatArray) -> FloatArray:
-        both: FloatArray = np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn)
-        return both
+        return np.asarray(np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn))
 
     return np.stack(
         [to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -levers.turned)], axis=-1
@@ -142,11 +141,13 @@ def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -
 
     The noise has the covariance (n_runs, 6, 6); the directions `absorbed` (n_runs, 6, n) are projected out.
     """
+    return float(np.linalg.norm(left_of(change, cov, absorbed)))
+
+
+def left_of(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> FloatArray:
+    """Return a change as `strength` takes it, whitened, what is absorbed projected out, shape (6 n_runs,)."""
     white, directions = whiten(change, cov, absorbed)
-    if directions is None:
-        return float(np.linalg.norm(white))
-    rest = white - directions @ np.linalg.lstsq(directions, white, rcond=1e-10)[0]
-    return float(np.linalg.norm(rest))
+    return white if directions is None else white - directions @ np.linalg.lstsq(directions, white, rcond=1e-10)[0]
 
 
 def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
@@ -171,7 +172,6 @@ class Strength:
 
     alone: tuple[float, ...]  #: signal of each cause by itself
     beside: tuple[float, ...]  #: signal of each cause after what the others could imitate was projected out as well
-    together: float  #: signal of all of them at once
     change: FloatArray  #: shape (n_causes, n_runs, 6): what each does to the outputs
     cov: FloatArray  #: shape (n_runs, 6, 6): covariance of the noise
     absorbed: FloatArray  #: shape (n_runs, 6, 3): what a recalibration does
@@ -219,20 +219,15 @@ def strengths(
     first = _cut(record, n_runs)
     cov, absorbed = covariance(base_world, noise, first), recalibration(base_world, first)
     if not weigh:
-        return Strength((), (), 0.0, change, cov, absorbed)
-    plain = any(is_calibration(cause) for cause in causes)
-    nothing = None if plain else absorbed
-    alone = tuple(
-        _alone(change[number], cov, None if is_calibration(causes[number]) else absorbed) for number in range(n_causes)
-    )
-    beside = []
-    for number in range(n_causes):
-        others = [change[other][:, :, None] for other in range(n_causes) if other != number]
-        parts = [] if is_calibration(causes[number]) else [absorbed]
-        extra = np.concatenate([*parts, *[np.nan_to_num(other) for other in others]], axis=2) if others else None
-        beside.append(strength(change[number], cov, extra) if extra is not None else alone[number])
-    together = strength(change.sum(axis=0), cov, nothing) if n_causes else 0.0
-    return Strength(alone, tuple(beside), together, change, cov, absorbed)
+        return Strength((), (), change, cov, absorbed)
+    taken_up = [None if is_calibration(cause) else absorbed for cause in causes]
+    alone = tuple(_alone(one, cov, by) for one, by in zip(change, taken_up, strict=True))
+    beside = list(alone)
+    for number, by in enumerate(taken_up) if n_causes > 1 else ():
+        others = np.nan_to_num(np.moveaxis(np.delete(change, number, axis=0), 0, -1))
+        directions = others if by is None else np.concatenate([by, others], axis=2)
+        beside[number] = strength(change[number], cov, directions)
+    return Strength(alone, tuple(beside), change, cov, absorbed)
 
 
 def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
@@ -292,6 +287,14 @@ def to_signal(
 
 _EXPONENTS = {"hertz": 2 / 3, "root": 0.5, "quadratic": 2.0, "power": 0.87, "running_in": 0.8}
 _SKIPPED = ("encoder_gross", "integration_scheme", "path_weave", "floor_zone")
+#: effect -> knobs whose sums span what it can do
+_KNOBS: Final[dict[str, list[dict[str, float]]]] = {
+    "load_creep": [{"tau_min": 15.0}],
+    "wheel_eccentricity": [{"left_rad": a, "right_rad": b} for a, b in ((0.0, 0.0), (1.57, 0.0), (0.0, 1.57))],
+    **{effect: [{"right": 0.0}, {"right": 1.0}] for effect in ("rear_drag", "lost_counts")},
+    "reference_lever_arm": [{"towards_rad": 0.0}, {"towards_rad": np.pi / 2}],
+    "floor_slope": [{"downhill_rad": 0.0}, {"downhill_rad": np.pi / 2}],
+}
 
 
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:
@@ -304,22 +307,12 @@ def _variants(design: Design, slope_per_N: float) -> list[Cause]:
         if lacks(design, form.needs - {"slope", "offsets"}) or ("slope" in form.needs and slope_per_N == 0.0):
             continue
         size = 0.2 * form.typical
-        knobs: list[dict[str, float]] = [{}]
+        knobs = _KNOBS.get(form.effect, [{}])
         if form.effect.startswith(("load_radius", "wear")):
             exponent = _EXPONENTS.get(form.form, 1.0)
             knobs = [{"right_ratio": ratio, "exponent": exponent} for ratio in (0.0, 1.0)]
-        elif form.effect == "load_creep":
-            knobs = [{"tau_min": 15.0}]
         elif form.effect == "session_step":
             knobs = [{f"step_{knob}": 1.0} for knob in range(1, n_sessions)] if form.form == "plain" else []
-        elif form.effect == "wheel_eccentricity":
-            knobs = [{"left_rad": a, "right_rad": b} for a, b in ((0.0, 0.0), (1.57, 0.0), (0.0, 1.57))]
-        elif form.effect in {"rear_drag", "lost_counts"}:
-            knobs = [{"right": 0.0}, {"right": 1.0}]
-        elif form.effect == "reference_lever_arm":
-            knobs = [{"towards_rad": 0.0}, {"towards_rad": np.pi / 2}]
-        elif form.effect == "floor_slope":
-            knobs = [{"downhill_rad": 0.0}, {"downhill_rad": np.pi / 2}]
         elif form.effect.startswith("covariate:"):
             knobs = [form.knobs(np.random.default_rng(0), design)]
         variants.extend(Cause(form.effect, size, form.form, knob) for knob in knobs)
@@ -345,8 +338,7 @@ class Alternatives:
 
     def left(self, number: int) -> FloatArray:
         """Return what one leaves, whitened, a recalibration projected out, shape (n_rows,)."""
-        white, absorbed = whiten(self.driven.change[number], self.driven.cov, self.driven.absorbed)
-        return white if absorbed is None else white - absorbed @ np.linalg.lstsq(absorbed, white, rcond=1e-10)[0]
+        return left_of(self.driven.change[number], self.driven.cov, self.driven.absorbed)
 
 
 def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> Alternatives:

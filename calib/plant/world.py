@@ -72,8 +72,7 @@ def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> Fl
     """Draw from Student's t scaled to unit variance; the normal where `tail` is infinite."""
     if np.isinf(tail):
         return rng.standard_normal(shape)
-    drawn: FloatArray = rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail)
-    return drawn
+    return np.asarray(rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail))
 
 
 def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw:
@@ -230,42 +229,27 @@ class World:
     @property
     def mean_load_N(self) -> FloatArray:
         """Mean true load of the rear wheels, shape (n_runs,)."""
-        mean: FloatArray = 0.5 * (self.load_left_N + self.load_right_N)
-        return mean
+        return 0.5 * (self.load_left_N + self.load_right_N)
 
     @property
     def total_weight_N(self) -> FloatArray:
         """True weight of vehicle and payload, shape (n_runs,)."""
-        weight: FloatArray = GRAVITY_MPS2 * (self.design.vehicle.mass_kg + self.payload_scale * self.design.payload_kg)
-        return weight
+        return GRAVITY_MPS2 * (self.design.vehicle.mass_kg + self.payload_scale * self.design.payload_kg)
 
     def settle(self) -> None:
         """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""
-        design, model = self.design, self.model
-
-        def lawful() -> tuple[FloatArray, FloatArray]:
-            left_N, right_N = self.load_left_N - model.reference_load_N, self.load_right_N - model.reference_load_N
-            return (
-                model.radius_left_m + model.slope_left_m_per_N * left_N,
-                model.radius_right_m + model.slope_right_m_per_N * right_N,
-            )
-
-        left_before, right_before = lawful()
-        self.load_left_N, self.load_right_N = wheel_loads(
-            design.vehicle,
-            self.payload_scale * design.payload_kg,
-            design.payload_x_m + self.payload_dx_m,
-            design.payload_y_m + self.payload_dy_m,
-        )
-        left_after, right_after = lawful()
+        design, payload_kg = self.design, self.payload_scale * self.design.payload_kg
+        left_before, right_before = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
+        x_m, y_m = design.payload_x_m + self.payload_dx_m, design.payload_y_m + self.payload_dy_m
+        self.load_left_N, self.load_right_N = wheel_loads(design.vehicle, payload_kg, x_m, y_m)
+        left_after, right_after = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
         self.left = self.left * left_after / left_before
         self.right = self.right * right_after / right_before
 
 
 def standardised(values: FloatArray) -> FloatArray:
     """Return values less their mean, in standard deviations."""
-    spread: FloatArray = (values - values.mean()) / max(float(values.std()), 1e-12)
-    return spread
+    return np.asarray((values - values.mean()) / max(float(values.std()), 1e-12))
 
 
 def wheel_loads(
@@ -283,6 +267,13 @@ def wheel_loads(
     return left, right
 
 
+def lawful_radii_m(model: OdometryModel, left_N: FloatArray, right_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the radii of the left and right wheel that a model believes under these loads."""
+    left = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
+    right = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
+    return left, right
+
+
 def build_world(design: Design, model: OdometryModel) -> World:
     """Return the world in which the model is right."""
     n_runs = len(design)
@@ -291,8 +282,7 @@ def build_world(design: Design, model: OdometryModel) -> World:
     ones = ("left", "right", "track", "laser_scale", "steer_scale", "payload_scale")
     arrays |= {name: np.ones(n_runs) for name in ones} | {"wavelength_m": np.full(n_runs, 5.0)}
     arrays |= {"load_left_N": left_N, "load_right_N": right_N}
-    arrays["believed_left_m"] = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
-    arrays["believed_right_m"] = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
+    arrays["believed_left_m"], arrays["believed_right_m"] = lawful_radii_m(model, left_N, right_N)
     return World(design, model, **arrays)
 
 

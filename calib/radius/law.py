@@ -91,6 +91,21 @@ class RadiusLaw:
     #: 5)
     joint: FloatArray | None = None
 
+    def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
+        """Return the covariance of `JOINT`, shape (5, 5).
+
+        Wheels that were fitted separately are taken as independent, of each other and of the track; where wheels and
+        track were fitted together, their covariance has the track's uncertainty. `single_run` adds the scatter of
+        single runs about the law (the prediction band) to the uncertainty of its mean.
+        """
+        joint = np.zeros((len(JOINT), len(JOINT)))
+        joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = self.left.covariance, self.right.covariance, track_std_m**2
+        if self.joint is not None:
+            joint = self.joint.copy()
+        if single_run:
+            joint[[0, 2], [0, 2]] += np.square([self.left.residual_std_m, self.right.residual_std_m])
+        return joint
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineEstimate:

@@ -13,11 +13,10 @@ from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from calib.campaign.model import Campaign, Logs
 from calib.radius.deviation import arc_excess, whole_period_excess
-from calib.types import BoolArray, FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: a heading reference is used where it tells more than its own noise
 MIN_RELIABILITY: Final = 0.05
@@ -198,7 +197,7 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
 
 
 def _headings(
-    logs: Logs, runs: npt.NDArray[np.int64], metres_per_count: tuple[float, float], track_m: float
+    logs: Logs, runs: IntArray, metres_per_count: tuple[float, float], track_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return rolled distance (n,), heading on `HEADING_POINTS` equal steps of it (n, steps), and usable runs."""
     rolled = np.zeros(len(runs))

@@ -14,8 +14,16 @@ import numpy.typing as npt
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
-from calib.radius.order import Autocorrelation, widened
-from calib.radius.sessions import HC3_BELOW, HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line
+from calib.radius.sessions import (
+    HC3_BELOW,
+    HC3_MIN_DOF,
+    Autocorrelation,
+    breusch_pagan,
+    groups_of,
+    stratified_constant,
+    stratified_line,
+    widened,
+)
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

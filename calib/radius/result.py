@@ -17,7 +17,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_json
 from calib.errors import BadFileError, BadInputError, CalibError
-from calib.io import settle, sha256_file, write_files
+from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import RadiusLaw
 from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
@@ -184,18 +184,12 @@ def _columns(rows: Any) -> dict[str, Any]:
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
     """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and what the campaign states.
 
-    `campaign`: its ``hashes`` are taken; where it has none, those of ``campaign.toml`` and ``runs.csv`` are computed;
     `arguments`: arguments of the command, plain values.
     """
-    hashes = dict(campaign.hashes)
-    if not hashes and campaign.root is not None:
-        for name in ("campaign.toml", "runs.csv"):
-            if (campaign.root / name).is_file():
-                hashes[name] = sha256_file(campaign.root / name)
     record: dict[str, object] = {
         "version": version,
         "arguments": dict(arguments),
-        "inputs": dict(sorted(hashes.items())),
+        "inputs": dict(sorted(campaign.hashes.items())),
     }
     for section in STATED_SECTIONS:
         if section in campaign.extra:

@@ -7,13 +7,17 @@ sessions the slope's interval is the exact t of the within-session regression, w
 the exact t of the regression on session means, and between the two it follows the critical values of
 `calib.radius.law`.
 
-The estimator needs of the runs of a session only their number and the sums of loads, radii, their squares and products
-(`SessionSums`): a fleet adds runs to them and reads none again. Only HC3 needs the runs themselves.
+Runs that follow each other and scatter alike tell less than as many independent ones. The residuals of a session are
+taken as a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from the lag-one
+autocorrelation of the residuals, freed of the bias that the fitted mean and line give it; where it is significant, the
+covariance of the runs' stratum is that of the same least-squares estimates under it, and its degrees of freedom are
+Satterthwaite's. All products with the correlation matrix are two recursions, linear in runs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -33,8 +37,6 @@ HC3_BELOW: Final = 0.01
 HC3_MIN_DOF: Final = 4
 #: leverage is kept so far below one in HC3
 HC3_MIN_SLACK: Final = 0.05
-#: sums of squares counted from a reference load count as zero below this share: rounding
-ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,83 +222,146 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
     )
 
 
+#: fewer degrees of freedom show no autocorrelation
+MIN_DOF: Final = 6
+#: below this probability of as large an autocorrelation by chance the intervals are widened: to widen costs little
+WIDENED_BELOW: Final = 0.05
+#: largest autocorrelation: the mean of runs that follow each other more closely says nothing of its own scatter
+LARGEST: Final = 0.95
+#: the autocorrelation is solved for to this
+PRECISION: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Autocorrelation:
+    """Autocorrelation of runs that follow each other."""
+
+    #: of one run and the next, freed of bias, plus a standard deviation: its estimate scatters, and too small a one
+    #: would leave the intervals too narrow; 0 where none is significant
+    rho: float
+    #: lag-one autocorrelation of the residuals as it stands, and the probability of a larger one by chance
+    lag_one: float
+    p_value: float
+    #: by how much it widens the interval of the slope, 1 where it does not
+    slope_ratio: float = 1.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class SessionSums:
-    """Sums over the runs of each session, for one wheel."""
+class _Series:
+    """Residuals in blocks that are independent of each other, and what was fitted: orthonormal columns (n_runs, k)."""
 
-    #: labels, each once, in order, shape (n_sessions,)
-    session: StrArray
-    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, and day squared.
-    #: Loads are counted from a reference load (N), radii from a nominal radius (m), days from any common day, shape
-    #: (n_sessions, 8)
-    table: FloatArray
-    #: span of the loads, counted from the same reference load; inf and -inf where there are no runs
-    load_min_N: float
-    load_max_N: float
-
-    @staticmethod
-    def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> SessionSums:
-        """Return the sums of runs, each argument of shape (n_runs,)."""
-        labels, index = np.unique(session, return_inverse=True)
-        ones = np.ones_like(load_N)
-        terms = (ones, load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day, day**2)
-        table = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1).astype(np.float64)
-        return SessionSums(labels, table, float(load_N.min(initial=np.inf)), float(load_N.max(initial=-np.inf)))
-
-    def added(self, other: SessionSums) -> SessionSums:
-        """Return the sums of both, sessions of the same label as one."""
-        labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
-        table = np.zeros((len(labels), self.table.shape[1]))
-        np.add.at(table, index, np.concatenate([self.table, other.table]))
-        low = min(self.load_min_N, other.load_min_N)
-        return SessionSums(labels, table, low, max(self.load_max_N, other.load_max_N))
+    residual: FloatArray
+    fitted: FloatArray
+    #: whether each run begins a block, shape (n_runs,)
+    begins: FloatArray
 
     @property
-    def n_runs(self) -> float:
-        """Number of runs."""
-        return float(self.table[:, 0].sum())
+    def dof(self) -> float:
+        """Degrees of freedom of the residuals."""
+        return float(len(self.residual) - self.fitted.shape[1])
 
-    @property
-    def means(self) -> FloatArray:
-        """Mean load, radius and day of each session, shape (n_sessions, 3)."""
-        return np.asarray(self.table[:, [1, 2, 6]] / self.table[:, :1])
+    def neighbours(self, columns: FloatArray) -> FloatArray:
+        """Return half the sum of the run before and of the run after of the same block, shape (n_runs, k)."""
+        joined = (1.0 - self.begins[1:])[:, None]
+        product = np.zeros_like(columns)
+        product[1:] += 0.5 * joined * columns[:-1]
+        product[:-1] += 0.5 * joined * columns[1:]
+        return product
 
-    @property
-    def within(self) -> FloatArray:
-        """Sums of squares within sessions: of load, of load times radius, of radius, shape (3,)."""
-        n, x, y, xx, xy, yy = self.table[:, :6].T
-        return np.array([(xx - x * x / n).sum(), (xy - x * y / n).sum(), (yy - y * y / n).sum()])
+    def correlated(self, columns: FloatArray, rho: float) -> FloatArray:
+        """Return columns (n_runs, k) times the correlation matrix."""
+        from scipy.signal import lfilter
+
+        edges = [*np.flatnonzero(self.begins), len(columns)]
+        product = np.empty_like(columns)
+        for first, behind in pairwise(edges):
+            block = columns[first:behind]
+            forward = lfilter([1.0], [1.0, -rho], block, axis=0)
+            product[first:behind] = forward + lfilter([1.0], [1.0, -rho], block[::-1], axis=0)[::-1] - block
+        return product
+
+    def expected_lag_one(self, rho: float) -> float:
+        """Return the ratio of the expectations of the lag-one product and of the square of the residuals."""
+        own, pairs = self.fitted, len(self.residual) - self.begins.sum()
+        beside, turned = self.neighbours(own), self.correlated(own, rho)
+        cross = own.T @ turned
+        product = rho * pairs - 2.0 * float(np.sum(beside * turned)) + float(np.sum((own.T @ beside) * cross))
+        return float(product / (len(self.residual) - float(np.trace(cross))))
+
+    def if_independent(self) -> tuple[float, float]:
+        """Return mean and standard deviation of the lag-one autocorrelation of independent runs."""
+        own, pairs, dof = self.fitted, len(self.residual) - self.begins.sum(), self.dof
+        beside = self.neighbours(own)
+        inner = own.T @ beside
+        trace = -float(np.trace(inner))
+        squares = 0.5 * pairs - 2.0 * float(np.sum(beside**2)) + float(np.sum(inner**2))
+        variance = 2.0 * (dof * squares - trace**2) / (dof**2 * (dof + 2.0))
+        return trace / dof, float(np.sqrt(max(variance, 1e-12)))
 
 
-def line_from_sums(sums: SessionSums) -> LineEstimate | None:
-    """Return the session-aware line, or None where these runs cannot carry one.
+def autocorrelation(series: _Series) -> Autocorrelation:
+    """Return the autocorrelation of residuals in the order driven, where significant its upper bound of one sd."""
+    from scipy.special import ndtr
 
-    As `stratified_line` gives it, without HC3; the plain line where there is one session, or one
-    run a session. None with fewer than three runs or a single load.
+    square = float(series.residual @ series.residual)
+    if series.dof < MIN_DOF or not square > 0.0:
+        return Autocorrelation(0.0, 0.0, 1.0)
+    lag_one = float(series.residual @ series.neighbours(series.residual[:, None])[:, 0]) / square
+    mean, sd = series.if_independent()
+    p_value = float(ndtr((mean - lag_one) / sd))
+    if p_value >= WIDENED_BELOW:
+        return Autocorrelation(0.0, lag_one, p_value)
+    low, high = 0.0, LARGEST
+    while high - low > PRECISION:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if series.expected_lag_one(middle) < lag_one + sd else (low, middle)
+    return Autocorrelation(high, lag_one, p_value)
+
+
+def widened(
+    estimate: LineEstimate, load_N: FloatArray | None, radius_m: FloatArray, groups: Groups
+) -> tuple[LineEstimate, Autocorrelation]:
+    """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
+
+    `estimate` counts every run of a session as independent. `load_N` is the load minus the reference load of each run,
+    in the order driven, None for a constant; `radius_m` the effective radius; `groups` the sessions of the runs.
     """
-    n, n_sessions = sums.n_runs, len(sums.session)
-    if n < 3:
-        return None
-    if not 2 <= n_sessions < n:
-        return _plain(sums)
-    x_mean, y_mean, _ = sums.means.T
-    info, cross, square = sums.within
-    if not info + float(np.ptp(x_mean)) ** 2 > ROUNDING * max(float(sums.table[:, 3].sum()), 1.0):
-        return None
-    slope = cross / info if info > 0 else 0.0
-    strata = Strata(sums.table[:, 0], x_mean, y_mean, info, slope, square, max(square - slope * cross, 0.0))
-    return line_of_strata(strata) or _plain(sums)
+    n = len(radius_m)
+    by_session = estimate.dof_between > 0
+    means = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
+    columns = means if load_N is None or estimate.design == "confounded" else np.column_stack((means, load_N))
+    fitted = np.linalg.qr(columns)[0]
+    begins = np.ones(n)
+    begins[1:] = (np.diff(groups.index) != 0) if by_session else 0.0
+    series = _Series(radius_m - fitted @ (fitted.T @ radius_m), fitted, begins)
+    found = autocorrelation(series)
+    if found.rho == 0.0:
+        return estimate, found
+    turned = series.correlated(fitted, found.rho)
+    cross = fitted.T @ turned
+    expected = n - float(np.trace(cross))
+    dof = expected**2 / max(
+        _square_of(series, found.rho) - 2.0 * float(np.sum(turned**2)) + float(np.sum(cross**2)), 1.0
+    )
+    # variance of each coefficient over that of independent runs of the same residuals
+    solve = np.linalg.pinv(columns)
+    spread = solve @ series.correlated(np.ascontiguousarray(solve.T), found.rho)
+    ratio = np.diag(spread) / np.diag(solve @ solve.T) * series.dof / expected
+    scale = np.sqrt(np.array([ratio[0], ratio[-1]]))
+    if by_session:
+        # of the runs' stratum the slope alone is taken; sessions stand for the mean
+        scale = np.full(2, scale[1])
+    factor = np.maximum(scale, 1.0)
+    return (
+        replace(
+            estimate,
+            cov_within=estimate.cov_within * np.outer(factor, factor),
+            dof_within=min(estimate.dof_within, max(dof, 1.0)),
+        ),
+        replace(found, slope_ratio=float(factor[1])),
+    )
 
 
-def _plain(sums: SessionSums) -> LineEstimate | None:
-    """Return the least-squares line, every run counted as independent; None with a single load."""
-    n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0)
-    info = xx - x * x / n
-    if n < 3 or not info > ROUNDING * max(xx, 1.0):
-        return None
-    slope = (xy - x * y / n) / info
-    variance = max(yy - y * y / n - slope * (xy - x * y / n), 0.0) / (n - 2)
-    mean = x / n
-    covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
-    coefficients = np.array([y / n - slope * mean, slope])
-    return LineEstimate.one_stratum("single", coefficients, covariance, float(n - 2), float(variance))
+def _square_of(series: _Series, rho: float) -> float:
+    """Return the sum of the squared entries of the correlation matrix."""
+    return float(series.correlated(np.ones((len(series.residual), 1)), rho**2).sum())

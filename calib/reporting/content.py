@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from calib import __version__
 from calib.campaign.checks.design import assumed_settings
 from calib.campaign.model import Campaign
-from calib.documents import plain, to_json
+from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import ingest_notes
@@ -19,7 +19,8 @@ from calib.reporting.blocks import Items, Notice, Picture, Section
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
-from calib.reporting.topics.conditions import assumed_text, missing_of, preparation_of
+from calib.reporting.topics.conditions import missing_of, preparation_of
+from calib.reporting.topics.fit import assumed_text
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Report:
     """A report, ready to be set."""
 
     #: identification, on every page
-    report_id: str
+    report_id: str = field(metadata={"json": "id"})
     #: title and campaign
     title: str
     name: str
@@ -74,11 +75,14 @@ class Report:
     #: files inside the PDF
     attachments: tuple[Attachment, ...]
     #: what the campaign's ``[report]`` section states; None where nobody signs
-    stated: Mapping[str, str] | None = None
+    stated: Mapping[str, str] | None = field(default=None, metadata={"json": False})
     #: name and bytes of the laboratory's picture
     logo: tuple[str, bytes] | None = None
     #: further facts under the title
-    facts: tuple[tuple[str, str], ...] = ()
+    facts: tuple[tuple[str, str], ...] = field(default=(), metadata={"json": False})
+    #: what it was made from, as far as that was estimated for it
+    diagnosis: Diagnosis | None = field(default=None, metadata={"json": False})
+    geometry: Geometry | None = field(default=None, metadata={"json": False})
 
     @property
     def head(self) -> tuple[tuple[str, str], ...]:
@@ -103,35 +107,17 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values, as the page reads it."""
-        return {
-            "format": "calib-report/1",
-            "id": self.report_id,
-            "kind": "Calibration report",
-            "title": self.title,
-            "name": self.name,
-            "short_name": self.name if len(self.name) <= SHORT_NAME else f"{self.name[: SHORT_NAME - 1]}…",
-            "subject": f"Calibration report on the campaign {self.name}" + (", simulated data" * self.simulated),
-            "issued": self.issued,
-            "date": [int(part) for part in self.issued.split("-")],
-            "program": f"calib {__version__}",
-            "simulated": self.simulated,
-            "passed": self.passed,
-            "author": (self.stated or {}).get("laboratory", ""),
-            "head": plain(self.head),
-            "signatures": plain(self.signatures),
-            "logo": None if self.logo is None else self.logo[0],
-            "sections": plain(self.sections),
-            "attachments": plain(self.attachments),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Reported:
-    """A report, and what it was made from as far as that was estimated for it."""
-
-    report: Report
-    diagnosis: Diagnosis | None = None
-    geometry: Geometry | None = None
+        return {"format": "calib-report/1", "kind": "Calibration report"} | plain_fields(
+            self,
+            short_name=self.name if len(self.name) <= SHORT_NAME else f"{self.name[: SHORT_NAME - 1]}…",
+            subject=f"Calibration report on the campaign {self.name}" + (", simulated data" * self.simulated),
+            date=[int(part) for part in self.issued.split("-")],
+            program=f"calib {__version__}",
+            author=(self.stated or {}).get("laboratory", ""),
+            head=self.head,
+            signatures=self.signatures,
+            logo=self.logo and self.logo[0],
+        )
 
 
 def report_of(
@@ -142,7 +128,7 @@ def report_of(
     seed: int | None = None,
     where: Path | None = None,
     progress: Progress = silent,
-) -> Reported:
+) -> Report:
     """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
 
     Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.
@@ -168,22 +154,22 @@ def report_of(
                 f"{where or 'report'}: found the result of a fit; expected a campaign folder, which a diagnosis "
                 "needs; give the campaign"
             )
-        return Reported(compose(source_of(given, issued=issued, accept=accept, where=where)))
+        return compose(source_of(given, issued=issued, accept=accept, where=where))
     try:
         source = source_of(given, issued=issued, accept=accept)
     except RefusedError as error:
         return _without_law(given, error, issued, accept, seed, progress)
     if seed is None:
-        return Reported(compose(source))
+        return compose(source)
     from calib.gap.diagnose import diagnose_in_full
 
     diagnosis = diagnose_in_full(given, seed=seed, progress=progress)
-    return Reported(compose(source.with_diagnosis(diagnosis)), diagnosis)
+    return compose(replace(source, verdict=diagnosis))
 
 
 def _without_law(
     campaign: Campaign, refusal: RefusedError, issued: str, accept: str, seed: int | None, progress: Progress
-) -> Reported:
+) -> Report:
     """Return the report on runs that allow no law: of their geometry, and of the diagnosis where it is asked for."""
     from calib.coefficients.build import from_geometry
     from calib.gap.diagnose import diagnose_in_full
@@ -201,10 +187,9 @@ def _without_law(
         if geometry.passed or accept:
             file = from_geometry(geometry, campaign, created=issued, accept=accept).to_bytes()
     why = str(refusal).removeprefix(f"{campaign.root}: ")
-    report = report_without_law(
+    return report_without_law(
         campaign, issued=issued, why=why, geometry=geometry, coefficients=file, diagnosis=diagnosis
     )
-    return Reported(report, diagnosis, geometry)
 
 
 def compose(source: Source) -> Report:
@@ -221,6 +206,7 @@ def compose(source: Source) -> Report:
         attachments=(Attachment("coefficients.json", source.coefficients.to_bytes(), law),),
         stated=source.stated,
         logo=source.logo,
+        diagnosis=source.verdict,
     )
 
 
@@ -268,13 +254,12 @@ def report_without_law(
     stated = stated_of(campaign)
     reason = Notice("note", "These runs give no radius law", capital(prose(why.rstrip("."))) + ".")
     found = [] if diagnosis is None else [page_one_notice(diagnosis)]
-    law = [] if diagnosis is not None and geometry is None else [Section("Radius law", (reason,))]
-    result = geometry_sections(geometry, found) if geometry is not None else []
+    # a diagnosis alone begins with its verdict
+    result = [Section("Result", (*found, reason))] if geometry is None else geometry_sections(geometry, found)
     sections = (
-        # a diagnosis alone begins with its verdict
-        *(result if law else [Section("Result", (*found, reason))]),
+        *result,
         *([] if diagnosis is None else [gap_section(diagnosis)]),
-        *law,
+        *([] if geometry is None else [Section("Radius law", (reason,))]),
         preparation_of(ingest_notes(campaign)),
         _limits(campaign, geometry, coefficients),
         missing_of(stated),
@@ -290,6 +275,8 @@ def report_without_law(
         attachments=tuple(Attachment(name, data, what) for name, (data, what) in files.items() if data is not None),
         stated=stated,
         logo=logo_of(campaign),
+        diagnosis=diagnosis,
+        geometry=geometry,
     )
 
 

@@ -18,9 +18,9 @@ from calib.documents import csv_text, plain, to_json
 from calib.fleet.run import Fleet
 from calib.fleet.survey import Survey
 from calib.io import refuse_existing, write_files, write_json, write_text
-from calib.odometry.integrate import integrate, loads_in_steps, radii_under_load, travel_from_counts
+from calib.odometry.integrate import integrate, radii_under_load, travel_from_counts
 from calib.odometry.poses import Poses, write_tum
-from calib.odometry.replay import Replay, stood_in
+from calib.odometry.replay import Replay, carried_loads_N, stood_in
 from calib.odometry.simulation import SHOWN, LawPart, Simulation
 from calib.reporting.blocks import Block, Heading, Section
 from calib.reporting.content import Attachment, Report
@@ -117,11 +117,7 @@ def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: Coe
         return poses if np.isfinite(poses.stacked()).all() else None
     if not {"t_s", "counts_left", "counts_right"} <= log.keys():
         return None
-    loads = (
-        loads_in_steps(campaign.runs.number(name), log.get(name), campaign.logs.offsets)
-        for name in ("load_left_N", "load_right_N")
-    )
-    radii = radii_under_load(coefficients.law, *loads)
+    radii = radii_under_load(coefficients.law, *carried_loads_N(campaign))
     if not np.isfinite(radii).all():
         return None
     left, right = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)

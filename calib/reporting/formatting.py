@@ -52,10 +52,7 @@ def two_digits(std: float | None) -> str:
     """Return a standard or expanded uncertainty with two significant digits."""
     if std is None or not math.isfinite(std):
         return MISSING
-    if std == 0:
-        return "0"
-    exponent = math.floor(math.log10(abs(float(f"{std:.1e}"))))
-    return fixed(float(f"{std:.1e}"), max(1 - exponent, 0))
+    return fixed(float(f"{std:.1e}"), places(std)) if std else "0"
 
 
 def measured(value: float, std: float) -> tuple[str, str]:

@@ -23,7 +23,6 @@ from calib.documents import plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Report
-from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.figures.style import render
 from calib.reporting.formatting import EQUATIONS
 from calib.types import Progress, silent, stepped
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"
+#: pictures of a diagnosis, which linked panels replace
+GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
 #: missing signs replaced one by one, beyond whole scripts that the fonts lack
 MAX_MISSING_SIGNS: Final = 24
 
@@ -127,8 +128,8 @@ def to_html(report: Report, panels: str = "") -> str:
     sections = report.sections
     if panels:
         sections = tuple(
-            replace(section, blocks=tuple(block for block in section.blocks if not _in_panels(block)))
-            for section in sections
+            replace(part, blocks=tuple(each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES))
+            for part in sections
         )
     page = {
         "kind": f"Calibration report {report.report_id}",
@@ -139,10 +140,6 @@ def to_html(report: Report, panels: str = "") -> str:
         "footer": f"Issued {report.issued}; report {report.report_id}",
     }
     return _page(page, sections, panels)
-
-
-def _in_panels(block: Block) -> bool:
-    return isinstance(block, Picture) and block.name in GAP_PICTURES
 
 
 def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:

@@ -16,7 +16,7 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path
 from calib.reporting.figures.gap import GapArrays, rms
 from calib.reporting.formatting import with_unit
-from calib.types import FloatArray
+from calib.types import FloatArray, evenly
 
 #: points of all drawn paths together, of one path at most, and of a gap along a run: more make the page heavy
 ALL_POINTS: Final = 12_000
@@ -47,20 +47,14 @@ def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> dict[str, list[FloatA
     }
 
 
-def _thinned(path: FloatArray, limit: int) -> FloatArray:
-    if len(path) <= limit:
-        return path
-    return np.asarray(path[np.linspace(0, len(path) - 1, limit).round().astype(np.int64)])
-
-
 def _predicted(path: Path, limit: int) -> list[FloatArray]:
     s = path.s
     end_s = s.time_s - _start_s(s)[s.unit]
-    middle = np.column_stack((end_s - 0.5 * s.duration_s, path.steps.x_m, path.steps.y_m))
+    middle_s = end_s - 0.5 * s.duration_s
     paths = []
-    for unit, (first, last) in enumerate(pairwise(s.starts)):
-        end = np.array([[end_s[last - 1], *path.end[unit, :2]]])
-        paths.append(_thinned(np.vstack((np.zeros((1, 3)), middle[first:last], end)), limit))
+    for trace, (first, last) in zip(path.traces(), pairwise(s.starts), strict=True):
+        times = np.concatenate(([0.0], middle_s[first:last], end_s[last - 1 : last]))
+        paths.append(np.column_stack((times, trace[:, :2]))[evenly(len(trace), limit)])
     return paths
 
 
@@ -85,7 +79,8 @@ def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArra
             paths.append(np.zeros((0, 3)))
             continue
         place_m = (place_m[seen] - place_m[seen][0]) * np.exp(-1j * heading[seen][0])
-        paths.append(_thinned(np.column_stack((t_s[seen], place_m.real, place_m.imag)), limit))
+        path = np.column_stack((t_s[seen], place_m.real, place_m.imag))
+        paths.append(path[evenly(len(path), limit)])
     return paths
 
 

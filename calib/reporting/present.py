@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from calib.gap.decision.diagnosis import Diagnosis, Plan
     from calib.kinematics.result import Geometry
-    from calib.odometry.replay import Replay
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
     from calib.reporting.blocks import Block, Section
@@ -81,10 +80,6 @@ def _fit(fit: Fit) -> Drawings:
     }
 
 
-def _geometry(geometry: Geometry) -> Drawings:
-    return {"paths": partial(drawn, "geometry.draw_paths", geometry.paths, simulated=geometry.simulated)}
-
-
 def _diagnosis(diagnosis: Diagnosis) -> Drawings:
     from calib.reporting.figures.gap import gap_figures
 
@@ -97,7 +92,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Drawings:
 def _plan(plan: Plan) -> Drawings:
     from calib.gap.plan.identifiability import outlook_of
 
-    return {"matrix": lambda: drawn("effects.plan_matrix", outlook_of(plan.campaign))}
+    return {"matrix": lambda: drawn("geometry.plan_matrix", outlook_of(plan.campaign))}
 
 
 def _simulation(simulation: Simulation) -> Drawings:
@@ -109,18 +104,14 @@ def _simulation(simulation: Simulation) -> Drawings:
     }
 
 
-def _replay(replay: Replay) -> Drawings:
-    return {"end_errors": partial(drawn, "motion.replay_figure", replay)}
-
-
 #: kind of figure -> its drawing function, the default first
 _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
     "Fit": _fit,
-    "Geometry": _geometry,
+    "Geometry": lambda found: {"paths": partial(drawn, "geometry.draw_paths", found.paths, simulated=found.simulated)},
     "Diagnosis": _diagnosis,
     "Plan": _plan,
     "Simulation": _simulation,
-    "Replay": _replay,
+    "Replay": lambda replay: {"end_errors": partial(drawn, "motion.replay_figure", replay)},
 }
 
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, Final
 from calib import __version__
 from calib.campaign.model import Campaign
 from calib.documents import to_json
-from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.errors import BadFileError, RefusedError, refuse_other_than_date
 from calib.io import inside
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
-    from calib.radius.result import Fit
+    from calib.radius.result import Fit, Setup
     from calib.reporting.figures.gap import GapArrays
 
 #: a PDF cannot carry an earlier date of creation
@@ -50,6 +50,12 @@ class Source:
     known_verdict: tuple[VerdictKind, str] | None = None
 
     @property
+    def setup(self) -> Setup:
+        """Vehicle, instruments and conditions; a fit without them is refused."""
+        assert self.fit.setup is not None
+        return self.fit.setup
+
+    @property
     def simulated(self) -> bool:
         """True where a program made the data."""
         return self.fit.simulated
@@ -57,8 +63,7 @@ class Source:
     @property
     def inputs(self) -> dict[str, str]:
         """SHA-256 of every input file, by path relative to the campaign."""
-        hashes = self.fit.provenance.get("inputs", {})
-        return {str(key): str(value) for key, value in hashes.items()} if isinstance(hashes, Mapping) else {}
+        return {str(key): str(value) for key, value in self.fit.provenance.get("inputs", {}).items()}
 
     @property
     def report_id(self) -> str:
@@ -71,10 +76,6 @@ class Source:
             "gap": None if self.verdict is None else verdict_document(self.verdict),
         }
         return number_of("CR", content)
-
-    def with_diagnosis(self, diagnosis: Diagnosis) -> Source:
-        """Return the same with a diagnosis for its page."""
-        return replace(self, verdict=diagnosis)
 
     def facts(self, **titles: str) -> list[tuple[str, str]]:
         """Return what the campaign states under keys of `STATED`, each with its title; nothing of the others."""
@@ -93,12 +94,7 @@ def issue_date(text: str | None) -> str:
     """
     if text is None:
         return date.today().isoformat()
-    try:
-        fine = len(text) == len("YYYY-MM-DD") and date.fromisoformat(text).year >= FIRST_YEAR
-    except ValueError:
-        fine = False
-    if not fine:
-        raise BadInputError(f"date: found {text!r}; expected a date as YYYY-MM-DD; for example 2025-03-31")
+    refuse_other_than_date(text, FIRST_YEAR)
     return text
 
 

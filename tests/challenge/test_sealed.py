@@ -46,7 +46,7 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder / "seeds.toml",
         folder / "set",
         workers=1,
-        tick=lambda stage, _done, _total: order.append(stage),
+        progress=lambda _done, _total, stage: order.append(stage),
         sealed=order.append,
     )
     # the hash stands before the first campaign is driven

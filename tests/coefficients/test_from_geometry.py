@@ -16,7 +16,6 @@ from calib.coefficients.formats import LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
-from calib.odometry.pose_covariance import parameter_covariance
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
 
@@ -35,7 +34,7 @@ def test_the_file_holds_radii_track_and_their_joint_covariance(made: Campaign, g
     file = from_geometry(geometry, made)
     assert file.law.left.radius_ref_m == geometry["radius_left_m"].value
     assert file.geometry.track_m == geometry["track_m"].value
-    joint = parameter_covariance(file.law, track_std_m=file.vehicle.track_std.value)
+    joint = file.law.covariance(file.vehicle.track_std.value)
     np.testing.assert_allclose(joint[np.ix_([0, 2, 4], [0, 2, 4])], geometry.covariance, rtol=1e-12)
     assert joint[0, 2] != 0.0
 
@@ -60,7 +59,7 @@ def test_a_file_without_a_joint_geometry_is_as_it_was(file: CoefficientFile) -> 
     """No key is added to a file of two wheels that were fitted separately, and they stay independent."""
     assert "joint_geometry" not in json.loads(file.to_bytes())
     assert file.law.joint is None
-    assert parameter_covariance(file.law)[0, 2] == 0.0
+    assert file.law.covariance()[0, 2] == 0.0
 
 
 def test_ros2_writes_the_calibrated_separation_and_states_where_it_is_nominal(

@@ -91,6 +91,7 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
         "coefficients/formats/c_runtime.h",
         "coefficients/formats/ros2.yaml.j2",
         "reporting/exports/dcc.xml.j2",
+        "reporting/exports/nav2.yaml.j2",
         "reporting/figures/calib.mplstyle",
         "reporting/page.typ",
         "reporting/page.html.j2",

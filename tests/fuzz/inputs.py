@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from calib.cli.commands import ALSO, COMMANDS, OUTPUTS, Application, function_of
+from calib.cli.commands import ALSO, COMMANDS, OUTPUTS, Guarded, function_of
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
 from tests.fuzz.quantities import quantity_case
@@ -84,8 +84,8 @@ def file_case(base: Path, rng: random.Random) -> list[str]:
 @functools.cache
 def options(command: str) -> tuple[tuple[str, bool, bool], ...]:
     """Return every option of a command: its name, whether it is a flag, whether it says where something is written."""
-    application = Application(add_completion=False)
-    application.command(command)(function_of(command))
+    application = typer.Typer(add_completion=False)
+    application.command(command, cls=Guarded)(function_of(command))
     outputs = OUTPUTS | ALSO.get(command.rsplit(maxsplit=1)[-1], frozenset())
     return tuple(
         (parameter.opts[-1], bool(getattr(parameter, "is_flag", False)), parameter.name in outputs)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.pose_covariance import PARAMETERS, PathSteps, RandomWalk, ellipses, jacobian, steps
+from calib.odometry.pose_covariance import PathSteps, RandomWalk, ellipses, jacobian, steps
+from calib.radius.law import JOINT
 from calib.types import FloatArray
 
 RADIUS_LEFT_M, RADIUS_RIGHT_M, TRACK_M = 0.099, 0.101, 0.7
@@ -42,7 +43,7 @@ def test_jacobians_are_the_differences_that_changed_parameters_make() -> None:
     """Central differences of the odometry itself, at every fiftieth step, all five parameters."""
     left, right = wheel_turns()
     made = jacobian(path_of(left, right), load_offset_left_N=OFFSETS_N[0], load_offset_right_N=OFFSETS_N[1])
-    assert made.shape == (400, 3, len(PARAMETERS))
+    assert made.shape == (400, 3, len(JOINT))
     for number, size in enumerate((1e-6, 1e-9, 1e-6, 1e-9, 1e-6)):
         ends = []
         for sign in (1.0, -1.0):

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from calib.radius.checks import with_checks
-from calib.radius.order import widened
 from calib.radius.regression import FAILED, WheelFit, fit_wheel
-from calib.radius.sessions import groups_of, stratified_line
+from calib.radius.sessions import groups_of, stratified_line, widened
 from calib.types import FloatArray
 
 RADIUS_M, SLOPE_M_PER_N, REFERENCE_N, SCATTER_M = 0.1, 1.3e-6, 300.0, 1.6e-5

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.radius.regression import independent_line, least_squares
-from calib.radius.sessions import SessionSums, groups_of, line_from_sums, stratified_line
+from calib.radius.session_sums import SessionSums, line_from_sums
+from calib.radius.sessions import groups_of, stratified_line
 
 #: sums of squares about a far origin lose about six of sixteen digits against sums about the mean
 SUMS_TOLERANCE = 1e-8

@@ -143,7 +143,7 @@ def test_arrows_of_the_map_are_magnified_by_the_factor_that_it_says() -> None:
     """An arrow's tip stands at the end position plus the factor times the gap."""
     ends = (np.array([[0.0, 0.0], [10.0, 0.0]]), np.array([[0.0, 0.0], [10.0, 5.0]]))
     offset = np.array([[0.02, 0.01], [0.0, -0.03]])
-    figure = gap_figures.gap_map(ends, offset)
+    figure = gap_figures.gap_map(ends, offset, np.array(["square", "square"]))
     axis = figure.axes[0]
     factor = float(axis.get_title(loc="left").split("arrows ")[1].split(" times")[0])
     arrows = [child for child in axis.texts if getattr(child, "arrow_patch", None) is not None]
@@ -153,7 +153,7 @@ def test_arrows_of_the_map_are_magnified_by_the_factor_that_it_says() -> None:
 
 
 def test_a_map_without_known_gaps_is_still_a_map() -> None:
-    figure = gap_figures.gap_map((np.zeros((1, 2)), np.ones((1, 2))), np.full((2, 2), np.nan))
+    figure = gap_figures.gap_map((np.zeros((1, 2)), np.ones((1, 2))), np.full((2, 2), np.nan), np.array(["a", "b"]))
     assert clipped(figure) == []
 
 

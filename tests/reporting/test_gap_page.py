@@ -18,10 +18,9 @@ pytest.importorskip("bokeh", reason="the extra html is not installed")
 
 from calib.documents import plain
 from calib.reporting.content import report_without_law
-from calib.reporting.figures.gap import GAP_PICTURES
 from calib.reporting.formatting import prose
 from calib.reporting.interactive import interactive_panels
-from calib.reporting.pages import diagnosis_page, to_html
+from calib.reporting.pages import GAP_PICTURES, diagnosis_page, to_html
 
 ROOT = Path(__file__).resolve().parents[2]
 #: what a page of the samples may weigh: it is sent by mail

@@ -279,7 +279,7 @@ def test_the_runtimes_covariance_is_that_of_the_array_form(file: CoefficientFile
     jacobian = arrays.jacobian(path, load_offset_left_N=loads[:, 0] - 300.0, load_offset_right_N=loads[:, 1] - 300.0)[
         -1
     ]
-    parameters = arrays.parameter_covariance(file.law, track_std_m=1e-3, single_run=band == "prediction")
+    parameters = file.law.covariance(1e-3, single_run=band == "prediction")
     walk = arrays.RandomWalk(
         sigma_along_m_per_sqrt_m=file.noise.along.value,
         sigma_heading_rad_per_sqrt_m=file.noise.heading.value,

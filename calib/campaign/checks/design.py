@@ -80,7 +80,7 @@ def implausible_setting(key: str, text: str) -> Note:
 
 def per_rev(campaign: Campaign, side: str) -> float:
     """Return the counts per wheel revolution of one wheel."""
-    return campaign.encoder.counts_per_rev_left if side == "left" else campaign.encoder.counts_per_rev_right
+    return campaign.encoder.per_rev(side)
 
 
 def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:

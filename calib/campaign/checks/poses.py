@@ -23,7 +23,7 @@ from calib.campaign.checks.design import (
     turned_rad,
 )
 from calib.campaign.model import Campaign, Note
-from calib.types import BoolArray, FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: runs that must agree, and standard errors beyond which they do
 _LEAST_STRAIGHT_RUNS: Final = 8
@@ -43,9 +43,9 @@ _MOST_BEARING_RAD: Final = 0.3
 _TRACK_TOLERANCE: Final = 0.05
 #: a run far from the others, in robust spreads, is left aside: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
-#: of each run, in m: the end's offset by the reference, half its heading times the distance, and the bow by the log,
-#: NaN where there is none
-_Bows = tuple[FloatArray, FloatArray, FloatArray]
+#: numbers of runs, and of each in m: the end's offset by the reference, half its heading times the distance, and the
+#: bow by the log
+_Bows = tuple[IntArray, FloatArray, FloatArray, FloatArray]
 #: straight runs whose bows are looked at: more tell no more, and large campaigns need not wait
 _MOST_STRAIGHT_RUNS: Final = 200
 #: less than this is how well a vehicle is placed on its start mark
@@ -58,14 +58,11 @@ _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
 def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     """Compare the distance of nearly straight runs with how far away the reference saw them end, by session too."""
-    runs = campaign.runs
-    distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
-    # what is off by more is another unit or another row, which other checks report
-    straight = _straight(campaign) & (np.abs(distance - away) < 0.05 * away)
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    longer = np.where(straight, distance - away, np.nan)
-    for where, n_runs, median, error in _offsets(longer, runs.label("session"), allowed):
+    # what is off by more is another unit or another row, which other checks report
+    longer = _longer(campaign, 0.05)
+    for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
         text = (
             f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than that of the "
             f"reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.2g} mm); "
@@ -73,16 +70,26 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
             "is measured from"
         )
         yield column_note("distance_m", text, "distance_against_pose")
-    apart = np.where(_straight(campaign) & (np.abs(distance - away) < 0.5 * away), distance - away, np.nan)
-    if np.isfinite(apart).sum() < _LEAST_STRAIGHT_RUNS:
+    longer = _longer(campaign, 0.5)
+    if np.isfinite(longer).sum() < _LEAST_STRAIGHT_RUNS:
         return
-    apart -= np.nanmedian(apart)
+    distance, apart = campaign.runs.number("distance_m"), longer - np.nanmedian(longer)
     for run in np.flatnonzero(np.abs(apart) > max(_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN * allowed)):
         text = (
-            f"found {distance[run]:.4g} m with an end pose {away[run]:.4g} m away, {apart[run]:+.3g} m against the "
-            "other straight runs; do distance and end pose belong to the same run?"
+            f"found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away, {apart[run]:+.3g} "
+            "m against the other straight runs; do distance and end pose belong to the same run?"
         )
         yield cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
+
+
+def _longer(campaign: Campaign, most: float) -> FloatArray:
+    """Return by how much distances exceed those of the end poses, shape (n_runs,).
+
+    NaN but for nearly straight runs, and where the two differ by more than the share `most`.
+    """
+    runs = campaign.runs
+    distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
+    return np.where(_straight(campaign) & (np.abs(distance - away) < most * away), distance - away, np.nan)
 
 
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
@@ -105,8 +112,8 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
                 return
 
 
-def _bows(campaign: Campaign) -> _Bows | None:
-    """Return how far nearly straight runs bow out; None where too few were measured and logged.
+def _bows(campaign: Campaign) -> _Bows:
+    """Return how far nearly straight runs bow out; nothing where too few were measured and logged.
 
     The bow is the end's offset less half the end's heading times the distance. Wheels of unequal radius, which scatter
     from run to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
@@ -115,7 +122,7 @@ def _bows(campaign: Campaign) -> _Bows | None:
     theta = runs.number("ref_theta_rad")
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
     if len(used) < _LEAST_STRAIGHT_RUNS or not {"counts_left", "counts_right"} <= set(logs.columns):
-        return None
+        used = used[:0]
     used = used[np.linspace(0, len(used) - 1, min(len(used), _MOST_STRAIGHT_RUNS)).astype(np.int64)]
     sensor = campaign.reference
     # of the vehicle, from the pose of the sensor since its own start
@@ -123,11 +130,11 @@ def _bows(campaign: Campaign) -> _Bows | None:
     offset = np.sin(sensor.sensor_yaw_rad) * along + np.cos(sensor.sensor_yaw_rad) * aside
     offset -= sensor.sensor_x_m * np.sin(theta) + sensor.sensor_y_m * (np.cos(theta) - 1.0)
     distance = runs.number("distance_m")
-    counted = np.full(len(runs), np.nan)
-    counted[used] = [_bow(campaign, int(run), float(distance[run])) for run in used]
-    if np.isfinite(counted).sum() < _LEAST_STRAIGHT_RUNS:
-        return None
-    return offset, 0.5 * distance * theta, counted
+    counted = np.array([_bow(campaign, int(run), float(distance[run])) for run in used])
+    known = np.isfinite(counted)
+    known &= known.sum() >= _LEAST_STRAIGHT_RUNS
+    used = used[known]
+    return used, offset[used], (0.5 * distance * theta)[used], counted[known]
 
 
 def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
@@ -145,10 +152,9 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
     """Find a y of the other sign: ends that neither headings nor counts explain, and do with the sign changed."""
-    bows = _bows(campaign)
-    if bows is None:
+    runs, offset, turned, counted = _bows(campaign)
+    if not len(runs):
         return
-    offset, turned, counted = (part[np.isfinite(bows[-1])] for part in bows)
     _, error = _slope(counted, offset - turned)
     mirrored, mirrored_error = _slope(counted, -offset - turned)
     if mirrored_error < _CLEARER * error and abs(mirrored - 1.0) < max(0.1, _SIGMAS * mirrored_error):
@@ -161,12 +167,9 @@ def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
 
 def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     """Compare how far nearly straight runs bow out by their logs with how far the reference saw them bow."""
-    bows = _bows(campaign)
-    if bows is None:
-        return
-    offset, turned, counted = (part[np.isfinite(bows[-1])] for part in bows)
+    runs, offset, turned, counted = _bows(campaign)
     ratio, error = _slope(counted, offset - turned)
-    if error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
+    if not len(runs) or error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
         return
     track = campaign.vehicle.track_m
     hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
@@ -179,17 +182,12 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
 
 def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
     """Compare the scatter of straight runs with the uncertainties stated: a diagnosis weighs everything by these."""
-    runs, sigma_xy_m = campaign.runs, campaign.reference.sigma_xy_m
-    distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
-    straight = _straight(campaign) & (np.abs(distance - away) < 0.05 * away)
-    found = [(distance - away)[straight], np.zeros(0)]
-    if (bows := _bows(campaign)) is not None:
-        offset, turned, counted = bows
-        found[1] = (2.0 * (offset - turned - counted) / distance)[np.isfinite(counted)]
-    sigma_theta_rad = campaign.reference.sigma_theta_rad
-    expected = (math.hypot(campaign.rangefinder.sigma_m, sigma_xy_m), sigma_theta_rad)
-    keys = ("rangefinder.sigma_m", "reference.sigma_xy_m"), ("reference.sigma_theta_rad",)
-    for names, values, sigma, unit in zip(keys, found, expected, ("m", "rad"), strict=True):
+    longer, reference = _longer(campaign, 0.05), campaign.reference
+    sigma_m = math.hypot(campaign.rangefinder.sigma_m, reference.sigma_xy_m)
+    for names, values, sigma, unit in (
+        (("rangefinder.sigma_m", "reference.sigma_xy_m"), longer[np.isfinite(longer)], sigma_m, "m"),
+        (("reference.sigma_theta_rad",), _aside_rad(campaign)[1], reference.sigma_theta_rad, "rad"),
+    ):
         if len(values) < _LEAST_STRAIGHT_RUNS or not all(stated(campaign, name) for name in names):
             continue
         scatter = robust_spread(values)
@@ -233,18 +231,20 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
     """Compare headings with where straight runs end: both agree, however unequal the wheels, in a frame not turned."""
-    bows = _bows(campaign)
-    if bows is None:
-        return
-    offset, turned, counted = bows
-    angle = 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")
-    for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session"), _LEAST_ANGLE_RAD):
+    runs, angle = _aside_rad(campaign)
+    for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
         text = (
             f"the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the "
             f"{'left' if median > 0 else 'right'} than their headings say (standard error {error:.2g} rad); expected "
             "the same; is the frame of the reference turned, or its heading off (sensor_yaw_rad)?"
         )
         yield column_note("ref_theta_rad, ref_y_m", text, "turned_frame")
+
+
+def _aside_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
+    """Return numbers of nearly straight runs, and the angle by which each ends to the left of what its heading says."""
+    runs, offset, turned, counted = _bows(campaign)
+    return runs, 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")[runs]
 
 
 def _straight(campaign: Campaign) -> BoolArray:

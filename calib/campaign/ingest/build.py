@@ -21,11 +21,11 @@ from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import parse_settings
-from calib.campaign.write import write_campaign
+from calib.campaign.write import csv_bytes, write_campaign
 from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
-from calib.types import FloatArray, Progress, silent, stepped
+from calib.types import Progress, silent, stepped
 
 RECORD: Final = "ingest.json"
 RECORDINGS: Final = "recordings"
@@ -138,7 +138,8 @@ def ingest(
         work.hashes[read.shown] = sha256_file(mapping)
     campaign = _campaign(paths, work)
     if not dry_run:
-        beside = {f"{RECORDINGS}/{name}.csv": _csv(log.columns) for name, log in work.recordings.items()}
+        whole = {name: log.columns | {"t_s": np.round(log.columns["t_s"], 9)} for name, log in work.recordings.items()}
+        beside = {f"{RECORDINGS}/{name}.csv": csv_bytes(columns) for name, columns in whole.items()}
         beside[RECORD] = to_json(_record(work)).encode("utf-8")
         write_campaign(campaign, into, force=force, beside=beside)
     return Ingested(into, campaign, work.hashes, tuple(work.border.notes), tuple(work.segments))
@@ -273,14 +274,6 @@ def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Enco
     text = f"counters overflow at {bits} bits, by their jumps; wrap_bits = {bits} is written into campaign.toml"
     work.border.say(f"{work.mapping.shown}, encoder.wrap_bits", text, "wrap_bits")
     return replace(encoder, wrap_bits=bits)
-
-
-def _csv(columns: MappingType[str, FloatArray]) -> bytes:
-    import pandas as pd
-
-    frame = {name: np.round(values, 9) if name == "t_s" else values for name, values in columns.items()}
-    text: str = pd.DataFrame(frame).to_csv(index=False, lineterminator="\n")
-    return text.encode("utf-8")
 
 
 def _record(work: _Ingestion) -> dict[str, object]:

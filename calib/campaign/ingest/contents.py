@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -25,6 +24,7 @@ from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
 from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, numbers
+from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
 from calib.types import IntArray
 
@@ -77,8 +77,7 @@ class ColumnContents:
         if self.kind == "number":
             low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
             ends = dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))
-            in_name = re.search(r"[\[(][^\[\]()]*[\])]$", self.name)
-            text += " to ".join(ends) + (f" {self.unit}" if self.unit and not in_name else "")
+            text += " to ".join(ends) + (f" {self.unit}" if self.unit and bracketed(self.name)[1] is None else "")
         elif self.kind == "time":
             spans = [c.high for c in alike if c.high]
             span = f", {min(spans):.4g} to {max(spans):.4g} s long" if spans else ""
@@ -163,10 +162,10 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
     remarks = [
         note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
     ]
-    if layout.runs_in_columns:
+    turned = layout.runs_in_columns
+    if turned:
         remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")
-    contents = FileContents(shown, False, len(raw.line), columns, tuple(remarks))
-    return replace(contents, runs_in_columns=layout.runs_in_columns)
+    return FileContents(shown, False, len(raw.line), columns, tuple(remarks), runs_in_columns=turned)
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:

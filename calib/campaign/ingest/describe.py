@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -13,15 +13,15 @@ from typing import Final
 from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
-from calib.campaign.ingest.proposal_table import QUOTED, file_lines, table_lines
+from calib.campaign.ingest.proposal_table import file_lines, table_lines
 from calib.campaign.ingest.runs import listed_files
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED
-from calib.campaign.write import to_toml
+from calib.campaign.write import to_toml, toml_value
 from calib.documents import plain
-from calib.errors import BadInputError, would_overwrite
-from calib.io import write_text
+from calib.errors import BadInputError
+from calib.io import refuse_existing, write_text
 
 #: files of one kind that are read to the end; of more, the first and the last
 _ALL_READ: Final = 40
@@ -29,23 +29,21 @@ _ALL_READ: Final = 40
 MOST_ROWS_A_LOG: Final = 2
 #: sections whose keys only the laboratory knows
 _STATED_SECTIONS: Final = ("vehicle", "encoder", "rangefinder")
-#: keys of a vehicle without encoders on its rear wheels, by what is counted instead, and what it drives on
-_OTHER_WHEELS: Final = {
-    "counts_rear_left": (
-        'drive = "mecanum"   # four wheels are counted',
-        ("#half_length_plus_half_width_m =   # half the wheelbase plus half the track",),
-        (),
-    ),
-    "counts_front": (
-        'drive = "tricycle"   # no rear wheel is counted, the front wheel is',
-        ("#front_wheel_radius_m =   # nominal",),
-        ("#counts_per_rev_front =   # of the front wheel, where it differs",),
-    ),
-    "speed_rear_mps": (
-        'drive = "ackermann"   # one speed of the rear axle; front wheels that steer',
-        (),
-        ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
-    ),
+#: what is counted instead of two rear wheels -> key of the settings -> its lines, an empty one for the usual line
+_OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
+    "counts_rear_left": {
+        "drive": ('drive = "mecanum"   # four wheels are counted',),
+        "track_m": ("#half_length_plus_half_width_m =   # half the wheelbase plus half the track",),
+    },
+    "counts_front": {
+        "drive": ('drive = "tricycle"   # no rear wheel is counted, the front wheel is',),
+        "wheel_radius_m": ("", "#front_wheel_radius_m =   # nominal"),
+        "counts_per_rev": ("", "#counts_per_rev_front =   # of the front wheel, where it differs"),
+    },
+    "speed_rear_mps": {
+        "drive": ('drive = "ackermann"   # one speed of the rear axle; front wheels that steer',),
+        "counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
+    },
 }
 
 #: columns of an empty run table; those that do not apply may be taken out
@@ -81,16 +79,11 @@ class Description:
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
-        groups: list[list[FileContents]] = []
+        groups: dict[tuple[object, ...], list[FileContents]] = {}
         for file in self.files:
             # logs alike are described once
-            logs = [] if file is self.table else [group for group in groups if group[0] is not self.table]
-            alike = next((group for group in logs if group[0].alike(file)), None)
-            if alike is None:
-                groups.append([file])
-            else:
-                alike.append(file)
-        for group in groups:
+            groups.setdefault((file is self.table, *(column.name for column in file.columns)), []).append(file)
+        for group in groups.values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
 
@@ -165,7 +158,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
     named_by = Path((table or logs[0]).name)
     # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem
-    lines = [f"name = {QUOTED.encode(title)}"]
+    lines = [f"name = {toml_value(title)}"]
     bits = next((column.wrap_bits for log in logs for column in log.columns if column.wrap_bits), None)
     own = log_lines(logs) if logs else []
     named = {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
@@ -194,36 +187,30 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     `bits`: the counters' width where it shows; `named`: calib's columns that the logs have; `own`: their lines.
     """
     turned = [line for line in own if line.startswith("counts_")]
-    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
-    drive, vehicle, encoder = _OTHER_WHEELS.get(wheels, ("", (), ()))
+    drives = '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"'
+    others = {"drive": (drives,), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
-        drive = 'drive = "skid"   # both wheels of a side turn alike'
+        others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
+    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
+    if as_angles and wheels != "speed_rear_mps":
+        text = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
+        others["counts_per_rev"] = (text,)
+    if bits:
+        text = f"wrap_bits = {bits}   # found in the jumps of the counters"
+        others["counts_per_rev"] = (*others.get("counts_per_rev", ("",)), text)
     lines: list[str] = []
     for section in _STATED_SECTIONS:
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
-        if section == "vehicle":
-            lines.append(drive or '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"')
-        for key in STATED[section]:
-            if key == "track_m" and wheels == "counts_rear_left":
-                lines += vehicle
-                continue
-            if key == "counts_per_rev" and wheels == "speed_rear_mps":
-                lines += encoder
-                continue
-            if key == "counts_per_rev" and as_angles:
-                lines.append("counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in")
-                continue
-            [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
-            lines.append(f"#{key} =   # {meaning}")
-            if key == "wheel_radius_m" and wheels == "counts_front":
-                lines += vehicle
-            elif key == "counts_per_rev":
-                lines += encoder
-        if section == "encoder" and bits:
-            lines.append(f"wrap_bits = {bits}   # found in the jumps of the counters")
+        for key in (*(("drive",) if section == "vehicle" else ()), *STATED[section]):
+            lines += [line or _usual_line(key) for line in others.get(key, ("",))]
     return lines
+
+
+def _usual_line(key: str) -> str:
+    [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
+    return f"#{key} =   # {meaning}"
 
 
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
@@ -233,9 +220,7 @@ def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     and `force` is False.
     """
     settings, runs = folder / "campaign.toml", folder / "runs.csv"
-    for path in (settings, runs):
-        if path.exists() and not force:
-            raise would_overwrite(path)
+    refuse_existing([settings, runs], force=force)
     head = to_toml({"format": FORMAT, "name": folder.resolve().name})
     write_text(settings, head + blank_settings(), force=force)
     write_text(runs, RUNS_HEADER + "\n", force=force)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
-from calib.campaign.settings import recognise, spelled
+from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import FloatArray
 from calib.units import split_suffix
 
@@ -38,7 +38,6 @@ _DIRECTIONS: Final = (
 )
 
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
-_UNIT: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 
 
 @cache
@@ -73,18 +72,18 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     """
     in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
     stem, unit = split_suffix(spelled(in_words))
-    if unit is None and (bracket := _UNIT.fullmatch(in_words)):
+    before, inside = bracketed(in_words)
+    if unit is None and inside is not None:
         # a side, a unit that is not known, or one of a counter
         parts = _names()["parts"]
-        is_side = re.fullmatch(f"{parts['left']}|{parts['right']}", plain_text(bracket[2]))
-        stem = f"{bracket[1]}_{bracket[2]}" if is_side else bracket[1]
+        is_side = re.fullmatch(f"{parts['left']}|{parts['right']}", plain_text(inside))
+        stem = f"{before}_{inside}" if is_side else before
     return plain_text(re.sub(r"[.\s\-]+", "_", stem)).strip("_"), unit
 
 
 def count_unit(name: str) -> str | None:
     """Return the unit of a wheel's column where its name has one in brackets: ``counts``, ``rad``, ``rad/s``."""
-    bracket = _UNIT.fullmatch(name.strip())
-    unit = unit_spelled(bracket[2]) if bracket else None
+    unit = unit_spelled(bracketed(name)[1] or "")
     return unit if unit in COUNT_UNITS else None
 
 

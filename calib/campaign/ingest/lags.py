@@ -12,6 +12,7 @@ from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.logs import detect_wrap_bits, unwrap
 from calib.campaign.model import Border
 from calib.campaign.readers.recording import Recording, Stream
+from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.types import BoolArray, FloatArray
 
@@ -27,8 +28,8 @@ _SPEED_WINDOW_S: Final = 0.2
 _LEAST_CORRELATION: Final = 0.5
 #: least change of speed, as a share of it, that shows a lag
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: samples of another stream below which no lag is estimated
-_LEAST_LAG_SAMPLES: Final = 20
+#: samples of another stream below which no lag is estimated, and lags that are looked at
+_LEAST_LAG_SAMPLES, _LARGEST_LAG_S = 20, 2.0
 #: spacing of the poses of a travelled distance, wide enough that their noise lengthens it little
 _POSE_SPACING_S: Final = 0.1
 
@@ -70,7 +71,9 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
     wheels = [
         base.columns[line.column]
         for name, line in lines.items()
-        if name.startswith("counts_") and line.column in base.columns and line.unit_kind in {"counts", "angle"}
+        if name.startswith("counts_")
+        and line.column in base.columns
+        and COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}
     ]
     if not wheels or base.time_ns is None:
         return {}
@@ -108,12 +111,7 @@ def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
 
 
 def estimate_lag(
-    time_s: FloatArray,
-    travelled: FloatArray,
-    other_time_s: FloatArray,
-    other_travelled: FloatArray,
-    *,
-    largest_s: float = 2.0,
+    time_s: FloatArray, travelled: FloatArray, other_time_s: FloatArray, other_travelled: FloatArray
 ) -> Lag | None:
     """Estimate by how much the second stream lags behind the first.
 
@@ -128,8 +126,6 @@ def estimate_lag(
         A travelled distance (or a heading) of the first stream, at its own times.
     other_time_s, other_travelled : array of float, shape (n_other,)
         The same of the second.
-    largest_s
-        Largest lag looked for.
     """
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student
@@ -137,10 +133,12 @@ def estimate_lag(
     start, end = max(time_s[0], other_time_s[0]), min(time_s[-1], other_time_s[-1])
     own_step, other_step = float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s)))
     step = max(own_step, other_step, 1e-3)
-    if not end - start > 4 * largest_s:
+    if not end - start > 4 * _LARGEST_LAG_S:
         return None
     # an interpolated distance is less noisy between samples: a grid in step with one stream would prefer such a lag
-    grid = np.arange(start + largest_s, end - largest_s, max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS))
+    grid = np.arange(
+        start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
+    )
     half_window = max(_SPEED_WINDOW_S, step)
 
     def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
@@ -158,7 +156,7 @@ def estimate_lag(
         return float(np.mean((here - here.mean()) * (there - there.mean())) / spread) if spread > 0 else 0.0
 
     everything = np.ones(len(grid), dtype=np.bool_)
-    candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01))
+    candidates = np.arange(-_LARGEST_LAG_S, _LARGEST_LAG_S + step, max(step, 0.01))
     rough = candidates[int(np.argmax([correlation(lag, everything) for lag in candidates]))]
     bounds = (rough - max(0.05, 2.0 * step), rough + max(0.05, 2.0 * step))
 

@@ -177,7 +177,7 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
     """Undo overflows of the counters that are not in the wheels' stream, before they are interpolated."""
     counters = {
-        line.column for name, line in lines.items() if name.startswith("counts_") and line.unit_kind == "counts"
+        line.column for name, line in lines.items() if name.startswith("counts_") and line.wheel_unit == "counts"
     }
     streams = []
     for stream in recording.streams:
@@ -229,9 +229,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
     time = columns["t_s"]
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         kind, turns = COUNT_UNITS[lines[name].wheel_unit]
-        values = columns[name]
-        per_rev = encoder.counts_per_rev_right if name.endswith("right") else encoder.counts_per_rev_left
-        per_rev = encoder.front if name == "counts_front" else per_rev
+        values, per_rev = columns[name], encoder.per_rev(name)
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":

@@ -34,7 +34,6 @@ Columns that already carry calib's names, with any known unit, need no line.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
@@ -44,6 +43,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
 from calib.campaign.readers import Layout
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
+from calib.campaign.settings import bracketed
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.io import inside
@@ -62,7 +62,6 @@ _LOG_FILES: Final = (
     'columns are then called counts_left = "left:ticks"'
 )
 _OF_A_RUN: Final = r"\{(run_id|n(:0?\d+)?)\}"
-_BRACKET: Final = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]\s*")
 _NOT_NEGATIVE: Final = "a number, not below 0"
 
 
@@ -137,19 +136,13 @@ class MappedColumn(_Model):
         """Return the source's unit: the line's, or that in the source's name where column `name` may be in it."""
         if self.unit is not None:
             return self.unit
-        bracket = _BRACKET.fullmatch(self.column.strip())
-        unit = unit_spelled(bracket[2]) if bracket else None
+        unit = unit_spelled(bracketed(self.column)[1] or "")
         return unit if unit in units_for(name) else None
 
     @property
     def wheel_unit(self) -> str:
         """Unit of a wheel's column, of `COUNT_UNITS`."""
         return self.unit_for("counts_left") or "counts"
-
-    @property
-    def unit_kind(self) -> str:
-        """What the numbers of a wheel's column are: counts, increments, an angle or a rate."""
-        return COUNT_UNITS[self.wheel_unit][0]
 
     def target(self, name: str) -> str:
         """Return calib's column `name` in the source's unit (``t_ms``), as the recognition of columns reads it."""

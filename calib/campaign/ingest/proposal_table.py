@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from itertools import takewhile
@@ -21,11 +20,9 @@ from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.settings import recognise
-from calib.campaign.write import to_toml
+from calib.campaign.write import toml_value
 from calib.units import split_suffix
 
-#: texts of TOML
-QUOTED: Final = json.JSONEncoder(ensure_ascii=False)
 #: characters of a remark that lists units
 _LISTED_UNITS: Final = 40
 
@@ -37,9 +34,7 @@ def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str
     if unit is not None and not bracketed:
         parts["unit"] = unit
     parts |= further or {}
-    if len(parts) == 1:
-        return f"{name} = {QUOTED.encode(column.name)}"
-    return to_toml({name: [parts]}).strip().replace("[{", "{").replace("}]", "}")
+    return f"{name} = {toml_value(column.name if len(parts) == 1 else parts)}"
 
 
 def unit_remark(name: str) -> str:
@@ -63,7 +58,7 @@ def table_lines(table: FileContents) -> list[str]:
     """Return the lines that name the run table's columns, and remarks on those without one."""
     lines, own, unused = [], [], []
     if table.sheet:
-        lines.append(f"sheet = {QUOTED.encode(table.sheet)}")
+        lines.append(f"sheet = {toml_value(table.sheet)}")
     if table.runs_in_columns:
         lines.append('runs_in = "columns"')
     sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
@@ -187,8 +182,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     several = files_of_a_run(logs)
     if several:
         files = {tag: pattern for tag, (pattern, _) in several.items()}
-        line = to_toml({"files": [files]}).strip().replace("[{", "{").replace("}]", "}")
-        lines = [line + "   # the files of a run, joined by time"]
+        lines = [f"files = {toml_value(files)}   # the files of a run, joined by time"]
     elif table is None or len(logs) < 2:
         return []
     columns = table.columns if table is not None else ()
@@ -201,10 +195,10 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
         pattern = name_pattern(stems)
         if pattern is None:
             return ['#file = "{run_id}.csv"   # the log of a run']
-        lines = [f"file = {QUOTED.encode(pattern + Path(logs[0].name).suffix)}"]
+        lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}"]
     if run_ids and run_number(run_ids[0], None) is not None:
         pattern = re.sub(r"\d+(?!.*\d)", "{n}", run_ids[0])
-        lines.append(f"run = {QUOTED.encode(pattern)}   # the number in a run's name")
+        lines.append(f"run = {toml_value(pattern)}   # the number in a run's name")
     return lines
 
 

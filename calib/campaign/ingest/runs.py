@@ -17,18 +17,17 @@ from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
 from calib.campaign.readers.table import is_filled, object_array
 from calib.campaign.runs_file import run_table
-from calib.campaign.settings import converted, recognise
+from calib.campaign.settings import bracketed, converted, recognise
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
 
-_UNIT: Final = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 #: labels and rows that a message lists
 _LISTED: Final = 8
 
 
 def without_unit(name: str) -> str:
     """Return a column's name without a unit in brackets."""
-    return _UNIT.sub("", name).strip()
+    return bracketed(name)[0]
 
 
 def whole_name(column: str, names: Collection[str]) -> str:

@@ -15,7 +15,7 @@ from calib.campaign.ingest.lags import continuous_counts
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
 from calib.campaign.ingest.mapping import Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, with_number
-from calib.campaign.model import Border, Campaign, RunTable
+from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
 from calib.errors import BadFileError
@@ -31,7 +31,6 @@ _WINDOW_S: Final = 0.5
 _STANDSTILL_S: Final = 0.5
 #: runs whose times an error lists
 _LISTED_RUNS: Final = 12
-_POSE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +251,8 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
         value = _median(values[before])
         return float(known[0]) if np.isnan(value) and len(known) else value
 
-    if poses and all(name in out for name in _POSE):
-        x, y, theta = (out[name] for name in _POSE)
+    if poses and all(name in out for name in REFERENCE_POSE):
+        x, y, theta = (out[name] for name in REFERENCE_POSE)
         x0, y0, theta0 = start(x), start(y), start(theta)
         cos, sin = np.cos(theta0), np.sin(theta0)
         out["ref_x_m"] = cos * (x - x0) + sin * (y - y0)
@@ -274,7 +273,7 @@ def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
     if moving(time, wheels).any():
         turning = [np.flatnonzero(np.abs(values - values[-1]) > _STANDING_COUNTS) for values in wheels]
         first = min(max((int(places[-1]) + 1 for places in turning if len(places)), default=0), first)
-    sources = {"distance_m": "range_m", **{name: name for name in _POSE}}
+    sources = {"distance_m": "range_m", **{name: name for name in REFERENCE_POSE}}
     ends = {name: _median(columns[source][first:]) for name, source in sources.items() if source in columns}
     return {name: value for name, value in ends.items() if np.isfinite(value)}
 

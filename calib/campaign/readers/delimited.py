@@ -56,13 +56,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         data, tidied = tidy(data.replace(b"\r\n", b"\n"), layout, shown)
         notes += tidied
     delimiter, skipped = _locate_header(data, layout, shown)
-    start = 0
-    for _ in range(skipped):
-        start = data.find(b"\n", start) + 1
-    end = data.find(b"\n", start)
-    end = end if end >= 0 else len(data)
-    header = data[start:end].decode("utf-8").strip("\r")
-    if not header.strip():
+    start = _after(data, 0, skipped)
+    if not data[start : _after(data, start, 1)].strip():
         found = "an empty file" if not data.strip() else "an empty first line"
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
@@ -74,10 +69,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
             split_cells(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above
         )
         _check_names(names, shown, skipped + 1)
-        end = start
-        for _ in range(n_rows):
-            end = data.find(b"\n", end) + 1 or len(data)
-        fast = _read_numeric(data[end:], names, delimiter, wanted)
+        fast = _read_numeric(data[_after(data, start, n_rows) :], names, delimiter, wanted)
         if fast is not None:
             columns, rows, comma = fast
             notes += recognised
@@ -197,19 +189,21 @@ def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
     return marks == line * (len(marks) // len(line))
 
 
+def _after(data: bytes, start: int, n_rows: int) -> int:
+    """Return where the row begins that stands so many rows behind the one that begins at `start`."""
+    for _ in range(n_rows):
+        start = data.find(b"\n", start) + 1 or len(data)
+    return start
+
+
 def _first_delimiter(lines: list[str]) -> str:
     return next((mark for mark in (";", "\t") if lines and mark in lines[0]), ",")
 
 
 def _first_lines(data: bytes, n_lines: int) -> list[str]:
     """Return the first lines, within the bytes in which the header is looked for."""
-    end = 0
-    for _ in range(n_lines):
-        end = data.find(b"\n", end, _HEAD_BYTES) + 1
-        if not end:
-            end = _HEAD_BYTES
-            break
-    return data[:end].decode("utf-8", errors="ignore").splitlines()[:n_lines]
+    head = data[:_HEAD_BYTES]
+    return head[: _after(head, 0, n_lines)].decode("utf-8", errors="ignore").splitlines()[:n_lines]
 
 
 def _read_numeric(
@@ -296,15 +290,13 @@ def _read_cells(
 ) -> RawTable:
     """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows: list[Sequence[str]] = []
-    lines: list[int] = []
     try:
-        for row in reader:
-            rows.append(row)
-            lines.append(reader.line_num + skipped)
+        numbered = [(row, reader.line_num + skipped) for row in reader]
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
+    rows: list[Sequence[str]] = [row for row, _ in numbered]
+    lines = [line for _, line in numbered]
     names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
     notes += recognised

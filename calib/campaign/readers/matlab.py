@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
-from calib.campaign.readers.table import error_words
-from calib.errors import MATLAB_UNPACKED_BYTES, BadFileError
+from calib.errors import MATLAB_UNPACKED_BYTES, BadFileError, damage_named
 from calib.types import FloatArray
 
 _NUMERIC: Final = frozenset(
@@ -78,28 +77,23 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
     """Return the numeric variables and structures by name; `notes` takes one on each other variable."""
     import scipy.io
 
-    # the reader is machine code that takes every tag for granted
-    broken = damage(path.read_bytes())
-    if broken:
-        raise _damaged(shown, broken)
-    try:
-        listed = scipy.io.whosmat(str(path))
+    remedy = "save it again with: save('file.mat', '-v7')"
+    with damage_named(shown, "a MATLAB file", "a whole one of version 5 to 7.2", remedy):
+        # the reader is machine code that takes every tag for granted
+        check_elements(path.read_bytes())
+        try:
+            listed = scipy.io.whosmat(str(path))
+        except NotImplementedError as error:
+            remedy = "save it in MATLAB with: save('file.mat', '-v7')"
+            raise BadFileError(shown, "a MATLAB 7.3 file (HDF5)", "version 5 to 7.2", remedy) from error
         kept = [name for name, _, kind in listed if kind in _NUMERIC or kind == "struct"]
-        refused = [(name, kind) for name, _, kind in listed if name not in kept and kind not in {"char", "sparse"}]
-        if refused and wanted is None and not kept:
-            raise _objects(shown, refused)
-        if refused and wanted is not None and any(wanted(name) for name, _ in refused):
-            raise _objects(shown, [one for one in refused if wanted(one[0])])
-        notes += [Note("info", f"{shown}, {name}", f"a {kind} was omitted", "skipped") for name, kind in refused]
+        others = {name: kind for name, _, kind in listed if name not in kept and kind not in {"char", "sparse"}}
+        asked_for = [name for name in others if (not kept if wanted is None else wanted(name))]
+        if refused := ", ".join(f"{name} ({others[name]})" for name in asked_for):
+            remedy = "save the numbers themselves, as in: t = data{1}; save('file.mat', 't', '-v7')"
+            raise BadFileError(shown, f"arrays of objects: {refused[:120]}", "numeric arrays", remedy)
+        notes += [Note("info", f"{shown}, {name}", f"a {kind} was omitted", "skipped") for name, kind in others.items()]
         loaded = scipy.io.loadmat(str(path), variable_names=kept, struct_as_record=True) if kept else {}
-    except NotImplementedError as error:
-        remedy = "save it in MATLAB with: save('file.mat', '-v7')"
-        raise BadFileError(shown, "a MATLAB 7.3 file (HDF5)", "version 5 to 7.2", remedy) from error
-    except (OSError, BadFileError, MemoryError):
-        raise
-    except Exception as error:
-        # the library answers damage with errors of many kinds (values, types, zlib, its own)
-        raise _damaged(shown, error_words(error)) from error
     return {name: loaded[name] for name in kept if name in loaded}
 
 
@@ -114,43 +108,22 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
     return {f"{name}[{index}]": column.copy() for index, column in enumerate(long.T)}
 
 
-def _damaged(shown: str, reason: str) -> BadFileError:
-    expected = "a whole one of version 5 to 7.2"
-    remedy = "save it again with: save('file.mat', '-v7')"
-    return BadFileError(shown, f"a MATLAB file that is cut or damaged ({reason})", expected, remedy)
-
-
-def _objects(shown: str, refused: list[tuple[str, str]]) -> BadFileError:
-    names = ", ".join(f"{name} ({kind})" for name, kind in refused)
-    remedy = "save the numbers themselves, as in: t = data{1}; save('file.mat', 't', '-v7')"
-    return BadFileError(shown, f"arrays of objects: {names[:120]}", "numeric arrays", remedy)
-
-
-class _Broken(Exception):
-    """The tree breaks here; the text says how."""
-
-
-def damage(data: bytes) -> str:
-    """Return how the elements of a file break, empty where every tag, class and length is one that may be.
+def check_elements(data: bytes) -> None:
+    """Raise ValueError, which says how, where a tag, class or length of a file's elements is none that may be.
 
     `data`: the whole file, its header of 128 bytes included. A header that is not of version 5 is left to the reader.
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
     if order is None:
-        return "no header of version 5"
-    if struct.unpack(f"{order}H", data[124:126])[0] >> 8 != 1:
-        return ""
-    try:
+        raise ValueError("no header of version 5")
+    if struct.unpack(f"{order}H", data[124:126])[0] >> 8 == 1:
         _elements(memoryview(data)[_HEADER_BYTES:], order, 0)
-    except _Broken as broken:
-        return str(broken)
-    return ""
 
 
 def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memoryview]]:
     """Return type and content of the elements of one level, all below them checked."""
     if depth > _MAX_DEPTH:
-        raise _Broken(f"arrays more than {_MAX_DEPTH} deep in one another")
+        raise ValueError(f"arrays more than {_MAX_DEPTH} deep in one another")
     elements, position = [], 0
     while position + _TAG_BYTES <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
@@ -160,9 +133,9 @@ def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memor
         else:
             start = position + _TAG_BYTES
         if kind not in _ELEMENT_TYPES or (kind == _COMPRESSED and depth) or (small and size > 4):
-            raise _Broken(f"an element of type {kind} and {size} bytes")
+            raise ValueError(f"an element of type {kind} and {size} bytes")
         if start + size > len(data):
-            raise _Broken(f"an element of {size} bytes where {len(data) - start} are left")
+            raise ValueError(f"an element of {size} bytes where {len(data) - start} are left")
         content = data[start : start + size]
         if kind == _MATRIX:
             _array(content, order, depth)
@@ -180,32 +153,29 @@ def _array(content: memoryview, order: str, depth: int) -> None:
         return
     parts = _elements(content, order, depth + 1)
     if len(parts) < 2 or parts[0][0] != _UINT32 or len(parts[0][1]) != 8 or parts[1][0] != _INT32:
-        raise _Broken("an array without flags and dimensions")
+        raise ValueError("an array without flags and dimensions")
     flags = struct.unpack(f"{order}I", parts[0][1][:4])[0]
     kind, is_complex = flags & 0xFF, bool(flags & _COMPLEX_FLAG)
     if kind not in _ARRAY_CLASSES:
-        raise _Broken(f"an array of class {kind}")
+        raise ValueError(f"an array of class {kind}")
     # flags, dimensions and name, then rows and columns of a sparse one, then real and imaginary numbers
     wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
     if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
-        raise _Broken(f"an array of class {kind} with {len(parts)} of {wanted} elements")
+        raise ValueError(f"an array of class {kind} with {len(parts)} of {wanted} elements")
     # objects of MATLAB's own kind have a name where others have dimensions
     sizes = struct.unpack(f"{order}{len(parts[1][1]) // 4}i", parts[1][1][: len(parts[1][1]) // 4 * 4])
     places = 1
     for size in sizes:
         places *= size
         if size < 0 or places > MATLAB_UNPACKED_BYTES:
-            raise _Broken(f"an array of {'x'.join(map(str, sizes))}")
+            raise ValueError(f"an array of {'x'.join(map(str, sizes))}")
     if kind in _CONTAINER_CLASSES and places > len(content):
-        raise _Broken(f"{places} arrays in {len(content)} bytes")
+        raise ValueError(f"{places} arrays in {len(content)} bytes")
 
 
 def _unpacked(content: memoryview) -> bytes:
     unpacker = zlib.decompressobj()
-    try:
-        unpacked = unpacker.decompress(content, MATLAB_UNPACKED_BYTES)
-    except zlib.error as error:
-        raise _Broken(str(error)) from error
+    unpacked = unpacker.decompress(content, MATLAB_UNPACKED_BYTES)
     if unpacker.unconsumed_tail:
-        raise _Broken(f"more than {MATLAB_UNPACKED_BYTES >> 20} MiB unpacked")
+        raise ValueError(f"more than {MATLAB_UNPACKED_BYTES >> 20} MiB unpacked")
     return unpacked

@@ -13,12 +13,10 @@ from calib.campaign.readers.table import (
     RawTable,
     Wanted,
     check_header,
-    error_words,
-    missing_reader,
     numbers,
     object_array,
 )
-from calib.errors import BadFileError
+from calib.errors import BadFileError, error_words, missing_reader
 
 _MAX_ROWS: Final = 200_000_000
 #: below this many rows threads cost more than they save

@@ -140,14 +140,10 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     the recording; `shift_ns`: taken off the stream's times first: the time that the stream lags behind. Shape
     (n_times,): NaN outside the stream's span and within its gaps.
     """
-    if stream.time_ns is None or not len(stream.time_ns):
+    known = ~np.isnan(stream.columns[column])
+    if stream.time_ns is None or not known.any():
         return np.full(len(at_ns), np.nan)
-    values = stream.columns[column]
-    known = ~np.isnan(values)
-    times = stream.time_ns[known] - shift_ns
-    values = values[known]
-    if not len(times):
-        return np.full(len(at_ns), np.nan)
+    times, values = stream.time_ns[known] - shift_ns, stream.columns[column][known]
     # differences of integers first: nanoseconds since 1970 are no longer exact as float
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)

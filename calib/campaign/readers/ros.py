@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
+from itertools import compress
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,8 +16,8 @@ import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import POSE, UNREAD_TYPES, Recording, Stream, WantedColumns, planar_pose
-from calib.campaign.readers.table import NS_PER_S, error_words, missing_reader
-from calib.errors import BadFileError
+from calib.campaign.readers.table import NS_PER_S
+from calib.errors import BadFileError, error_words, missing_reader
 from calib.types import IntArray
 
 #: share of the messages whose stamps have to be set for the stamps to be the clock
@@ -42,10 +43,9 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
                 kind, topic = connection.msgtype, connection.topic
                 for suffix, names, numbers, header in MESSAGE_TYPES[kind](reader.deserialize(data, kind)):
                     key = (topic + suffix, names)
-                    buffer = buffers.get(key)
-                    if buffer is None:
-                        buffer = buffers[key] = _Buffer(topic + suffix, kind, names, wanted)
-                    buffer.add(numbers, arrival, header)
+                    if key not in buffers:
+                        buffers[key] = _Buffer(topic + suffix, kind, names, wanted)
+                    buffers[key].add(numbers, arrival, header)
         unread = sorted({connection.msgtype for connection in reader.connections} - set(MESSAGE_TYPES))
     notes: list[Note] = []
     if unread and (wanted is None or not buffers):
@@ -75,11 +75,7 @@ class _Buffer:
         stamp = header and header.stamp.sec * NS_PER_S + header.stamp.nanosec
         self.unstamped += not stamp
         self.stamp.append(stamp or arrival)
-        if self.kept is None:
-            self.numbers.extend(numbers)
-        else:
-            for index in self.kept:
-                self.numbers.append(numbers[index])
+        self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
         """Return what came, in the order of the stamps where messages carry them, else of their arrival."""
@@ -186,18 +182,14 @@ def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tu
     """Return the columns of a JointState of such names and lengths, and which of its three fields they are of."""
     names = names or tuple(str(index) for index in range(max(lengths)))
     given = tuple(length == len(names) for length in lengths)
-    fields = [field for field, is_given in zip(("position", "velocity", "effort"), given, strict=True) if is_given]
+    fields = compress(("position", "velocity", "effort"), given)
     return tuple(f"{field}.{name}" for field in fields for name in names), given
 
 
 def _joint_state(message: Any) -> list[Part]:
     values = message.position, message.velocity, message.effort
     names, given = _joint_columns(tuple(message.name), (len(values[0]), len(values[1]), len(values[2])))
-    numbers: list[float] = values[0].tolist() if given[0] else []
-    if given[1]:
-        numbers += values[1].tolist()
-    if given[2]:
-        numbers += values[2].tolist()
+    numbers = [number for part in compress(values, given) for number in part.tolist()]
     return [("", names, numbers, message.header)]
 
 

@@ -115,18 +115,6 @@ def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:
     return out
 
 
-def missing_reader(shown: str, what: str, package: str, extra: str) -> BadFileError:
-    """Return the error of a format whose package is not installed, with the command that installs it."""
-    return BadFileError(
-        shown, f"{what}, and no reader for it", package, f"install it with: pip install 'calib[{extra}]'"
-    )
-
-
-def error_words(error: Exception) -> str:
-    """Return what a library says of a damaged file, on one line; its kind of error where it says nothing."""
-    return " ".join(str(error).split())[:100] or type(error).__name__
-
-
 def check_header(names: Sequence[str], shown: str, row: int = 1) -> None:
     """Refuse a header that names a column twice, too many columns, or none at all."""
     refuse_beyond(len(names), COLUMNS, shown=shown, what="columns", remedy="export those that are needed", row=row)

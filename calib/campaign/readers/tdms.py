@@ -12,8 +12,8 @@ import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
-from calib.campaign.readers.table import NS_PER_S, error_words, missing_reader
-from calib.errors import BadFileError
+from calib.campaign.readers.table import NS_PER_S
+from calib.errors import damage_named, missing_reader
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -32,30 +32,27 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     except ImportError as error:
         raise missing_reader(shown, "a TDMS file", "npTDMS", "tdms") from error
     notes: list[Note] = []
-    try:
-        with _quiet(), TdmsFile.open(path, raw_timestamps=True) as source:
-            if not source.groups() or source.file_status.incomplete_final_segment:
-                raise ValueError("the last segment is not complete")
-            properties = _properties("/", source.properties)
-            streams: list[Stream] = []
-            for group in source.groups():
-                properties |= _properties(group.name, group.properties)
-                channels = {}
-                for channel in group.channels():
-                    name = f"{group.name}/{channel.name}"
-                    properties |= _properties(name, channel.properties)
-                    if not len(channel) or np.dtype(channel.dtype).kind not in "iufbMV":
-                        notes.append(Note("info", f"{shown}, {name}", "holds no numbers and was omitted", "skipped"))
-                    elif wanted is None or wanted(name):
-                        channels[name] = channel
-                streams += _streams(group.name, channels)
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:
-        # the library answers damage with errors of many kinds (struct, keys, values, its own)
-        found = f"a TDMS file that is cut or damaged ({error_words(error)})"
-        remedy = "copy it again from the DAQ computer, or export it as CSV"
-        raise BadFileError(shown, found, "a whole one", remedy) from error
+    streams: list[Stream] = []
+    remedy = "copy it again from the DAQ computer, or export it as CSV"
+    with (
+        damage_named(shown, "a TDMS file", "a whole one", remedy),
+        _quiet(),
+        TdmsFile.open(path, raw_timestamps=True) as source,
+    ):
+        if not source.groups() or source.file_status.incomplete_final_segment:
+            raise ValueError("the last segment is not complete")
+        properties = _properties("/", source.properties)
+        for group in source.groups():
+            properties |= _properties(group.name, group.properties)
+            channels = {}
+            for channel in group.channels():
+                name = f"{group.name}/{channel.name}"
+                properties |= _properties(name, channel.properties)
+                if not len(channel) or np.dtype(channel.dtype).kind not in "iufbMV":
+                    notes.append(Note("info", f"{shown}, {name}", "holds no numbers and was omitted", "skipped"))
+                elif wanted is None or wanted(name):
+                    channels[name] = channel
+            streams += _streams(group.name, channels)
     return Recording(tuple(streams), tuple(notes), properties)
 
 

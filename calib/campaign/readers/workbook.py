@@ -219,11 +219,8 @@ def _cell(value: Any) -> Any:
 
 def _dated(cells: list[Any]) -> list[Any]:
     """Return cells with dates as texts: without the time of day where no cell of the column has one."""
-    moments = [cell for cell in cells if isinstance(cell, datetime.datetime)]
-    form = "%Y-%m-%d" if all(cell.time() == datetime.time() for cell in moments) else ""
-    return [
-        (cell.strftime(form) if form else str(cell)) if isinstance(cell, datetime.datetime) else cell for cell in cells
-    ]
+    days = all(cell.time() == datetime.time() for cell in cells if isinstance(cell, datetime.datetime))
+    return [str(cell.date() if days else cell) if isinstance(cell, datetime.datetime) else cell for cell in cells]
 
 
 def check_size(path: Path, shown: str) -> int:

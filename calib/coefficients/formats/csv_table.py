@@ -11,6 +11,7 @@ from calib.coefficients.formats import Artifact, ExportOptions
 from calib.documents import csv_text
 from calib.errors import RefusedError
 from calib.radius.law import WheelLaw
+from calib.types import FloatArray
 
 #: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
 COLUMNS: Final = ("radius_{}_m", "radius_{}_std_m", "radius_{}_mean_u95_m", "radius_{}_prediction_u95_m")
@@ -59,9 +60,7 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     return (Artifact("radius_table.csv", text.encode("utf-8", "backslashreplace")),)
 
 
-def _wheel(
-    law: WheelLaw, loads: np.ndarray[tuple[int], np.dtype[np.float64]], side: str, *, clamp: bool
-) -> dict[str, list[str]]:
+def _wheel(law: WheelLaw, loads: FloatArray, side: str, *, clamp: bool) -> dict[str, list[str]]:
     from scipy.stats import t
 
     used = np.clip(loads, law.load_min_N, law.load_max_N)

@@ -47,9 +47,10 @@ class Node:
         for child in self.children:
             yield from child.walk()
 
-    def child(self, tag: str) -> Node | None:
-        """Return the first child of that tag, None where there is none."""
-        return next((child for child in self.children if child.tag == tag), None)
+    def child(self, tag: str, name: str | None = None) -> Node | None:
+        """Return the first child of that tag, and name where one is given; None where there is none."""
+        alike = (child for child in self.children if child.tag == tag)
+        return next((child for child in alike if name is None or child.attributes.get("name") == name), None)
 
     def ancestors(self) -> Iterator[Node]:
         """Yield the parents, the nearest first."""

@@ -144,14 +144,9 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     `file`: laws, track and random walks; `pair`: loads of the wheels; beyond the valid range its end counts, as for the
     radius.
     """
-    from scipy.linalg import block_diag
-
     law, track = file.law, file.vehicle.track.value
     loads = within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
-    joint = law.joint
-    if joint is None:
-        joint = block_diag(law.left.covariance, law.right.covariance, file.vehicle.track_std.value**2)
     at_load = np.zeros((3, 5))
     at_load[0, :2] = 1.0, loads[0] - law.left.reference_load_N
     at_load[1, 2:4] = 1.0, loads[1] - law.right.reference_load_N
@@ -164,7 +159,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = _Reading(path=0.25 * float(count.sum()), heading=float(count.sum()) / track**2)
-    return _diagonals(file, rates, at_load @ joint @ at_load.T, reading)
+    return _diagonals(file, rates, at_load @ law.covariance(file.vehicle.track_std.value) @ at_load.T, reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:

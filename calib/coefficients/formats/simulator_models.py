@@ -77,9 +77,9 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
     candidates: dict[str, list[Node]] = {}
     for node in joints:
         for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
-            candidates.setdefault(known, []).append(node)
+            _add(candidates, known, node)
     joint = named(candidates, name, model.path, option)
-    link = next((part for part in model.root.children if _is_link(part, _link(joint, "child"))), None)
+    link = model.root.child("link", _link(joint, "child"))
 
     def stated(shape: Node) -> Slot | None:
         return attribute_slot(model, shape, "radius", f"radius of {name!r}") if "radius" in shape.attributes else None
@@ -108,10 +108,6 @@ def _link(joint: Node, tag: str) -> str:
     return "" if node is None else node.attributes.get("link", "")
 
 
-def _is_link(node: Node, name: str) -> bool:
-    return node.tag == "link" and node.attributes.get("name") == name
-
-
 def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
     """Return the name of a joint above a link whose frame is rolled or pitched; empty where there is none."""
     for _ in range(len(joints) + 1):
@@ -133,8 +129,7 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
         if node.tag in ("link", "joint") and node.parent is not None and node.parent.tag == "model":
             link = node if node.tag == "link" else _child_link(node)
             if link is not None and "name" in node.attributes:
-                links = candidates.setdefault(node.attributes["name"], [])
-                links += [] if link in links else [link]
+                _add(candidates, node.attributes["name"], link)
     link = named(candidates, name, model.path, option)
 
     def stated(shape: Node) -> Slot | None:
@@ -154,9 +149,14 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
 
 def _child_link(joint: Node) -> Node | None:
     child = joint.child("child")
-    links = () if joint.parent is None else joint.parent.children
-    name = "" if child is None else child.text.strip()
-    return next((node for node in links if node.tag == "link" and node.attributes.get("name") == name), None)
+    return None if child is None or joint.parent is None else joint.parent.child("link", child.text.strip())
+
+
+def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
+    """Add an element to those of a name, once."""
+    known = candidates.setdefault(name, [])
+    if node not in known:
+        known.append(node)
 
 
 def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
@@ -193,8 +193,8 @@ def _pose(link: Node) -> tuple[Node | None, str]:
     if pose is None:
         return None, "since its link has no pose"
     frame = pose.attributes.get("relative_to", "")
-    joint = next((node for node in siblings if node.tag == "joint" and node.attributes.get("name") == frame), None)
-    if frame and joint is not None:
+    joint = link.parent.child("joint", frame) if frame and link.parent is not None else None
+    if joint is not None:
         pose = joint.child("pose")
         if pose is None or not pose.attributes.get("relative_to"):
             return None, f"since joint {frame!r}, on which it sits, has no pose in another frame"
@@ -242,9 +242,7 @@ def _body(model: ModelFile, name: str, option: str) -> Node:
         known = node.attributes.get("name")
         if known is None or body is None or body.tag != "body" or node.tag not in ("body", "joint", "geom"):
             continue
-        bodies = candidates.setdefault(known, [])
-        if body not in bodies:
-            bodies.append(body)
+        _add(candidates, known, body)
     return named(candidates, name, model.path, option)
 
 

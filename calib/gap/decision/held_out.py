@@ -162,10 +162,6 @@ def measure_closure(
         Predicts held-out runs; by default without an unexplained residual.
     as_counted : array of float, shape (n_units, n_channels), optional
         The gap to state in place of that of the model alone: before a blunder was corrected.
-
-    Returns
-    -------
-    HeldOut
     """
     left_out = left_out or HeldOutFit(fitted, nominal, noise)
     before = residuals(nominal, nominal)
@@ -225,22 +221,8 @@ def closure_of(
 ) -> HeldOut:
     """Return how far the gap shrinks from residuals `before` to residuals `after`.
 
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each observation.
-    before, after : array of float, shape (n_units, n_channels)
-        Residuals without and with the causes.
-    rng : numpy.random.Generator
-        For the bootstrap.
-    floor_factor : float
-        Variance of the noise level over that of `noise`.
-    stated : array of float, shape (n_units, n_channels), optional
-        The gap to state in place of `before`.
-    by : str
-        What was held out in turn; by default nothing: the simulator ran again with the fix.
+    `stated`: the gap to state in place of `before`; `by`: what was held out in turn, by default nothing: the simulator
+    ran again with the fix. The other parameters are those of `measure_closure`.
     """
     observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable

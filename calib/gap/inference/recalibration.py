@@ -227,24 +227,8 @@ def judge_recalibration(
 
     Where other sets of effects are likely too, the calibration is judged beside each of them.
 
-    Parameters
-    ----------
-    fitted : Fitted
-        Fit of the effects found, the recalibration free.
-    nominal : Path
-        The model alone.
-    noise : Noise
-        Covariance of each unit.
-    settings : SearchSettings
-        Assumptions of the search.
-    shifts : mapping of str to tuple of str, optional
-        For each effect, the calibration parameters that another zero point of it would look like.
-    search : Search, optional
-        Has the other sets of effects.
-
-    Returns
-    -------
-    Recalibration
+    `fitted`: of the effects found, the recalibration free; `search`: has the other sets of effects. `settings` and
+    `shifts` are those of `weigh_subsets`.
     """
     if nominal.s.calibration_held:
         held = np.zeros(len(NAMES))

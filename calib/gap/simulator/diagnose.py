@@ -22,7 +22,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.gap.simulator.differences import Differences, differences_of
 from calib.gap.simulator.fix import alone, fixed, iterated, named_parameters, without_parameter
-from calib.gap.simulator.runner import RunCount, SimulatorRunner, run_cache
+from calib.gap.simulator.runner import SimulatorRunner, run_cache
 from calib.gap.simulator.settings import SimulatorSettings
 from calib.types import FloatArray, Progress, silent
 
@@ -32,10 +32,10 @@ SPANNED_SHARE: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class SimulatorDiagnosis:
-    """A diagnosis in the parameters of a simulator, and what it cost."""
+    """A diagnosis in the parameters of a simulator, and what ran it: its counts say what that cost."""
 
     diagnosis: Diagnosis
-    runs: RunCount
+    runs: SimulatorRunner
 
 
 def diagnose_simulator(
@@ -66,10 +66,6 @@ def diagnose_simulator(
         Runs of the simulator at once.
     progress : callable
         See `calib.types.Progress`.
-
-    Returns
-    -------
-    SimulatorDiagnosis
 
     Raises
     ------
@@ -115,7 +111,7 @@ def diagnose_simulator(
         return replace(diagnosis, notes=(*diagnosis.notes, *notes))
 
     diagnosis = _confirmed(searched, differences, runner, np.random.default_rng(seed))
-    return SimulatorDiagnosis(diagnosis, runner.count)
+    return SimulatorDiagnosis(diagnosis, runner)
 
 
 def _confirmed(
@@ -182,7 +178,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
 def _check_excluded(
     exclude: Sequence[str], measured: Observations, settings: SimulatorSettings, campaign: Campaign
 ) -> None:
-    own = {SIMULATOR_PREFIX + each.name for each in settings.parameters}
+    own = settings.by_cause
     unknown = [name for name in exclude if name.startswith(SIMULATOR_PREFIX) and name not in own]
     if unknown:
         raise BadInputError(f"--exclude: found {unknown[0]!r}; expected one of: {', '.join(sorted(own))}")
@@ -206,7 +202,7 @@ def _candidates(
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
-    stands_for = {each.effect for each in settings.parameters if SIMULATOR_PREFIX + each.name not in exclude}
+    stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
     held = [rival for rival in rivals if isinstance(rival, HeldCalibration)]

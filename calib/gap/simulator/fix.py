@@ -11,7 +11,7 @@ import numpy as np
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
-from calib.gap.decision.sentences import sentence
+from calib.gap.decision.sentences import joined, sentence
 from calib.gap.effects.effect import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
 from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
@@ -62,7 +62,7 @@ class SimulatorFix:
 
 def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
     """Return the parameters of the simulator that a diagnosis names, by the id of the cause."""
-    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
+    declared = runner.settings.by_cause
     return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
 
@@ -361,8 +361,7 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Decla
         if least >= (FURTHER_SHARE if chosen else 1.0) * left:
             break
         chosen, left = [*chosen, best], least
-    declared = {SIMULATOR_PREFIX + each.name: each for each in runner.settings.parameters}
-    return {forms[number].effect: declared[forms[number].effect] for number in chosen}
+    return {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
@@ -376,5 +375,4 @@ def _share_together(diagnosis: Diagnosis) -> float:
 
 def _of_library(diagnosis: Diagnosis) -> str:
     """Return the named effects of the library, as a list in words; empty where there is none."""
-    *most, last = [c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)] or [""]
-    return f"{', '.join(most)} and {last}" if most else last
+    return joined((c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)), "and")

@@ -174,23 +174,6 @@ class _Stopped(Exception):
     """The run was stopped because another failed or the user interrupted."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunCount:
-    """How often a simulator was asked to run, and how long that took."""
-
-    asked: int  #: runs that were asked for
-    ran: int  #: of these, those that were not kept already
-    mean_s: float  #: wall time of one; 0 where none ran
-
-    @property
-    def sentence(self) -> str:
-        """The count in words."""
-        kept = self.asked - self.ran
-        each = f", {self.mean_s:.2g} s each" if self.ran else ""
-        runs = "1 run" if self.ran == 1 else f"{self.ran} runs"
-        return f"Simulator: {runs}{each}; {kept} of {self.asked} results were kept from before."
-
-
 @dataclass(eq=False)
 class SimulatorRunner:
     """Runs a simulator on a campaign, at most `workers` at once; results that are kept already are not run again."""
@@ -233,9 +216,11 @@ class SimulatorRunner:
         return [result for result in results if result is not None]
 
     @property
-    def count(self) -> RunCount:
-        """How often it ran so far."""
-        return RunCount(self.asked, self.ran, sum(self.seconds) / len(self.seconds) if self.seconds else 0.0)
+    def sentence(self) -> str:
+        """How often it was asked to run so far, and how long that took."""
+        each = f", {sum(self.seconds) / len(self.seconds):.2g} s each" if self.seconds else ""
+        runs = "1 run" if self.ran == 1 else f"{self.ran} runs"
+        return f"Simulator: {runs}{each}; {self.asked - self.ran} of {self.asked} results were kept from before."
 
     def _command(self) -> list[str]:
         """Return the command with its program as a path; refused where there is no such program."""

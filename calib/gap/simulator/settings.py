@@ -12,6 +12,7 @@ from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.gap.effects.effect import Family, Parameter
 from calib.gap.effects.library import REGISTRY
+from calib.gap.effects.simulator import SIMULATOR_PREFIX
 
 #: what the command has to name: each is replaced by a path
 PLACES: Final = ("{campaign}", "{parameters}", "{out}")
@@ -63,6 +64,11 @@ class SimulatorSettings(BaseModel):
     def path(self) -> Path:
         """Path of the file; the command runs in its folder."""
         return self._path
+
+    @property
+    def by_cause(self) -> dict[str, Declared]:
+        """The parameters by the id of the cause that they are."""
+        return {SIMULATOR_PREFIX + each.name: each for each in self.parameters}
 
     @property
     def nominal(self) -> dict[str, float]:

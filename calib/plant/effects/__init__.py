@@ -33,12 +33,7 @@ def forms_of(effect: str) -> tuple[Form, ...]:
 
 def find(effect: str, form: str = "") -> Form:
     """Return one form of an effect; its first where `form` is empty or not known for it."""
-    forms = forms_of(effect)
-    if not form:
-        return forms[0]
-    for known in forms:
-        if known.form == form:
-            return known
-    raise BadInputError(
-        f"form of {effect}: found {form!r}; expected one of {', '.join(known.form for known in forms)}; choose one"
-    )
+    forms = {known.form: known for known in forms_of(effect)}
+    if form and form not in forms:
+        raise BadInputError(f"form of {effect}: found {form!r}; expected one of {', '.join(forms)}; choose one")
+    return forms[form or next(iter(forms))]

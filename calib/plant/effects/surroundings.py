@@ -23,39 +23,28 @@ from calib.plant.world import (
     standardised,
     while_driving,
 )
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 
 def map_x_m(world: World, now: Moment) -> FloatArray:
     """Return where the runs are on the hall's map, along the corridor; ``back`` starts at its far end."""
-    place: FloatArray = world.design.start_x_m + world.design.heading_sign * now.x_m
-    return place
+    return world.design.start_x_m + world.design.heading_sign * now.x_m
 
 
 def map_y_m(world: World, now: Moment) -> FloatArray:
     """Return where the runs are on the hall's map, across the corridor."""
-    place: FloatArray = world.design.heading_sign * now.y_m
-    return place
+    return world.design.heading_sign * now.y_m
 
 
 def _slope_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {"downhill_rad": float(rng.uniform(-np.pi, np.pi)) if design_turns(design) else 0.0}
+    return {"downhill_rad": 0.0 if design.corridor.all() else float(rng.uniform(-np.pi, np.pi))}
 
 
-def design_turns(design: Design) -> bool:
-    """Return whether any run turns."""
-    return bool((~design.corridor).any())
-
-
-def _slope(world: World, size: FloatArray, knobs: Knobs) -> None:
+@while_driving
+def _slope(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Downhill the wheels roll further a turn, uphill less; by the heading on the map."""
     offset = np.where(world.design.heading_sign < 0, np.pi, 0.0) - knobs["downhill_rad"]
-
-    def during(now: Moment) -> None:
-        down = size * np.cos(now.theta_rad + offset)
-        now.roll_more(down)
-
-    world.during.append(during)
+    now.roll_more(size * np.cos(now.theta_rad + offset))
 
 
 def _zone_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -63,21 +52,22 @@ def _zone_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
     return {"at_m": float(rng.uniform(0.2, 0.6) * reach), "long_m": float(rng.uniform(1.0, 2.5))}
 
 
+def _in_zone(world: World, now: Moment, knobs: Knobs) -> BoolArray:
+    place = map_x_m(world, now) - knobs["at_m"]
+    return (place > 0) & (place < knobs["long_m"])
+
+
 @while_driving
 def _zone_distance(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Both wheels slip inside a strip across the hall: `size` a metre of it."""
-    place = map_x_m(world, now) - knobs["at_m"]
-    inside = size * ((place > 0) & (place < knobs["long_m"]))
-    now.roll_more(inside)
+    now.roll_more(size * _in_zone(world, now, knobs))
 
 
 @while_driving
 def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     """Only the wheel on one side runs over the strip, say a cable bridge or a worn lane edge."""
-    place = map_x_m(world, now) - knobs["at_m"]
-    inside = size * ((place > 0) & (place < knobs["long_m"])) * world.design.heading_sign
-    now.left += 0.5 * inside
-    now.right -= 0.5 * inside
+    inside = size * _in_zone(world, now, knobs) * world.design.heading_sign
+    now.roll_more(0.5 * inside, -0.5 * inside)
 
 
 def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -107,8 +97,7 @@ def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
 @while_driving
 def _one_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
     # a resonance: only about one middle speed
-    near = size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2))
-    now.roll_more(near)
+    now.roll_more(size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2)))
 
 
 def _middle_speed(_rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -142,12 +131,7 @@ def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     now.yaw_radps += size * now.v_mps * wave * across
 
 
-def _pull_knobs(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {
-        "wave_x_m": float(rng.uniform(5.0, 9.0)),
-        "wave_y_m": float(rng.uniform(6.0, 12.0)),
-        "phase_rad": float(rng.uniform(-np.pi, np.pi)),
-    }
+_PULL_WAVES = drawn(wave_x_m=(5.0, 9.0), wave_y_m=(6.0, 12.0), phase_rad=(-np.pi, np.pi))
 
 
 _LOADS_AND_TEMPERATURES = frozenset({"loads", "temperatures"})
@@ -165,7 +149,7 @@ OUTSIDE = (
     Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, frozenset({"three_speeds"}), _middle_speed),
     Form("outside:left_only", "plain", 1e-2, "1", _left_only, frozenset({"turns", "bends", "poses"})),
     Form("outside:hidden", "plain", 6e-4, "1", _hidden, frozenset({"poses"}), _seeded),
-    Form("outside:map_pull", "plain", 1.5e-3, "rad/m", _pull, frozenset({"poses", "turns", "directions"}), _pull_knobs),
+    Form("outside:map_pull", "plain", 1.5e-3, "rad/m", _pull, frozenset({"poses", "turns", "directions"}), _PULL_WAVES),
 )
 
 
@@ -184,15 +168,13 @@ def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
 @while_driving
 def _lost_with_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
     # a share of `size` at 0.5 m/s, with the square of the speed
-    share = size * (now.v_mps / 0.5) ** 2
-    now.lose_counts(share, right=bool(knobs["right"]))
+    now.lose_counts(size * (now.v_mps / 0.5) ** 2, right=bool(knobs["right"]))
 
 
 @while_driving
 def _lost_above(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
     """Nothing is lost below 0.3 m/s, and more and more above it."""
-    share = size * np.maximum(now.v_mps - 0.3, 0.0) / 0.2
-    now.lose_counts(share, right=bool(knobs["right"]))
+    now.lose_counts(size * np.maximum(now.v_mps - 0.3, 0.0) / 0.2, right=bool(knobs["right"]))
 
 
 @while_driving
@@ -222,14 +204,14 @@ def _payload_mass(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.settle()
 
 
-def _payload_sideways(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.payload_dy_m = world.payload_dy_m + size
-    world.settle()
+def _payload_moved(name: str) -> Act:
+    move = added(name)
 
+    def act(world: World, size: FloatArray, knobs: Knobs) -> None:
+        move(world, size, knobs)
+        world.settle()
 
-def _payload_lengthwise(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.payload_dx_m = world.payload_dx_m + size
-    world.settle()
+    return act
 
 
 def _outside_scheme(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -260,7 +242,7 @@ INSTRUMENTS = (
     Form("steering_backlash", "plain", 8e-3, "rad", added("steer_backlash_rad"), _FRONT | {"turns"}),
     Form("steering_delay", "plain", 0.1, "s", added("steer_delay_s"), _FRONT | {"flying", "turns", "speeds"}),
     Form("payload_mass", "plain", 0.15, "1", _payload_mass, _LABELS | {"offsets"}),
-    Form("payload_position", "sideways", 0.02, "m", _payload_sideways, _LABELS),
-    Form("payload_position", "lengthwise", 0.04, "m", _payload_lengthwise, _LABELS),
+    Form("payload_position", "sideways", 0.02, "m", _payload_moved("payload_dy_m"), _LABELS),
+    Form("payload_position", "lengthwise", 0.04, "m", _payload_moved("payload_dx_m"), _LABELS),
     Form("integration_scheme", "plain", 1.0, "1", _outside_scheme, frozenset({"outside", "turns", "poses"})),
 )

@@ -39,8 +39,7 @@ def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
 def _power(load_N: FloatArray, exponent: float) -> FloatArray:
     """Return F^p shifted and scaled to go from 0 at 300 N to 800 N at 1100 N, as the linear law does."""
     low, high = REFERENCE_LOAD_N**exponent, 1100.0**exponent
-    shifted: FloatArray = 800.0 * (np.maximum(load_N, 1.0) ** exponent - low) / (high - low)
-    return shifted
+    return np.asarray(800.0 * (np.maximum(load_N, 1.0) ** exponent - low) / (high - low))
 
 
 def _load_power(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -48,8 +47,8 @@ def _load_power(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.enlarge(size * left, size * knobs["right_ratio"] * right)
 
 
-def _power_of(exponent: float) -> Draw:
-    return lambda rng, design: {**_WHEEL_SLOPES(rng, design), "exponent": exponent}
+def _with_exponent(draw: Draw, exponent: float) -> Draw:
+    return lambda rng, design: {**draw(rng, design), "exponent": exponent}
 
 
 def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -111,8 +110,7 @@ def _eccentric(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> Non
 
 
 def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    warm = np.nan_to_num(world.design.temperature_C - 20.0)
-    world.enlarge(size * warm)
+    world.enlarge(size * np.nan_to_num(world.design.temperature_C - 20.0))
 
 
 def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -134,10 +132,6 @@ def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
     index, _ = _session_index(world.design)
     grown = index ** knobs.get("exponent", 1.0)
     world.enlarge(-size * grown, -size * knobs["right_ratio"] * grown)
-
-
-def _running_in(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    return {**_WEAR_RATES(rng, design), "exponent": 0.8}
 
 
 def _session_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -176,6 +170,8 @@ _MILD_POWER = drawn(right_ratio=(0.75, 1.15), exponent=(0.83, 0.92))
 _CREEP_TIME = drawn(tau_min=(8.0, 25.0))
 _PHASES = drawn(left_rad=(0, 2 * np.pi), right_rad=(0, 2 * np.pi))
 _WEAR_RATES = drawn(right_ratio=(0.3, 0.8))
+_RUNNING_IN = _with_exponent(_WEAR_RATES, 0.8)
+_POWERS = {name: _with_exponent(_WHEEL_SLOPES, p) for name, p in (("hertz", 2 / 3), ("root", 0.5), ("quadratic", 2.0))}
 COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 FORMS = (
@@ -186,8 +182,8 @@ FORMS = (
     Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _MILD_POWER),
     Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _WHEEL_SLOPES),
     *(
-        Form("load_radius_nonlinear", form, 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), _power_of(power))
-        for form, power in (("hertz", 2 / 3), ("root", 0.5), ("quadratic", 2.0))
+        Form("load_radius_nonlinear", form, 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), knobs)
+        for form, knobs in _POWERS.items()
     ),
     Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _CREEP_TIME),
     Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _CREEP_TIME),
@@ -195,7 +191,7 @@ FORMS = (
     Form("temperature_radius", "plain", 6e-5, "1/K", _warm, frozenset({"temperatures"})),
     Form("temperature_radius", "stiffness", 6e-5, "1/K", _warm_stiffness, frozenset({"temperatures"})),
     Form("wear", "plain", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _WEAR_RATES),
-    Form("wear", "running_in", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _running_in),
+    Form("wear", "running_in", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _RUNNING_IN),
     Form("session_step", "plain", 5e-4, "1", _session, frozenset({"sessions"}), _session_knobs),
     Form("session_step", "one_session", 4e-4, "1", _session, frozenset({"sessions"}), _one_session),
     *(
@@ -207,20 +203,23 @@ FORMS = (
 
 @while_driving
 def _speed(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    grown = size * (now.v_mps - 0.5)
-    now.roll_more(grown)
+    now.roll_more(size * (now.v_mps - 0.5))
 
 
 @while_driving
 def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Grows with the square of the speed, as fast as the plain form at 0.5 m/s."""
-    grown = size * (now.v_mps**2 - 0.25)
-    now.roll_more(grown)
+    now.roll_more(size * (now.v_mps**2 - 0.25))
+
+
+def _lever(world: World) -> FloatArray:
+    """Return the load that an acceleration of 1 m/s2 across moves from one wheel to the other."""
+    vehicle = world.design.vehicle
+    return world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
 
 
 def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    vehicle = world.design.vehicle
-    lever = world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
+    lever = _lever(world)
 
     def during(now: Moment) -> None:
         moved = size * lever * now.v_mps**2 * now.curvature_per_m
@@ -231,9 +230,7 @@ def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 def _transfer_roll(world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the body rolls on its springs first: the transfer follows with a lag
-    vehicle = world.design.vehicle
-    lever = world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
-    roll, before_s = np.zeros(len(world.design)), 0.0
+    lever, roll, before_s = _lever(world), np.zeros(len(world.design)), 0.0
 
     def during(now: Moment) -> None:
         nonlocal roll, before_s
@@ -280,23 +277,18 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
 def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the wheels slip while braking: `size` metres a stop from 0.5 m/s, with the square of the speed
     # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
-    slip = size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25
-    now.roll_more(slip)
+    now.roll_more(size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25)
 
 
 def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:
     """One wheel drags on the way back only, and so turns less than it rolls."""
-    dragged = 1 + size * (world.design.direction == "back")
-    if knobs["right"]:
-        world.right = world.right * dragged
-    else:
-        world.left = world.left * dragged
+    dragged = size * (world.design.direction == "back")
+    world.enlarge(dragged * (not knobs["right"]), dragged * bool(knobs["right"]))
 
 
 def _direction(world: World, size: FloatArray, _knobs: Knobs) -> None:
     direction = world.design.direction
-    sign = (direction == "out") * 1.0 - (direction == "back") * 1.0
-    world.enlarge(size * sign)
+    world.enlarge(size * ((direction == "out") * 1.0 - (direction == "back") * 1.0))
 
 
 @while_driving

@@ -212,7 +212,7 @@ def document(source: Source, stated: Certificate) -> Element:
         "given": stated,
         "version": str(fit.provenance.get("version", __version__)),
         "limits": _limits(source, stated),
-        "conditions": _conditions(fit),
+        "conditions": _conditions(source.setup.conditions),
         "radii": {name: _radii(wheel, fit) for name, wheel in fit.wheels.items()},
         "factors": {name: _region_factor(wheel.law) for name, wheel in fit.wheels.items()},
     }
@@ -239,8 +239,8 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
     failed = _failed(fit)
     if failed:
         texts.append(f"Accepted although a check failed: {fit.accepted}. Checks that failed: {' '.join(failed)}")
-    if fit.setup is not None and fit.setup.assumed:
-        listed = ", ".join(f"{key} {value}" for key, value in fit.setup.assumed.items())
+    if source.setup.assumed:
+        listed = ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items())
         texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
     untraced = [equipment.name for equipment in stated.equipment if equipment.certificate is None]
     if untraced:
@@ -251,9 +251,8 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
     return texts
 
 
-def _conditions(fit: Fit) -> list[tuple[str, float, float, str]]:
+def _conditions(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[str, float, float, str]]:
     """Return title, smallest and largest value, and unit of every condition that the run table has."""
-    ranges = {} if fit.setup is None else fit.setup.conditions
     return [
         (title, factor * ranges[name][0], factor * ranges[name][1], unit)
         for name, (title, unit, factor) in CONDITIONS.items()

@@ -10,6 +10,7 @@ import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,7 +25,7 @@ from calib.gap.observations.from_campaign import measured_poses
 from calib.gap.observations.observation import relative_pose
 from calib.gap.predict import Path as PredictedPath
 from calib.reporting.exports import diagnosed
-from calib.types import FloatArray, Progress
+from calib.types import FloatArray, Progress, evenly
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -58,8 +59,7 @@ class Track:
 
     def thinned(self) -> Track:
         """Return at most `MOST_POSES` of the poses, both ends among them."""
-        n = len(self.time_s)
-        kept = np.linspace(0, n - 1, min(n, MOST_POSES)).round().astype(np.int64)
+        kept = evenly(len(self.time_s), MOST_POSES)
         return Track(self.time_s[kept], self.poses[kept])
 
 
@@ -116,18 +116,16 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[ShownRun]:
 
 def _predicted(path: PredictedPath) -> list[Track]:
     """Return the predicted path of each observation: its start, the middle of each step, its end."""
-    s, steps = path.s, path.steps
+    s, ds_m = path.s, path.steps.ds_m
     tracks = []
-    for number, (first, last) in enumerate(zip(s.starts[:-1], s.starts[1:], strict=True)):
-        part = slice(int(first), int(last))
+    for poses, (first, last) in zip(path.traces(), pairwise(s.starts.tolist()), strict=True):
+        part = slice(first, last)
         middle = s.time_s[part] - 0.5 * s.duration_s[part]
-        begin, end = float(s.time_s[part][0] - s.duration_s[part][0]), float(s.time_s[part][-1])
+        begin, end = float(s.time_s[first] - s.duration_s[first]), float(s.time_s[last - 1])
         if not np.isfinite(middle).all():
-            way = np.cumsum(np.abs(steps.ds_m[part])) / UNKNOWN_SPEED_MPS
+            way = np.cumsum(np.abs(ds_m[part])) / UNKNOWN_SPEED_MPS
             middle, begin, end = way, 0.0, float(way[-1]) + 1.0
-        times = np.concatenate(([begin], middle, [end])) - begin
-        poses = np.column_stack((steps.x_m[part], steps.y_m[part], steps.mid_rad[part]))
-        tracks.append(Track(times, np.vstack((np.zeros(3), poses, path.end[number]))))
+        tracks.append(Track(np.concatenate(([begin], middle, [end])) - begin, poses))
     return tracks
 
 

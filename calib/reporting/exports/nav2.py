@@ -14,16 +14,15 @@ from typing import Final
 import numpy as np
 
 from calib.coefficients.formats import Artifact, ascii_line, number
+from calib.documents import templates_of
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.reporting.exports import diagnosed
+from calib.reporting.exports import diagnosed, pose_spread
 from calib.reporting.exports.pose_spread import (
     ALPHAS,
     DEFAULT_ALPHA,
     MODELS,
     POSE,
-    UPDATE_MIN_A_RAD,
-    UPDATE_MIN_D_M,
     Fitted,
     Spread,
     fitted,
@@ -32,7 +31,7 @@ from calib.reporting.exports.pose_spread import (
     spread_of,
     undetermined,
 )
-from calib.types import BoolArray, FloatArray, Progress, StrArray
+from calib.types import FloatArray, Progress, StrArray
 
 #: fewer end poses do not show a spread: its standard error is then beyond a sixth
 FEWEST_RUNS: Final = 20
@@ -60,11 +59,6 @@ class KindNoise:
     n_runs: int
     alphas: dict[str, float]
     form: FloatArray
-
-    def __str__(self) -> str:
-        """Return the kind in one line."""
-        listed = ", ".join(f"{name} {number(_rounded(value))}" for name, value in self.alphas.items())
-        return f"{ascii_line(self.kind)} ({self.n_runs} runs): {listed}: {_listed(self.form)}"
 
 
 def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[KindNoise, ...]:
@@ -135,8 +129,8 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
         near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
         if near:
             notes.append(f"alphas of their own meet the runs of {near} alone; the file has them by kind of run")
-    lines = _lines(noise, campaign.name, named, simulated=campaign.simulated)
-    return (Artifact("nav2_odometry.yaml", "".join(f"{line}\n" for line in lines).encode(), tuple(notes)),)
+    text = parameters_text(noise, campaign.name, named, simulated=campaign.simulated)
+    return (Artifact("nav2_odometry.yaml", text.encode(), tuple(notes)),)
 
 
 def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
@@ -161,7 +155,7 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
     return MotionNoise(
         n_runs=int(units.sum()),
         length_m=float(np.median(observations.length_m[units])),
-        turn_rad=_median_turn(diagnosis, units),
+        turn_rad=float(np.median(observations.total(np.abs(diagnosis.correction.path.steps.turn_rad))[units])),
         alphas={**alphas, **dict.fromkeys(unknown, DEFAULT_ALPHA)},
         undetermined=unknown,
         walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
@@ -171,62 +165,27 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
     )
 
 
-def _median_turn(diagnosis: Diagnosis, units: BoolArray) -> float:
-    steps = diagnosis.correction.path.steps
-    return float(np.median(diagnosis.observations.total(np.abs(steps.turn_rad))[units]))
-
-
-def _lines(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> list[str]:
-    growth = noise.walks["along"], noise.walks["heading"]
-    twist = [growth[0] * SPEED_MPS * RATE_HZ, growth[1] * SPEED_MPS * RATE_HZ]
-    lines = [
-        f"# campaign: {ascii_line(campaign)}; odometry corrected by: {ascii_line(corrected)}",
-        f"# from {noise.n_runs} end poses of runs that the correction was not fitted on: {noise.length_m:.3g} m and "
-        f"{noise.turn_rad:.3g} rad in the median; for much longer ways measure longer ones",
-        "# observed over predicted standard deviation, each tenth of the runs by the others, with 95 % interval:",
-        "# "
-        + ", ".join(
-            f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})"
-            for name, ratio, (low, high) in zip(CHANNELS, noise.held_out.ratios, noise.held_out.interval, strict=True)
-        ),
-        f"# by the form of AMCL's model alone, which has no errors that stay during a run: {_listed(noise.form)}",
-    ]
-    if noise.beyond_form:
-        lines.append(f"# beyond what any alphas spread like: {noise.cover:.2f} times as large, they understate none")
-        if noise.by_kind:
-            lines += ["# of one kind of run, for a filter that is set by journey; ratios by the form:"]
-            lines += [f"#   {each}" for each in noise.by_kind]
-    if simulated:
-        lines.append("# SIMULATED DATA: a program made the measurements behind these numbers")
-    lines += [
-        "# nav2_amcl::DifferentialMotionModel: variance of a turn alpha1 turn^2 + alpha2 way^2, of a way alpha3 way^2",
-        "# + alpha4 (turn_1^2 + turn_2^2), between two updates of the filter; the alphas hold for these update steps",
-        "amcl:",
-        "  ros__parameters:",
-        '    robot_model_type: "nav2_amcl::DifferentialMotionModel"',
-        f"    update_min_d: {number(UPDATE_MIN_D_M)}",
-        f"    update_min_a: {number(UPDATE_MIN_A_RAD)}",
-    ]
-    for name, value in noise.alphas.items():
-        unknown = "  # not determined by these runs: the default" if name in noise.undetermined else ""
-        lines.append(f"    {name}: {number(_rounded(value))}{unknown}")
-    lines += [
-        f"    alpha5: {number(DEFAULT_ALPHA)}  # of sideways motion, which the differential model does not use",
-        "# robot_localization takes covariances from the odometry's messages. A twist read at f Hz that is off by",
-        "# independent errors spreads the way by sigma^2 / f a second: sigma^2 = growth a metre x speed x f, here",
-        f"# way {growth[0]:.3g} m^2/m, heading {growth[1]:.3g} rad^2/m, {SPEED_MPS:g} m/s, {RATE_HZ:g} Hz;",
-        "# odom0_config with vx and vyaw alone. diff_drive_controller publishes this diagonal:",
-        "diff_drive_controller:",
-        "  ros__parameters:",
-        f"    twist_covariance_diagonal: [{number(_rounded(twist[0]))}, 1.0e-9, 1.0e+6, 1.0e+6, 1.0e+6, "
-        f"{number(_rounded(twist[1]))}]",
-    ]
-    return lines
+def parameters_text(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> str:
+    """Return the parameter file of a noise; `corrected`: by what the odometry is corrected."""
+    held_out = zip(CHANNELS, noise.held_out.ratios, noise.held_out.interval, strict=True)
+    return (
+        templates_of(__package__)
+        .get_template("nav2.yaml.j2")
+        .render(
+            noise=noise,
+            campaign=campaign,
+            corrected=corrected,
+            simulated=simulated,
+            ratios=[f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, (low, high) in held_out],
+            listed=_listed,
+            rounded=lambda value: number(float(f"{value:.{DIGITS}g}")),
+            ascii_line=ascii_line,
+            filter=pose_spread,
+            speed_mps=SPEED_MPS,
+            rate_Hz=RATE_HZ,
+        )
+    )
 
 
 def _listed(values: FloatArray) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in zip(CHANNELS, values, strict=True))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")

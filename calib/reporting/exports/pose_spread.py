@@ -147,21 +147,11 @@ MODELS: Final[dict[str, tuple[tuple[str, ...], Callable[[FloatArray], FloatArray
 }
 
 
-def paths_of(path: Path, units: BoolArray) -> list[FloatArray]:
-    """Return the poses (n, 3) of each of some observations (n_obs,): start, middles of the steps, end."""
-    starts, steps = path.s.starts, path.steps
-    places = np.column_stack((steps.x_m, steps.y_m, steps.mid_rad))
-    return [
-        np.vstack((np.zeros(3), places[starts[unit] : starts[unit + 1]], path.end[unit]))
-        for unit in np.flatnonzero(units)
-    ]
-
-
 def spread_of(path: Path, units: BoolArray, model: str) -> Spread:
     """Return the components of a model of `MODELS` on the paths of some observations (n_obs,)."""
     s = path.s
     names, component = MODELS[model]
-    found = [component(poses) for poses in paths_of(path, units)]
+    found = [component(poses) for poses, on in zip(path.traces(), units, strict=True) if on]
     reference = np.zeros((len(found), 3, 3))
     reference[:, 0, 0] = reference[:, 1, 1] = s.sigma_xy_m[units] ** 2
     reference[:, 2, 2] = s.sigma_theta_rad[units] ** 2

@@ -66,9 +66,8 @@ def _board(axes: Axes, score: Score) -> None:
             axes.annotate("≥" if sense == "at least" else "≤", (wanted, row), (-10, 5), textcoords="offset points")
         axes.annotate(f"{share.hits}/{share.total}", (1.005, row), xycoords=("axes fraction", "data"), va="center")
     axes.set_yticks(range(len(lines)), [name for name, _ in reversed(lines)])
-    axes.set_xlim(-0.01, 1.01)
-    axes.set_ylim(-0.7, len(lines) - 0.3)
-    axes.set_xlabel("share of cases, with Wilson's 95 % interval; black bar: target")
+    about = "share of cases, with Wilson's 95 % interval; black bar: target"
+    axes.set(xlim=(-0.01, 1.01), ylim=(-0.7, len(lines) - 0.3), xlabel=about)
 
 
 def _signals(axes: Axes, score: Score) -> None:
@@ -88,10 +87,8 @@ def _signals(axes: Axes, score: Score) -> None:
     axes.set_xscale("log")
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_ylim(-0.02, 1.02)
+    axes.set(ylim=(-0.02, 1.02), ylabel="share of single-effect cases", title="Detection by signal")
     axes.set_xlabel("signal (whitened norm after recalibration)")
-    axes.set_ylabel("share of single-effect cases")
-    axes.set_title("Detection by signal")
     if axes.lines:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 
@@ -111,11 +108,8 @@ def _reliability(axes: Axes, score: Score) -> None:
         _with_bars(axes, stated, shares, color=BLUE, marker="o", label="")
         for x, line in zip(stated, shares, strict=True):
             axes.annotate(str(line.total), (x, 0.02), ha="center", color=GREY)
-    axes.set_xlim(0, 1.02)
-    axes.set_ylim(0, 1.02)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), ylabel="share that is true", title="Reliability")
     axes.set_xlabel("stated probability of a named cause (below: statements)")
-    axes.set_ylabel("share that is true")
-    axes.set_title("Reliability")
 
 
 def _closure(axes: Axes, score: Score) -> None:

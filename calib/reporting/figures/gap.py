@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,6 +23,7 @@ from calib.reporting.figures.style import (
     group_legend,
     legible,
     panels,
+    round_down,
     styled,
 )
 from calib.reporting.formatting import readable, with_unit
@@ -40,8 +40,7 @@ MAP_HEIGHT_CM: Final = 11.5
 MAX_PANELS: Final = 6
 #: correlation from which on two covariates make the same picture
 ALIKE: Final = 0.98
-#: pictures of a diagnosis in a report, and figures of ``calib diagnose --figures``
-GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
+#: figures of ``calib diagnose --figures``
 GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 
 
@@ -74,15 +73,10 @@ class GapArrays:
         from calib.gap.predict import residuals
 
         observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
-        usable, starts = observations.usable, observations.starts
+        usable = observations.usable
         _, along, lateral, *_ = np.where(usable, residuals(nominal, nominal), np.nan).T
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
-        xy = np.column_stack((nominal.steps.x_m, nominal.steps.y_m))
-        paths = tuple(
-            np.vstack((np.zeros((1, 2)), xy[first:last], nominal.end[k, :2]))
-            for k, (first, last) in enumerate(pairwise(starts))
-        )
         known = bool(np.isfinite(offset).any())
         before, after, noise_level = (
             np.where(usable, part, np.nan) for part in (held_out.before, held_out.after, held_out.floor)
@@ -98,13 +92,13 @@ class GapArrays:
                 for name, values in covariate_values(observations).items()
                 if values.dtype.kind == "f"
             },
-            paths_m=paths if known else (),
+            paths_m=tuple(trace[:, :2] for trace in nominal.traces()) if known else (),
             offset_m=offset if known else None,
         )
 
 
 @styled
-def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray | None = None) -> Figure:
+def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray) -> Figure:
     """Draw the floor plan with every run's path, and its gap as an arrow from simulated to measured end.
 
     `paths_m` (shape (n_samples, 2)): path of each run, x and y; an end position alone is a path of one sample;
@@ -118,7 +112,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     size = float(max(np.max(high - low), 1e-3))
     length = np.hypot(*offset_m[known].T)
     typical = float(np.quantile(length, 0.9)) if len(length) else 0.0
-    factor = _round_down(ARROW_SHARE * size / typical) if typical > 0 else 1.0
+    factor = round_down(ARROW_SHARE * size / typical) if typical > 0 else 1.0
     tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset_m, 0.0))
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     margin = 0.04 * float(max(np.max(high - low), 1e-3))
@@ -127,7 +121,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     stretched = aspect < 0.12
     figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
     axis = figure.add_subplot()
-    groups = _groups(group, len(paths_m))
+    groups = _groups(group)
     for path in paths_m:
         axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
     x, y = np.where(known[:, None], ends, np.nan).T
@@ -159,8 +153,8 @@ def gap_by_covariate(
     unit: str,
     covariates: Mapping[str, FloatArray],
     *,
-    noise_level: float | None = None,
-    group: StrArray | None = None,
+    noise_level: float,
+    group: StrArray,
 ) -> Figure:
     """Draw one channel's gap against each covariate, with the mean of up to eight classes and its 95 % interval.
 
@@ -174,19 +168,18 @@ def gap_by_covariate(
         By name with unit suffix; at most six are drawn.
     noise_level
         Standard deviation of repeats, as a band about zero.
-    group : array of str, shape (n,), optional
+    group : array of str, shape (n,)
         Route or kind of each run, for colours.
     """
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
     figure, axes = panels(len(shown), 1.6, 4.4, sharey=True)
-    groups = _groups(group, len(residual))
+    groups = _groups(group)
     gap = factor * residual
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
-        if noise_level is not None:
-            # its edges as lines: a band far below the gap would be hidden by the zero line
-            axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
+        # its edges as lines: a band far below the gap would be hidden by the zero line
+        axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
         groups.draw(axis, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
         if good.sum() >= 3:
@@ -200,7 +193,7 @@ def gap_by_covariate(
     known = gap[np.isfinite(gap)]
     if len(known):
         low, high = min(float(known.min()), 0.0), max(float(known.max()), 0.0)
-        margin = 0.08 * max(high - low, factor * (noise_level or 0.0))
+        margin = 0.08 * max(high - low, factor * noise_level)
         axes[0, 0].set_ylim(low - margin, high + margin)
     for row in axes:
         row[0].set_ylabel(f"{channel} ({name})")
@@ -296,16 +289,8 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
-def _round_down(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above `value`, 1 at least."""
-    power = 10.0 ** np.floor(np.log10(max(value, 1.0)))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= max(value, 1.0)))
-
-
-def _groups(group: StrArray | None, n: int) -> Groups:
-    """Return the kinds of runs (n,) for colours; one without a name where they are not given."""
-    if group is None:
-        return Groups([""], np.zeros(n, dtype=np.int64))
+def _groups(group: StrArray) -> Groups:
+    """Return the kinds of runs (n,) for colours."""
     return Groups.of(np.char.replace(group, "_", " "), "(none)", limit=max(int(np.char.str_len(group).max()), 1))
 
 

@@ -30,7 +30,7 @@ from calib.reporting.figures.style import (
     shared_legend,
     styled,
 )
-from calib.types import FloatArray, IntArray, StrArray
+from calib.types import FloatArray, StrArray, evenly
 
 if TYPE_CHECKING:
     from calib.gap.effects.library import EffectSignature
@@ -96,15 +96,10 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
 
 def _thinned(trace: RunTrace) -> RunTrace:
     """Return a trace of at most `MOST_POINTS` poses and samples: more are not seen, and make the page heavy."""
-    poses = _evenly(len(trace.seen))
+    poses = evenly(len(trace.seen), MOST_POINTS)
     names = ("seen", "t_s", "reference_m", "residual_before", "residual_after")
     kept = {name: getattr(trace, name)[poses] for name in names}
-    return replace(trace, before_m=trace.before_m[_evenly(len(trace.before_m))], **kept)
-
-
-def _evenly(count: int) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` of so many samples, the ends among them."""
-    return np.unique(np.linspace(0, max(count - 1, 0), min(count, MOST_POINTS)).round().astype(np.int64))
+    return replace(trace, before_m=trace.before_m[evenly(len(trace.before_m), MOST_POINTS)], **kept)
 
 
 def _error_mm(trace: RunTrace) -> FloatArray:

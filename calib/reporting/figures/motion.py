@@ -16,7 +16,7 @@ from calib.odometry.law_path import LawPath
 from calib.odometry.paper import Sweep
 from calib.odometry.pose_covariance import ellipses
 from calib.odometry.poses import COMPONENTS
-from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, styled
+from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -223,8 +223,7 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     route = path.corrected.poses
     # so much larger that the largest axis is about an eighth of the plan
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
-    wanted = 0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9)
-    scale = max([1.0, *(m * 10.0**e for e in range(9) for m in (1.0, 2.0, 5.0) if m * 10.0**e <= wanted)])
+    scale = round_down(0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9))
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
         size = 2 * scale * drawn_ellipses.major_m[k], 2 * scale * drawn_ellipses.minor_m[k]
         angle = float(np.degrees(drawn_ellipses.angle_rad[k]))

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -31,6 +30,7 @@ from calib.reporting.figures.style import (
     shared_legend,
     styled,
 )
+from calib.types import FloatArray, StrArray
 
 MM: Final = 1e3
 UM: Final = 1e6
@@ -79,7 +79,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     return figure
 
 
-def varies(load: npt.NDArray[np.float64]) -> bool:
+def varies(load: FloatArray) -> bool:
     """Return whether loads differ by more than 5 % of the largest, so that colours can order them."""
     return bool(np.ptp(load) > LOADS_ALIKE * np.abs(load).max())
 
@@ -100,7 +100,7 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 
 
 @styled
-def regressions(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) -> Figure:
+def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     """Draw radius against load with the law, the band of the mean and the prediction band (Fig. 11).
 
     `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
@@ -192,7 +192,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
 
 
 @styled
-def residuals(left: WheelFit, right: WheelFit, session: npt.NDArray[np.str_]) -> Figure:
+def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     """Draw the residuals of both wheels against load, in the order driven, and against normal quantiles.
 
     `session` (shape (n_runs,)). Two rows (wheels) of three panels.

@@ -162,6 +162,12 @@ def legible(text: str) -> str:
     return "".join(sign if ord(sign) in _known_signs() else f"U+{ord(sign):X} " for sign in text).strip()
 
 
+def round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above `value`, 1 at least."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1.0)))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= max(value, 1.0)))
+
+
 def colour(number: int) -> str:
     """Return the colour of group `number`; they repeat after eight."""
     return PALETTE[number % len(PALETTE)]

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
-from calib.campaign.checks.design import WEIGHTY
-from calib.reporting.blocks import Equation, Facts, Items, Notice, Section, Text, items, table
+from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, table
 from calib.reporting.formatting import MISSING, plural, prose, span
+from calib.reporting.topics.fit import assumed_text
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
@@ -17,21 +17,19 @@ if TYPE_CHECKING:
 
 def item_section(source: Source) -> Section:
     """Return the vehicle as the campaign states it."""
-    setup = source.fit.setup
+    vehicle, encoder = source.setup.vehicle, source.setup.encoder
+    left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
+    counts = f"{left:g}" if left == right else f"{left:g} (left) and {right:g} (right)"
+    wrap = "" if encoder.wrap_bits is None else f", counters of {encoder.wrap_bits} bits"
     rows = source.facts(item="Vehicle", item_id="Identification", item_condition="Condition", received="Received")
-    rows.append(("Campaign", source.fit.name))
-    if setup is not None:
-        vehicle, encoder = setup.vehicle, setup.encoder
-        left, right = encoder.counts_per_rev_left, encoder.counts_per_rev_right
-        counts = f"{left:g}" if left == right else f"{left:g} (left) and {right:g} (right)"
-        wrap = "" if encoder.wrap_bits is None else f", counters of {encoder.wrap_bits} bits"
-        rows += [
-            ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
-            ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
-            ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, unloaded"),
-            ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
-            ("Wheel encoders", f"{counts} counts a revolution{wrap}"),
-        ]
+    rows += [
+        ("Campaign", source.fit.name),
+        ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
+        ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
+        ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, unloaded"),
+        ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
+        ("Wheel encoders", f"{counts} counts a revolution{wrap}"),
+    ]
     remark = Text(
         "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as given; "
         "geometry and counts a revolution are taken from it and were not measured here.",
@@ -89,55 +87,30 @@ _CONDITIONS = {
 
 def conditions_section(source: Source) -> Section:
     """Return what the runs were measured with and under."""
-    setup, radii = source.fit.setup, source.fit.radii
+    setup, radii = source.setup, source.fit.radii
     sessions = len(set(radii.session.tolist()))
     out, back = int((radii.direction == "out").sum()), int((radii.direction == "back").sum())
     rows = source.facts(place="Place", floor="Floor", measured="Dates of measurement", instruments="Instruments")
-    rows.append(("Sessions", str(sessions)))
-    if setup is not None:
-        milli = 1e3 * setup.rangefinder.sigma_m
-        rows.append(("Laser rangefinder", f"standard uncertainty of a distance {milli:.2g} mm"))
-        if any("heading" in text for text in radii.path_source.tolist()):
-            milli = 1e3 * setup.reference.sigma_theta_rad
-            rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
-        rows += [
-            (title, span(*setup.conditions[name], unit, form))
-            for name, (title, unit, form) in _CONDITIONS.items()
-            if name in setup.conditions
-        ]
+    milli = 1e3 * setup.rangefinder.sigma_m
+    rows += [("Sessions", str(sessions)), ("Laser rangefinder", f"standard uncertainty of a distance {milli:.2g} mm")]
+    if any("heading" in text for text in radii.path_source.tolist()):
+        milli = 1e3 * setup.reference.sigma_theta_rad
+        rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
+    rows += [
+        (title, span(*setup.conditions[name], unit, form))
+        for name, (title, unit, form) in _CONDITIONS.items()
+        if name in setup.conditions
+    ]
     if out + back:
         rows.append(("Direction of driving", f"{plural(out, 'run')} out, {back} back"))
     traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."
     if "instruments" in source.stated:
         traceable = "Traceability to the SI rests on the instruments' certificates as named above."
-    texts = [Text(f"{traceable} The standard uncertainties of the instruments are as stated by the campaign.")]
-    if setup is not None:
-        texts.append(assumed_text(setup.assumed))
+    stated = f"{traceable} The standard uncertainties of the instruments are as stated by the campaign."
+    texts = [Text(stated), assumed_text(setup.assumed)]
     if "remarks" in source.stated:
         texts.append(Text(f"Remarks: {source.stated['remarks']}"))
     return Section("Instruments and conditions", (Facts(tuple(rows)), *texts))
-
-
-def assumed_text(assumed: Mapping[str, str]) -> Text:
-    """Return the keys of ``campaign.toml`` that the campaign does not state, with the values assumed."""
-    if not assumed:
-        return Text("Every setting that these results depend on is stated by the campaign; none is assumed.")
-    return Text(
-        f"Assumed, not stated by the campaign: {_listed(assumed)}. Results that depend on these are not measured."
-    )
-
-
-def assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
-    """Return a notice for the first page where every result scales with an assumed value, else nothing."""
-    weighty = {key: value for key, value in assumed.items() if key in WEIGHTY}
-    if not weighty:
-        return ()
-    text = f"{_listed(weighty)}. Every radius or path scales with these: state the vehicle's own in campaign.toml."
-    return (Notice("note", "Assumed, since the campaign does not state it", text),)
-
-
-def _listed(assumed: Mapping[str, str]) -> str:
-    return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
 
 
 _DESIGNS = {
@@ -182,12 +155,11 @@ def method_section(source: Source) -> Section:
 
 def _counted_wheels(source: Source) -> str:
     """Return the wheels that are counted, driven where the vehicle's drive drives them."""
-    drive = "" if source.fit.setup is None else source.fit.setup.vehicle.drive
     return {
         "tricycle": "the free rear wheels",
         "differential": "the two driven wheels",
         "skid": "the driven wheels of either side",
-    }.get(drive, "the rear wheels")
+    }.get(source.setup.vehicle.drive, "the rear wheels")
 
 
 def limits_section(source: Source) -> Section:
@@ -204,7 +176,7 @@ def limits_section(source: Source) -> Section:
         lines.append(
             "Each session had a load of its own: a change from session to session is confounded with an effect of load."
         )
-    conditions = {} if fit.setup is None else fit.setup.conditions
+    conditions = source.setup.conditions
     speeds = f" ({span(*conditions['speed_mps'], 'm/s', '.2g')})" if "speed_mps" in conditions else ""
     halls = ", as none were recorded"
     if "temperature_C" in conditions:

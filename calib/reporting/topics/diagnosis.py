@@ -1,10 +1,10 @@
-"""Diagnosis of a gap: verdict, pictures and page of linked panels."""
+"""Diagnosis of a gap: verdict, pictures, and the runs to drive next with the intervals that they promise."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,14 +15,15 @@ from calib.reporting.blocks import (
     Notice,
     Picture,
     Section,
+    Table,
     Text,
     items,
     picture,
     simulated_notice,
+    table,
 )
-from calib.reporting.formatting import length, prose, three_digits, with_unit
+from calib.reporting.formatting import MISSING, length, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
-from calib.reporting.topics.effects import next_runs_table, promise_table
 from calib.reporting.topics.gap import (
     cause_blocks,
     closure_blocks,
@@ -34,6 +35,7 @@ from calib.reporting.topics.gap import (
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
+    from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 
 #: verdict -> level of its notice, and its title
@@ -203,3 +205,68 @@ def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
     """Return the runs to drive next, and the intervals that `calib geometry` will then give."""
     promises = [promise_table(plan.now, plan.then)] if plan.then else []
     return (next_runs_table([run.to_dict() for run in plan.runs]), *promises)
+
+
+#: unit of an effect -> (factor, printed unit) from the largest to the smallest
+PRINTED_UNITS: Final = {
+    "m": ((1.0, "m"), (1e3, "mm"), (1e6, "µm")),
+    "rad": ((1.0, "rad"), (1e3, "mrad"), (1e6, "µrad")),
+    "1": ((1e2, "%"), (1e6, "ppm")),
+}
+
+
+def size_text(value: float, unit: str) -> str:
+    """Return a size with a printed unit: ``1e-6`` of ``m/N`` as ``1 µm/N``, ``3e-3`` of ``1`` as ``0.3 %``."""
+    above, slash, below = unit.partition(" per " if " per " in unit else "/")
+    for factor, name in PRINTED_UNITS.get(above, ((1.0, above),)):
+        shown = factor * abs(value)
+        if shown >= 0.095 or name in {"µm", "µrad", "ppm"}:
+            return f"{factor * value:.3g} {name}{slash}{below}"
+    return f"{value:.3g} {unit}"
+
+
+def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
+    """Return the runs to drive next, best first, each with the effects that it separates."""
+    if not runs:
+        return Text("No run of the list would separate more effects than the runs driven.")
+    return table(
+        "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
+        ("<Run", "Payload (kg)", "~at x, y (m)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
+        [_row(number, run) for number, run in enumerate(runs, start=1)],
+    )
+
+
+def promise_table(now: Promise | None, then: Promise) -> Table:
+    """Return the half widths of the intervals that `calib geometry` will give, beside those of the runs driven."""
+    before = {} if now is None else {each.name: each.half_width for each in now.estimates}
+    rows = []
+    for each in then.estimates:
+        last = each.name.rpartition("_")[2]
+        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(last, "1")
+        known = size_text(before[each.name], unit) if each.name in before else MISSING
+        rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
+    walk = 1e3 * float(np.sqrt(then.scales[2]))
+    left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
+    return table(
+        f"Half widths of the 95 % intervals that 'calib geometry' will give, by end poses; the heading wanders by "
+        f"{walk:.2g} mrad a root metre.{left}",
+        ("<Parameter", *([] if now is None else ["Runs driven"]), "These" if now is None else "With the next"),
+        rows,
+    )
+
+
+def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
+    extra = [f"{run['stops']} stops"] if run.get("stops") else []
+    extra += ["closed loop"] if run.get("loop") else []
+    extra += ["by tape"] if run.get("tape") else []
+    extra += [f"{run['count']} times"] if run.get("count") else []
+    extra += ["read while rolling"] if run.get("read_rolling") else []
+    route = f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip()
+    what = ", ".join([route, *extra])
+
+    def shown(key: str) -> str:
+        return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING
+
+    place = f"{run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g}" if run.get("payload_kg") else MISSING
+    numbers = (shown("payload_kg"), place, shown("speed_mps"), shown("temperature_C"), shown("minutes_under_load"))
+    return (f"{number}. {what}", *numbers, prose(str(run["why"])))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
-from calib.radius.design_checks import FAIL_BELOW, NOTE_BELOW
+from calib.campaign.checks.design import WEIGHTY
+from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.result import Fit
 from calib.reporting.blocks import (
     Block,
@@ -22,7 +23,6 @@ from calib.reporting.blocks import (
     table,
 )
 from calib.reporting.formatting import fixed, places, plural, probability, prose
-from calib.reporting.topics.conditions import assumed_notice
 from calib.reporting.topics.law import (
     budget_picture,
     law_table,
@@ -36,7 +36,7 @@ from calib.reporting.topics.law import (
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
 
 if TYPE_CHECKING:
-    from calib.radius.fit import Difference, ModelComparison
+    from calib.radius.comparison import Difference, ModelComparison
     from calib.radius.regression import Check
     from calib.reporting.source import Source
 
@@ -92,8 +92,30 @@ def result_section(source: Source) -> Section:
         f"The law holds for {loads}. It comes from {len(fit.radii)} runs along a straight corridor. The same law, with "
         "its covariance, is attached to this PDF as coefficients.json."
     )
-    assumed = () if fit.setup is None else assumed_notice(fit.setup.assumed)
+    assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
+
+
+def assumed_text(assumed: Mapping[str, str]) -> Text:
+    """Return the keys of ``campaign.toml`` that the campaign does not state, with the values assumed."""
+    if not assumed:
+        return Text("Every setting that these results depend on is stated by the campaign; none is assumed.")
+    return Text(
+        f"Assumed, not stated by the campaign: {_listed(assumed)}. Results that depend on these are not measured."
+    )
+
+
+def assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
+    """Return a notice for the first page where every result scales with an assumed value, else nothing."""
+    weighty = {key: value for key, value in assumed.items() if key in WEIGHTY}
+    if not weighty:
+        return ()
+    text = f"{_listed(weighty)}. Every radius or path scales with these: state the vehicle's own in campaign.toml."
+    return (Notice("note", "Assumed, since the campaign does not state it", text),)
+
+
+def _listed(assumed: Mapping[str, str]) -> str:
+    return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
 
 
 def diagnosis_section(source: Source) -> Section | None:

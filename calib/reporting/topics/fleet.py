@@ -32,27 +32,22 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
     read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
     # a page is the same however often the command was interrupted
     facts = (("vehicles", counts),) if pictures else (("vehicles", counts), ("files", read))
-    blocks: list[Block] = [Heading("Fleet"), Facts(facts)]
-    if view.populations:
-        blocks.append(_population_table(view.populations))
-    if pictures and view.n_fitted:
-        blocks += _pictures(fleet)
-    blocks += _counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers])
-    if view.drifting:
-        blocks.append(_drifting(fleet))
-    if view.common:
-        blocks += [Heading("Common to many vehicles"), Items(tuple(cause.sentence for cause in view.common[:MAX_ROWS]))]
-    failed = [record for record in fleet.records if record.status == "failed"]
-    blocks += _counted("Failed", [f"{record.vehicle}: {record.why}" for record in failed])
-    blocks.append(
+    return (
+        Heading("Fleet"),
+        Facts(facts),
+        *_populations(view.populations),
+        *(_pictures(fleet) if pictures and view.n_fitted else ()),
+        *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
+        *([_drifting(fleet)] if view.drifting else ()),
+        *_common([cause.sentence for cause in view.common]),
+        *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
         Text(
             "Outlying vehicles are named at a false discovery rate of 1 % "
             "(Benjamini and Hochberg); those that drift or share a cause at a family-wise error rate of 1 % "
             "(Holm). Mean and spread are those of the others, the differences between labels removed.",
             small=True,
-        )
+        ),
     )
-    return tuple(blocks)
 
 
 def _counted(title: str, lines: Sequence[str]) -> list[Block]:
@@ -60,7 +55,11 @@ def _counted(title: str, lines: Sequence[str]) -> list[Block]:
     return [Heading(f"{title} ({len(lines)})"), Items(tuple(lines[:MAX_ROWS]))] if lines else []
 
 
-def _population_table(populations: Mapping[str, Population]) -> Table:
+def _common(sentences: Sequence[str]) -> list[Block]:
+    return [Heading("Common to many vehicles"), Items(tuple(sentences[:MAX_ROWS]))] if sentences else []
+
+
+def _populations(populations: Mapping[str, Population]) -> list[Table]:
     rows = []
     for name, population in populations.items():
         shown, scale, unit = shown_quantity(name)
@@ -70,7 +69,7 @@ def _population_table(populations: Mapping[str, Population]) -> Table:
         mean, plus, spread, low, high, within = (f"{scale * number:.{digits}f}" for number in numbers)
         rows.append((shown, f"{mean} ± {plus}", spread, f"{low} to {high}", within, unit))
     heads = ("<quantity", "mean", "between", "95 %", "within", "<unit")
-    return table("The fleet; ± is the 95 % interval", heads, rows)
+    return [table("The fleet; ± is the 95 % interval", heads, rows)] if rows else []
 
 
 def _drifting(fleet: Fleet) -> Table:
@@ -112,13 +111,10 @@ def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
     quantities = survey.quantities
     shared = [cause.sentence for cause in survey.shared]
     if quantities is not None:
-        if quantities.populations:
-            blocks.append(_population_table(quantities.populations))
+        blocks += _populations(quantities.populations)
         blocks += _counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in quantities.outliers])
         shared += [difference.sentence for difference in quantities.common]
-    if shared:
-        blocks += [Heading("Common to many vehicles"), Items(tuple(shared[:MAX_ROWS]))]
-    return (*blocks, *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))
+    return (*blocks, *_common(shared), *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))
 
 
 _MET: Final = {True: "met", False: "MISSED", None: ""}

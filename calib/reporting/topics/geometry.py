@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
-from calib.reporting.formatting import capital, plural, prose
+from calib.reporting.formatting import capital, places, plural, prose
 
 _ROUTE: Final = (
     "<route",
@@ -66,13 +65,10 @@ def _heading(geometry: Geometry) -> str:
 def verdict_sentences(geometry: Geometry) -> list[str]:
     """Return the verdict with the residuals that it rests on, and what speaks against the estimates."""
     verdict = geometry.verdict.value.capitalize()
-    if geometry.judgement is None:
-        return [f"{verdict}: {text}." for text in geometry.why]
-    errors = asdict(geometry.judgement.adequacy)
-    parts = []
-    for what, prefix, unit in (("position error", "", "m"), ("Heading error", "heading_", "rad")):
-        sizes = [errors[f"{prefix}{at}_rms_{unit}"] for at in ("before", "after", "held_out", "noise")]
-        if sizes[0]:
+    judgement, parts = geometry.judgement, []
+    for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
+        if of.before:
+            sizes = (of.before, of.after, of.held_out, of.expected)
             before, after, held_out, noise = (f"{_milli(size)} m{unit}" for size in sizes)
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in geometry.why)]
@@ -112,9 +108,7 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
 
 def _cells(estimate: Estimate) -> tuple[str, ...]:
     """Return the cells of a parameter's row: the estimate with the digits that its uncertainty allows."""
-    known = estimate.std > 0.0 and math.isfinite(estimate.std)
-    # two significant digits of the standard deviation
-    digits = min(max(1 - math.floor(math.log10(estimate.std)), 0), 12) if known else 6
+    digits = places(estimate.std)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
     return (

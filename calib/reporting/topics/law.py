@@ -11,6 +11,7 @@ from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
+from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
@@ -141,7 +142,7 @@ def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     return tuple(zip(*columns, strict=True))
 
 
-def _round_loads(low: float, high: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _round_loads(low: float, high: float) -> FloatArray:
     """Return round loads inside the range; its ends where nothing round lies in it."""
     for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
         first, last = np.ceil(low / step), np.floor(high / step)

@@ -64,7 +64,7 @@ def test_results_come_in_the_order_asked_for_and_the_second_time_nothing_runs(tm
     assert [table[:, 1].tolist() for table in tables] == [[3.0, 6.0], [1.0, 2.0]]
     again = runner(tmp_path)
     np.testing.assert_array_equal(again.run(jobs(1.0))[0], tables[1])
-    assert (again.count.asked, again.count.ran) == (1, 0)
+    assert (again.asked, again.ran) == (1, 0)
     assert sorted(ran(tmp_path)) == ["1.0", "3.0"]
     # a damaged file is as good as none, and so is a result of another script
     for path in cache.rglob("*.json"):

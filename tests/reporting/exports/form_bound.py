@@ -32,7 +32,6 @@ from calib.reporting.exports.pose_spread import (
     UPDATE_MIN_A_RAD,
     UPDATE_MIN_D_M,
     fitted,
-    paths_of,
     spread_of,
 )
 from tests.real.recordings import optiodom_differential
@@ -128,7 +127,8 @@ def bound(campaign: Campaign, drawn: int = DRAWN) -> Bound:
     alpha = fitted(spread, residuals, kinds).sizes
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.einsum("uii->ui", spread.reference))
-    every = np.stack([ends(path, alpha, drawn, rng) for path in paths_of(diagnosis.correction.path, units)], axis=1)
+    traces = [trace for trace, on in zip(diagnosis.correction.path.traces(), units, strict=True) if on]
+    every = np.stack([ends(path, alpha, drawn, rng) for path in traces], axis=1)
     every += rng.normal(size=every.shape) * sigma
     ratios = [fitted(spread, seen, kinds).ratios for seen in every]
     least = [least_deviation(mean, reference, np.mean(seen**2, axis=0)) for seen in every]

@@ -14,7 +14,7 @@ import yaml
 from calib.cli.main import run
 from calib.errors import RefusedError
 from calib.reporting.exports import export_from
-from calib.reporting.exports.nav2 import MotionNoise, _lines, is_beyond, kind_noise
+from calib.reporting.exports.nav2 import MotionNoise, is_beyond, kind_noise, parameters_text
 from calib.reporting.exports.pose_spread import (
     ALPHAS,
     DEFAULT_ALPHA,
@@ -153,7 +153,8 @@ def test_errors_that_stay_during_a_run_are_beyond_the_form_and_said() -> None:
     walks = {"along": 1e-6, "heading": 1e-6}
     noise = MotionNoise(64, 20.0, 6.3, dict.fromkeys(ALPHAS, 1e-4), (), walks, fitted, outcome.form)
     assert noise.beyond_form
-    said = next(line for line in _lines(noise, "made", "nothing", simulated=True) if "understate none" in line)
+    text = parameters_text(noise, "made", "nothing", simulated=True)
+    said = next(line for line in text.splitlines() if "understate none" in line)
     factor = float(re.findall(r"([\d.]+) times", said)[0])
     # true over predicted with alphas so many times as large: at most 1, but for the chance of the campaigns
     assert (outcome.ratios[:, 0].mean(axis=0) / np.sqrt(factor) < 1.0 + WITHIN / 2).all()
