@@ -174,18 +174,24 @@ def find_departure(fitted: Fitted) -> tuple[Recording, Fault] | None:
     """Return the recording corrected for the departure that explains most, and its name; None where none is clear."""
     best, chosen = (0.0, 0.0), None
     for departure in _departures(fitted.model):
-        score = _score(fitted, departure)
-        if score is not None and score[0] > best[0]:
-            best, chosen = score, departure
+        share, size, std = _score(fitted, departure)
+        clear = share >= EXPLAINED and abs(size) >= CLEAR * std and size > LEAST_SIZE * departure.step
+        if clear and share > best[0]:
+            best, chosen = (share, size), departure
     if chosen is None:
         return None
+    size = best[1]
     # the residuals are not linear in the size: it is found again from where it was found
-    size = (_score(fitted, replace(chosen, step=best[1])) or best)[1]
+    for _ in range(SIZE_ROUNDS):
+        again = _score(fitted, replace(chosen, step=size))[1]
+        if not LEAST_SIZE * size < again < size / LEAST_SIZE:
+            break
+        size = again
     return chosen.change(fitted.model.recording, size), chosen.named(size)
 
 
-def _score(fitted: Fitted, departure: Departure) -> tuple[float, float] | None:
-    """Return the share of the squares that a departure explains, and its size; None where it does not stand out."""
+def _score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
+    """Return the share of the squares that a departure explains, its size, and the standard uncertainty of that."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
     changed = Model(model.drive, recording, _remeasured(model.segments, recording)).predict(solution.values)
@@ -198,23 +204,22 @@ def _score(fitted: Fitted, departure: Departure) -> tuple[float, float] | None:
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information = float(column @ column)
     if information <= 0.0:
-        return None
+        return 0.0, 0.0, np.inf
     steps = float(column @ rest) / information
     runs = model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
     pulls = np.bincount(group, column * (rest - steps * column))
     std = float(np.sqrt(np.square(pulls).sum())) / information
     share = 1.0 - float(np.square(rest - steps * column).sum() / max(float(rest @ rest), 1e-300))
-    size = steps * departure.step
-    if share < EXPLAINED or abs(steps) < CLEAR * std or size <= LEAST_SIZE * departure.step:
-        return None
-    return share, size
+    return share, steps * departure.step, std * departure.step
 
 
 #: runs from which on they are the groups, not blocks of them
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one that was tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
+#: times that a size is found again: of a play by then to a few per cent
+SIZE_ROUNDS: Final = 4
 
 
 def _remeasured(segments: Segments, recording: Recording) -> Segments:
@@ -247,7 +252,7 @@ def _without_play(recording: Recording, play_rad: float) -> Recording:
         for at in range(first, last):
             angle = min(max(angle, sensor[at] - half), sensor[at] + half)
             wheel[at] = angle
-    return replace(recording, steps=replace(recording.steps, steer_rad=wheel))
+    return recording.with_steering(wheel)
 
 
 def _play(play_rad: float) -> Fault:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -39,6 +39,8 @@ RADIUS_FACTORS: Final = {
 FARTHEST: Final = 5.0
 #: turns of the wheels by less, root mean square over the stretches, say nothing of the heading's unit
 TURNS_RAD: Final = 0.1
+#: a steering angle that straight ahead reads further from zero was never set to it: assembly leaves hundredths
+FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
 
@@ -93,28 +95,59 @@ def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float] 
     return (float(slope[0]), float(slope[1])) if np.all(np.abs(slope) > CLEAR * std) else None
 
 
-def front_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
-    """Return the recording with mirrored signs of front counts and steering corrected, and what was wrong.
+def front_faults(
+    recording: Recording, segments: Segments, *, by_shaft: bool = False
+) -> tuple[Recording, tuple[Fault, ...]]:
+    """Return the recording with steering angles from straight ahead and signs not mirrored, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
-    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's.
+    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's. `by_shaft`: the counter
+    tells the way of the rear axle, at any steering angle.
     """
     faults: list[Fault] = []
-    steps = recording.steps
-    steer = steps.steer_rad
+    steer = recording.steps.steer_rad
     if steer is None:
         return recording, ()
-    phi = steps.turned_rad[0]
-    ahead = segments.between(phi * np.cos(steer))
     seen = segments.seen.all(axis=1)
+    straight_rad = _straight_reading_rad(recording, segments)
+    if abs(straight_rad) > FARTHEST_ZERO_RAD:
+        degrees = f"{straight_rad:.3g} rad ({np.degrees(straight_rad):.0f} degrees)"
+        text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
+        faults.append(Fault("steering_offset", text))
+        steer = np.angle(np.exp(1j * (steer - straight_rad)))
+        recording = recording.with_steering(steer)
+    ahead = segments.between(recording.steps.turned_rad[0] * (1.0 if by_shaft else np.cos(steer)))
     if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
-        steps = replace(steps, turned_rad=-steps.turned_rad)
-    aside = segments.between(steps.turned_rad[0] * np.sin(steer))
+        recording = recording.with_turned(-recording.steps.turned_rad)
+    aside = segments.between(recording.steps.turned_rad[0] * np.sin(steer))
     if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
         faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
-        steps = replace(steps, steer_rad=-steer)
-    return (replace(recording, steps=steps) if faults else recording), tuple(faults)
+        recording = recording.with_steering(-steer)
+    return recording, tuple(faults)
+
+
+def _straight_reading_rad(recording: Recording, segments: Segments) -> float:
+    """Return the steering angle that is read straight ahead; 0 where the turns do not tell it.
+
+    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
+    c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
+    """
+    steer = np.asarray(recording.steps.steer_rad)
+    rolled = recording.steps.turned_rad[0]
+    seen = segments.seen[:, 2]
+    ways = np.stack([segments.between(rolled * np.sin(steer))[seen], segments.between(rolled * np.cos(steer))[seen]])
+    turned = segments.measured[seen, 2]
+    if len(turned) < 4:
+        return 0.0
+    (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned)
+    left = float(np.sum(np.square(turned - by_sine * ways[0] - by_cosine * ways[1])))
+    alone = float(turned @ turned) - float(ways[0] @ turned) ** 2 / max(float(ways[0] @ ways[0]), 1e-12)
+    straight, most = complex(by_sine, -by_cosine), np.sum(np.abs(rolled) * np.exp(1j * steer))
+    straight *= np.sign((straight * most.conjugate()).real)
+    if left > POOR * float(turned @ turned) or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
+        return 0.0
+    return float(np.angle(straight))
 
 
 def _chord_sense(measured: FloatArray) -> FloatArray:
@@ -188,13 +221,15 @@ def corrected(
     `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
     heading is in another unit than radians.
     """
-    # first: with a heading of another unit any reading of the wheels that hardly turns would look best
+    if source in STEERED:
+        recording, faults = front_faults(recording, segments, by_shaft=source == "shaft")
+    # with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
     nominal = Model(drive, recording, segments).predict(nominal_values(drive))
     refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
     if source in STEERED:
-        return front_faults(recording, segments)
+        return recording, faults
     return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
 
 

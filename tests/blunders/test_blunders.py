@@ -21,6 +21,7 @@ NAMES = (
     "steering in degrees",
     "counters reset halfway",
     "steering of the motor's shaft",
+    "steering 0.3 rad off its zero",
     "reference by the vehicle's own odometry",
     "heading as the quaternion's z",
     "steering with a play of 0.02 rad",

@@ -23,9 +23,8 @@ from calib.cli.main import run as calib
 from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.drives import Steps
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.joint_fit import drive_of, fit_parameters
+from calib.kinematics.joint_fit import drive_of, fit_parameters, steering_zero_spread_rad
 from calib.kinematics.model import RearShaft, rear_shaft, window_segments
-from calib.kinematics.per_recording import steering_zero_spread_rad
 from calib.kinematics.recording import recording_of
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
 from tests.real.recordings import available
@@ -124,6 +123,32 @@ frame = "map"
 """
     )
     return folder
+
+
+@pytest.mark.parametrize(("offset_rad", "runs"), [(0.08, 4), (0.5 * np.pi, 4), (np.pi, 4), (-0.5 * np.pi, 12)])
+def test_an_angle_that_is_not_counted_from_straight_ahead_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_rad: float, runs: int
+) -> None:
+    """From a tenth of a radian on an offset is a sensor never set to zero: named with its size, and taken off."""
+    truth = Truth(zero_rad=0.0)
+    folder = campaign(tmp_path / "car", truth, runs=runs)
+    for path in (folder / "logs").glob("*.csv"):
+        log = pd.read_csv(path)
+        log["steer_rad"] += offset_rad
+        log.to_csv(path, index=False)
+    status = calib(["geometry", str(folder), "--json", "-"])
+    found = json.loads(capsys.readouterr().out)
+    named = [sentence for sentence in found["why"] if sentence.startswith("steer_rad: it reads")]
+    if abs(offset_rad) < 0.1:
+        assert (status, named) == (0, [])
+        assert found["parameters"]["steering_zero_rad"]["value"] == pytest.approx(-offset_rad, abs=2e-3)
+        return
+    assert status == 1 and len(found["why"]) == 1
+    assert float(named[0].split()[3]) == pytest.approx(offset_rad, abs=0.02)
+    # what is left beside the offset is what these runs say without one
+    values = {name: parameter["value"] for name, parameter in found["parameters"].items()}
+    assert values["rear_radius_m"] == pytest.approx(truth.radius * RADIUS_M, rel=2e-3)
+    assert values["steering_zero_rad"] == pytest.approx(0.0, abs=0.02)
 
 
 def true_values(truth: Truth) -> dict[str, float]:
@@ -235,10 +260,8 @@ def test_recordings_with_zeros_of_their_own_make_a_result_doubtful_and_its_inter
     for name in ("rear_radius_m", "wheelbase_m", "sensor_x_m"):
         if name in found.values and name not in found.held:
             assert abs(found[name].value - true_values(truth)[name]) < WITHIN * found[name].std, name
-    judgement = found.judgement
-    assert judgement is not None
     # with its own zero each recording is at the noise; a further one is not
-    assert judgement.adequacy.after_rms_m < 0.2 * judgement.adequacy.held_out_rms_m
+    assert found.judgement.position.after < 0.2 * found.judgement.position.held_out
 
 
 def test_derivatives_are_those_of_the_motion() -> None:
