@@ -36,6 +36,7 @@ from calib.gap.decision.sentences import (
     blunder_sentence,
     fails,
     hides_causes,
+    is_shown,
     kind_of,
     sentence,
 )
@@ -76,11 +77,11 @@ def decide(evidence: Evidence) -> Diagnosis:
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubted)
     if kind in NOTHING_NAMED:
         causes = []
-    elif hides_causes(closure, share):
+    elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
     fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small, differing)
-    if (causes or situation.faults) and not fix.recommended:
+    if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)
         causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
     causes = sorted(causes, key=lambda cause: -cause.probability)
@@ -124,6 +125,8 @@ def _kind(
     doubted: Collection[str],
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
+    if not evidence.noise.supported and is_shown(causes, evidence.held_out.improvement):
+        return VerdictKind.PARTLY_EXPLAINED
     return kind_of(
         gap_probability,
         causes,

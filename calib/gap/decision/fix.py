@@ -23,6 +23,7 @@ from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
+REPEAT: str = "drive one route several times under the same conditions"
 #: least probability that all causes of a fix are at work: a wrong one costs half as much again as one withheld
 FIX_PROBABILITY: Final = 0.6
 #: and that a cause beside the largest one is: without it the fix loses little, with a wrong one its trust. Of 17 fixes
@@ -80,6 +81,7 @@ def fix_of(
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, tied, unexplained, differing)),
         *unsized(evidence, causes, unexplained),
+        *([] if evidence.noise.supported else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
     ]
     return Fix(
         recommended=not why,

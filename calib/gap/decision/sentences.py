@@ -8,8 +8,8 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, RERUN, ChannelClosure, Closure
-from calib.gap.decision.trials import Trial
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, RERUN, ChannelClosure, Closure, Improvement
+from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import effect_class, title_of
@@ -18,7 +18,7 @@ from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.result import GapLocation, PlaceResult
 
 if TYPE_CHECKING:
-    from calib.odometry.paper import Improvement
+    from calib.odometry.paper import Improvement as Reduction
 
 
 #: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
@@ -63,6 +63,12 @@ def hides_causes(closure: Closure, unexplained_share: float | None) -> bool:
     if unexplained_share is not None and (closure.fraction is None or closure.fraction < HIDDEN_CLOSURE):
         return True
     return closure.ci95 is not None and closure.ci95[1] < ADEQUATE_CLOSURE and closure.ci95[0] <= HIDDEN_CLOSURE
+
+
+def is_shown(causes: Iterable[Cause], improvement: Improvement | None) -> bool:
+    """Return whether certain causes take more than half of a gap off runs not fitted on: no noise, at any level."""
+    certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
+    return certain and improvement is not None and improvement.closed_ci95[0] >= HALF_CLOSURE
 
 
 def kind_of(
@@ -145,12 +151,10 @@ def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     kind, lead = diagnosis.kind, _channels(diagnosis)
     if kind is VerdictKind.NO_GAP:
-        return f"No gap: measured motion differs from {diagnosis.against} by no more than the noise level."
+        alike = f"No gap: measured motion differs from {diagnosis.against} by no more than the noise level"
+        return f"{alike}{_but_single_runs(diagnosis)}."
     if kind is VerdictKind.UNDECIDED:
-        return (
-            "These runs cannot show whether there is a gap: their noise level rests on "
-            f"{diagnosis.noise_level.support}. Drive one route several times under the same conditions."
-        )
+        return f"These runs cannot show whether there is a gap: {_unsupported(diagnosis)}."
     gap = diagnosis.gap_probability
     if gap is not None and gap < EVEN_PROBABILITY:
         lead += f"The probability of a gap is {gap:.2f} only; if there is one: "
@@ -165,14 +169,41 @@ def _verdict(diagnosis: Diagnosis) -> str:
     return f"{lead}{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"
 
 
+def _unsupported(diagnosis: Diagnosis) -> str:
+    """Return on what a noise level that nothing supports rests, and what to drive."""
+    support = diagnosis.noise_level.support
+    return f"their noise level rests on {support}. Drive one route several times under the same conditions"
+
+
+def _but_single_runs(diagnosis: Diagnosis) -> str:
+    """Return the runs that stand further off than noise takes the furthest of so many readings, as the end of a clause.
+
+    A run that nothing else resembles is no gap of a vehicle: it says something of that run.
+    """
+    from scipy.special import stdtrit
+
+    n_readings = sum(line.n_units for line in diagnosis.where.channels)
+    reach = float(stdtrit(max(diagnosis.noise_level.dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
+    off = [
+        f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})"
+        for run in diagnosis.where.runs
+        if abs(run.z) > reach
+    ]
+    if not off:
+        return ""
+    return f", but for single runs: {joined(off, 'and')}; look at their reference, start and counts, or exclude them"
+
+
 def _nearest(diagnosis: Diagnosis) -> str:
     """Return the effects that would be named if they did not leave more of the gap than they explain."""
     probable = [name for name, p in diagnosis.probabilities.items() if p >= EVEN_PROBABILITY and name != "unknown"]
-    names = _joined((_named(name, diagnosis) for name in probable), "and")
+    names = joined((_named(name, diagnosis) for name in probable), "and")
     return f" Closest: {names}; more than half of the gap remains." if probable else ""
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:
+    if not diagnosis.noise_level.supported:
+        return f"these runs cannot show how much of what is left is noise: {_unsupported(diagnosis)}"
     if diagnosis.unexplained is None:
         if any(map(fails, diagnosis.fix.transfer)):
             return "the correction does not carry over to all held-out runs"
@@ -189,11 +220,11 @@ def advice(diagnosis: Diagnosis) -> str:
     if not diagnosis.causes:
         return ""
     if diagnosis.recommended and diagnosis.fix.corrects is not None:
-        part = _joined((cause.effect for cause in diagnosis.corrected_causes), "and")
+        part = joined((cause.effect for cause in diagnosis.corrected_causes), "and")
         left = "".join(f" {_capital(text)}." for text in diagnosis.fix.leaves)
         return f"Recommended: the correction of {part} alone, which holds on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
-        groups = _joined((_joined(group.effects, "or") for group in diagnosis.groups), "and")
+        groups = joined((joined(group.effects, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
     if diagnosis.recommended:
         return "Recommended: the fix holds on held-out runs."
@@ -213,10 +244,11 @@ def _confounded(diagnosis: Diagnosis) -> int:
 def _listed(causes: Sequence[Cause]) -> str:
     # the label of a blunder says what to do
     labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else cause.effect for cause in causes)
-    return _joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
+    return joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
 
 
-def _joined(parts: Iterable[str], word: str) -> str:
+def joined(parts: Iterable[str], word: str) -> str:
+    """Return parts as a list in words, ``a, b and c``; empty where there are none."""
     *most, last = list(parts) or [""]
     return f"{', '.join(most)} {word} {last}" if most else last
 
@@ -233,11 +265,11 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
     confounded = {effect for group in diagnosis.groups for effect in group.effects}
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
-    groups = [_joined((_named(effect, diagnosis) for effect in group.effects), "or") for group in diagnosis.groups]
+    groups = [joined((_named(effect, diagnosis) for effect in group.effects), "or") for group in diagnosis.groups]
     several = bool(sure) or len(groups) > 1
     parts = ([_listed(sure)] if sure else []) + [f"either {group}" if several else group for group in groups]
     which = "which" if len(groups) == 1 else "which of each"
-    return f"The gap is explained by {_joined(parts, 'and by')}: these runs cannot tell {which}"
+    return f"The gap is explained by {joined(parts, 'and by')}: these runs cannot tell {which}"
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:
@@ -248,9 +280,9 @@ def _alternatives(diagnosis: Diagnosis) -> str:
     named = {cause.effect for cause in diagnosis.causes}
     pairs = []
     for effects in (group.effects for group in diagnosis.groups):
-        others = _joined((_named(effect, diagnosis) for effect in effects if effect not in named), "or")
+        others = joined((_named(effect, diagnosis) for effect in effects if effect not in named), "or")
         if others:
-            pairs.append(f"{_joined((effect for effect in effects if effect in named), 'and')} from {others}")
+            pairs.append(f"{joined((effect for effect in effects if effect in named), 'and')} from {others}")
     return f"; these runs cannot tell {', nor '.join(pairs)}" if pairs else ""
 
 
@@ -260,7 +292,7 @@ def _located(where: GapLocation | None) -> str:
         return ""
     lines, parts = where.significant, []
     if lines:
-        names = _joined((line.name.replace("_", " ") for line in lines[:MOST_COVARIATES]), "and")
+        names = joined((line.name.replace("_", " ") for line in lines[:MOST_COVARIATES]), "and")
         most = "" if lines[0].channel is None else f", most in {lines[0].channel.label}"
         parts.append(f"it correlates with {names}{most}")
     if where.places:
@@ -276,13 +308,19 @@ def _place(line: PlaceResult) -> str:
 
 
 def _channels(diagnosis: Diagnosis) -> str:
-    """Return the gap of the channels above the noise level, without and with the causes; else of the nearest to it."""
+    """Return the gap of the channels above the noise level, without and with the causes.
+
+    Where none is, that of the channel that the causes lower most, or without any the nearest to its noise level.
+    """
     closure, named = diagnosis.closure, bool(diagnosis.causes)
 
     def ratio(line: ChannelClosure) -> float:
         return line.before_rms / line.floor_rms if line.floor_rms > 0.0 else 0.0
 
-    lines = closure.moved or sorted(closure.channels, key=ratio)[-1:]
+    def lowered(line: ChannelClosure) -> float:
+        return (line.before_rms**2 - line.after_rms**2) / line.floor_rms**2 if line.floor_rms > 0.0 else 0.0
+
+    lines = closure.moved or sorted(closure.channels, key=lowered if named else ratio)[-1:]
     parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
     where = "" if not named else ", which ran again with the fix" if closure.held_out == RERUN else ", on held-out runs"
     return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""
@@ -301,10 +339,10 @@ def _recalibration(diagnosis: Diagnosis) -> str:
     own = [cause.effect for cause in diagnosis.causes if cause.effect in HIDES_IN]
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
     if own and not others and diagnosis.kind is VerdictKind.EXPLAINED:
-        return f" A plain recalibration of {_joined((HIDES_IN[name] for name in own), 'and')} closes it."
+        return f" A plain recalibration of {joined((HIDES_IN[name] for name in own), 'and')} closes it."
     confounded = {effect for group in diagnosis.groups for effect in group.effects} & HIDES_IN.keys()
     hidden = sorted(confounded - set(own)) if others else []
-    names = _joined((HIDES_IN[name] for name in hidden), "and")
+    names = joined((HIDES_IN[name] for name in hidden), "and")
     return f" These runs cannot tell it from an error of {names}." if hidden else ""
 
 
@@ -319,8 +357,8 @@ class PaperHeadline:
 
     effect: str  #: the cause
     sole_candidate: bool  #: whether these runs separate it from other causes
-    paper: Improvement
-    campaign: Improvement  #: root mean squares over held-out runs
+    paper: Reduction
+    campaign: Reduction  #: root mean squares over held-out runs
     sentence: str
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.diagnosis import Cause, Evidence, Unexplained, VerdictKind
-from calib.gap.decision.held_out import Closure
-from calib.gap.decision.sentences import fails, kind_of
+from calib.gap.decision.held_out import Closure, Improvement
+from calib.gap.decision.sentences import fails, is_shown, kind_of
 from calib.gap.decision.trials import Trial
+from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
 #: the correction of one certain effect closes the gap on held-out runs
 CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)
@@ -46,12 +47,22 @@ def test_one_clear_effect_explains_the_gap() -> None:
 
 
 def test_without_a_probable_gap_there_is_none_even_if_causes_are_named() -> None:
-    assert verdict(gap=0.3) is VerdictKind.NO_GAP
+    assert verdict(gap=0.99 * REPORTED_GAP_PROBABILITY) is VerdictKind.NO_GAP
 
 
 def test_without_a_noise_level_nothing_is_decided() -> None:
     assert verdict(supported=False) is VerdictKind.UNDECIDED
     assert verdict(gap=0.0, supported=False) is VerdictKind.UNDECIDED
+
+
+def test_what_is_taken_off_runs_not_fitted_on_is_no_noise_at_any_level() -> None:
+    """Of a noise level that nothing supports it is open how much of the rest it is, not whether there is a gap."""
+    half = Improvement(5.4, 2.2, (2.7, 3.8), (0.55, 0.95))
+    assert is_shown([cause(0.95)], half)
+    assert not is_shown([cause(0.8)], half)
+    assert not is_shown([], half)
+    assert not is_shown([cause(0.95)], replace(half, closed_ci95=(0.45, 1.0)))
+    assert not is_shown([cause(0.95)], None)
 
 
 def test_a_confounded_effect_is_ambiguous() -> None:

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
+from calib.gap.localise.result import ChannelGap, GapLocation, RunDeviation
 from calib.gap.observations.arrays import Channel
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
@@ -40,6 +41,27 @@ def test_the_channels_above_the_noise_level_come_first_the_largest_ratio_first()
 
 def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:
     assert "lateral 10.1 -> 10.1 mm (noise level 10)" in words(VerdictKind.EXPLAINED, STILL)
+
+
+def test_where_no_channel_is_above_the_noise_level_causes_are_shown_by_the_one_that_they_lower() -> None:
+    """An explanation beside a channel that it leaves as it was, or makes worse, contradicts itself."""
+    lowered = ChannelClosure(Channel.HEADING, 0.00312, 0.0027, 0.00274, None)
+    worse = ChannelClosure(Channel.LATERAL, 0.0161, 0.0165, 0.0141, None)
+    assert "heading 3.12 -> 2.7 mrad" in words(VerdictKind.EXPLAINED, lowered, worse)
+    assert "lateral 16.1 mm" in words(VerdictKind.UNKNOWN, lowered, worse, named=False)
+
+
+@pytest.mark.parametrize(("metres", "named"), [(0.16, True), (0.09, True), (0.07, False)])
+def test_a_run_beyond_the_reach_of_noise_is_said_beside_no_gap(metres: float, named: bool) -> None:
+    """Of 3 x 60 readings noise takes the furthest beyond 4.2 standard deviations in one campaign of a hundred."""
+    run = RunDeviation("r007", Channel.ALONG, metres, 0.02, metres / 0.02)
+    channels = tuple(
+        ChannelGap(channel, 0.02, 0.02, 0.0, 60) for channel in (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
+    )
+    where = GapLocation(channels=channels, runs=(run,))
+    text = sentence(Diagnosis(VerdictKind.NO_GAP, "", where=where, noise_level=NoiseSummary(dof=120.0)))
+    said = f"but for single runs: r007 (along +{1e3 * metres:.3g} mm)"
+    assert (said in text) == named
 
 
 @pytest.mark.parametrize("against", [BY_SIMULATOR, "coefficients.json"])
