@@ -95,11 +95,14 @@ class LocalSearch:
         deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
         return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
 
+    @property
+    def deviations(self) -> FloatArray:
+        """By what each condition may deviate from the current forms, shape (n_rows, n_forms)."""
+        return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+
     def _sums_beside(self) -> Sums:
         """Return the sums beside the current hypothesis and what its effects may deviate by."""
-        current_sizes = {k: self.sizes[k] for k in self.current}
-        deviations = self._deviations(self.system, current_sizes)
-        return self.system.sums(deviations, prior_rest=self.settings.prior_rest)
+        return self.system.sums(self.deviations, prior_rest=self.settings.prior_rest)
 
     def forms_of(self, model: Model) -> tuple[Form, ...]:
         """Return the forms of a model."""
@@ -130,7 +133,7 @@ class LocalSearch:
 
         Deviations that may be large but are not would leave a strong effect's size to chance.
         """
-        full_deviations = self._deviations(self.system, {k: self.sizes[k] for k in self.current})
+        full_deviations = self.deviations
         # what else is on offer makes no difference to how probable a scale is beside these forms
         own, model = self.system.only(self.current), tuple(range(len(self.current)))
         priors = FormPriors.from_forms(own.forms, self.settings.further)

@@ -16,6 +16,7 @@ from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
+from calib.gap.inference.scale_evidence import ScaleEvidence, scale_gains
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -29,7 +30,7 @@ _SINGLE_STARTS: Final = 3
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
 #: a gap less probable than this is not reported: looking at runs once more costs less than a gap not seen
-REPORTED_GAP_PROBABILITY: Final = 0.4
+REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets that are taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 #: beside a larger lack of fit, the search begins again from elsewhere
@@ -260,6 +261,9 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
+    if ScaleEvidence.is_open(local.system) and models.index(()) in likely:
+        # whether there is a gap at all rests on the noise
+        weight = weight + scale_gains(local, weight, {*likely, models.index(local.current)}, models, _LIKELY_WINDOW)
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
     if local.system.path.s.calibration_held:
         # nothing of it can be off beside any model
