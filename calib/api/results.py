@@ -18,7 +18,6 @@ from calib.radius.result import Fit
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
-    from calib.coefficients.sections import EffectSection
     from calib.gap.plan.planned_runs import PlannedRun
     from calib.kinematics.assemble import Promise
 
@@ -239,6 +238,7 @@ def diagnose(
     RefusedError
         Where no run has both counts and something measured.
     """
+    from calib.gap.diagnose import diagnosed
     from calib.gap.effects.library import check_excluded
     from calib.gap.observations.from_campaign import observations_of
 
@@ -249,38 +249,6 @@ def diagnose(
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     return diagnosed(campaign, model, exclude, seed, journeys)[0]
-
-
-def diagnosed(
-    campaign: Campaign,
-    model: Path | str | None,
-    exclude: Sequence[str],
-    seed: int,
-    journeys: Path | str | None,
-    *,
-    name: str = "",
-    progress: Progress = silent,
-) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
-    """Return the diagnosis of calib's own model, and the effects that this model has already; see `diagnose`.
-
-    `name`: the model's, for the words of the diagnosis.
-    """
-    from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.effects.applied import model_of, with_sensor_of
-    from calib.gap.plan.plan_file import read_plan
-
-    believed, effects = (None, ()) if model is None else model_of(Path(model), campaign)
-    found = diagnose_in_full(
-        campaign if model is None else with_sensor_of(Path(model), campaign),
-        seed=seed,
-        exclude=tuple(exclude),
-        model=believed,
-        applied=effects,
-        model_name=name,
-        journeys=None if journeys is None else read_plan(Path(journeys)),
-        progress=progress,
-    )
-    return found, tuple(effects)
 
 
 def _diagnose_simulator(

@@ -50,9 +50,9 @@ def run(
 
     Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
-    from calib.api.results import diagnosed
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
+    from calib.gap.diagnose import diagnosed
     from calib.reporting.present import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import diagnosis_full

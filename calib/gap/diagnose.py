@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
-from calib.gap.effects.applied import with_effects
+from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
@@ -152,6 +153,39 @@ def diagnose_in_full(
     ties = [group.effects for group in diagnosis.groups]
     runs = next_runs(campaign, effects, noise, ties, searched.fitted, model=model)
     return replace(diagnosis, next_runs=tuple(runs))
+
+
+def diagnosed(
+    campaign: Campaign,
+    model: FilePath | str | None,
+    exclude: Sequence[str],
+    seed: int,
+    journeys: FilePath | str | None,
+    *,
+    name: str = "",
+    progress: Progress = silent,
+) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
+    """Return the diagnosis of calib's own model, and the effects that this model has already; see `diagnose_in_full`.
+
+    `name`: the model's, for the words of the diagnosis.
+    """
+    believed, effects = (None, ()) if model is None else model_of(FilePath(model), campaign)
+    planned = None
+    if journeys is not None:
+        from calib.gap.plan.plan_file import read_plan
+
+        planned = read_plan(FilePath(journeys))
+    found = diagnose_in_full(
+        campaign if model is None else with_sensor_of(FilePath(model), campaign),
+        seed=seed,
+        exclude=tuple(exclude),
+        model=believed,
+        applied=effects,
+        model_name=name,
+        journeys=planned,
+        progress=progress,
+    )
+    return found, tuple(effects)
 
 
 def _situation(
