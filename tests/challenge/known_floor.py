@@ -24,6 +24,7 @@ from calib.challenge.seal import each
 from calib.gap import diagnose as diagnosis
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.inference.noise import Noise, estimate_noise
+from calib.gap.inference.scale_evidence import ScaleEvidence
 from calib.gap.predict import Path
 from calib.plant.drive import drive
 from calib.plant.signal import covariance
@@ -74,7 +75,11 @@ def floor_known(truth: Truth) -> Iterator[None]:
         exact = np.where(both, held, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
         return replace(estimated, covariance=exact, weight=np.ones(len(held)), supported=True)
 
-    with mock.patch.object(diagnosis, "estimate_noise", known):
+    # and nothing of it is integrated over
+    with (
+        mock.patch.object(diagnosis, "estimate_noise", known),
+        mock.patch.object(ScaleEvidence, "is_open", return_value=False),
+    ):
         yield
 
 
