@@ -31,7 +31,7 @@ _ROUNDING: Final = 1e-9
 class ScaleEvidence:
     """The likelihood of the noise's scales under a model, all units taking part.
 
-    `system`: about a path, whitened by the noise as it was estimated; `scales`: where the integral is taken about.
+    `system`: about a path, whitened by the noise as it was estimated.
     """
 
     def __init__(self, system: LinearSystem) -> None:
