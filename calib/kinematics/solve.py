@@ -112,6 +112,8 @@ INNER: Final = 40
 NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
+#: a change within a step below this part of it ends the steps within: the next linearisation corrects far more
+INEXACT: Final = 1e-2
 #: a change of the noise's variances below this ends the inner steps, relative
 STEADY: Final = 1e-2
 #: strength of the pull to the nominal values, in parts of the information there is; only for solvability
@@ -225,23 +227,25 @@ class _Linear:
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     """Return the solution of the linear problem at known noise, in prior spreads, and its length in sigmas."""
     n_free = problem.jacobian.shape[2]
-    step, jacobian = np.zeros(n_free), (whitener @ problem.jacobian).reshape(-1, n_free)
+    jacobian = (whitener @ problem.jacobian).reshape(-1, n_free)
     residuals = np.einsum("nij,nj->ni", whitener, problem.residuals).ravel()
+    step, moved = np.zeros(n_free), np.zeros(len(residuals))
     for _ in range(INNER):
-        squares = np.square(residuals - jacobian @ step).reshape(-1, 3).sum(axis=1)
-        before, step = step, _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
-        if float(np.linalg.norm(jacobian @ (step - before))) < CLOSE**2:
+        rest = (residuals - moved).reshape(-1, 3)
+        squares = np.einsum("ni,ni->n", rest, rest)
+        step = _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
+        before, moved = moved, jacobian @ step
+        if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
-    return step, float(np.linalg.norm(jacobian @ step))
+    return step, float(np.linalg.norm(moved))
 
 
 def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the least-squares solution of whitened equations, three of one weight after another."""
-    root = np.repeat(np.sqrt(weights), 3)
-    scaled = jacobian * root[:, None]
-    normal = scaled.T @ scaled
-    normal[np.diag_indices_from(normal)] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
-    return np.asarray(np.linalg.solve(normal, scaled.T @ (residuals * root)))
+    scaled = jacobian * np.repeat(weights, 3)[:, None]
+    normal = scaled.T @ jacobian
+    normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
+    return np.asarray(np.linalg.solve(normal, residuals @ scaled))
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
