@@ -24,6 +24,7 @@ from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, corrected,
 from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
+from calib.gap.effects.steering import steering_blunder
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -256,6 +257,7 @@ def _observed(
     observations = observations_of(campaign, model)
     if np.isfinite(observations.simulated).any():
         observations = as_simulated(observations)
+    _check_steering(campaign, observations)
     _check_distances(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(
@@ -280,6 +282,13 @@ def _check_distances(campaign: Campaign, observations: Observations) -> None:
                 f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
                 "millimetres; check the counts of this run"
             )
+
+
+def _check_steering(campaign: Campaign, observations: Observations) -> None:
+    """Refuse steering angles so wrong that repeats scatter by them, and no noise can be told."""
+    blunder = steering_blunder(observations)
+    if blunder:
+        raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:

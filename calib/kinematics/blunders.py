@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -14,7 +14,7 @@ from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, nominal_values
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 #: how far a ratio may be from a factor and still be taken for it, relative
 NEAR: Final = 0.08
@@ -43,6 +43,9 @@ TURNS_RAD: Final = 0.1
 FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
+#: an angle that moves by less over a whole campaign is not that of a wheel that steers
+STILL_RAD: Final = 1e-3
+Between = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +112,15 @@ def front_faults(
     if steer is None:
         return recording, ()
     seen = segments.seen.all(axis=1)
-    straight_rad = _straight_reading_rad(recording, segments)
-    if abs(straight_rad) > FARTHEST_ZERO_RAD:
+    headed = segments.seen[:, 2]
+    longest = headed & (segments.level == 0)
+    ways = segments.between(recording.steps.turned_rad[0])[longest]
+    still = still_steering(steer, ways, segments.measured[longest, 2], segments.run[longest])
+    if still:
+        return recording, (Fault("steering_still", f"steer_rad: {still}"),)
+    rolled, turned = recording.steps.turned_rad[0], segments.measured[headed, 2]
+    straight_rad = straight_reading_rad(rolled, steer, turned, lambda steps: segments.between(steps)[headed])
+    if straight_rad:
         degrees = f"{straight_rad:.3g} rad ({np.degrees(straight_rad):.0f} degrees)"
         text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
         faults.append(Fault("steering_offset", text))
@@ -127,27 +137,59 @@ def front_faults(
     return recording, tuple(faults)
 
 
-def _straight_reading_rad(recording: Recording, segments: Segments) -> float:
-    """Return the steering angle that is read straight ahead; 0 where the turns do not tell it.
+def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatArray, run: IntArray) -> str:
+    """Return what is wrong where the angle never moves and the vehicle does not keep to one curvature; empty if right.
+
+    Parameters
+    ----------
+    steer_rad : array of float, shape (n_steps,)
+        Angle read.
+    rolled, turned_rad : array of float, shape (n,)
+        What the wheel rolled over each stretch, and the measured turn; stretches of one run follow each other.
+    run : array of int, shape (n,)
+        Run of each stretch.
+    """
+    if not len(run) or float(np.ptp(steer_rad)) > STILL_RAD:
+        return ""
+    left_rad = turned_rad - rolled * float(rolled @ turned_rad) / max(float(rolled @ rolled), 1e-12)
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    departed_rad = max(float(np.ptp(np.append(0.0, np.cumsum(part)))) for part in np.split(left_rad, first[1:]))
+    if departed_rad < TURNS_RAD:
+        return ""
+    return (
+        f"it reads {np.mean(steer_rad):.3g} rad throughout, while the vehicle turned by {departed_rad:.2g} rad more "
+        "than one steering angle turns it; check the sensor of the steering and its column"
+    )
+
+
+def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between) -> float:
+    """Return the steering angle that is read straight ahead; 0 where the turns do not tell it, or it is near 0.
 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
     c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
+
+    Parameters
+    ----------
+    rolled, steer_rad : array of float, shape (n_steps,)
+        What the front wheel rolls in each step, and the angle read in it.
+    turned_rad : array of float, shape (n,)
+        Measured turns of stretches.
+    between : callable
+        Sums of steps over these stretches.
     """
-    steer = np.asarray(recording.steps.steer_rad)
-    rolled = recording.steps.turned_rad[0]
-    seen = segments.seen[:, 2]
-    ways = np.stack([segments.between(rolled * np.sin(steer))[seen], segments.between(rolled * np.cos(steer))[seen]])
-    turned = segments.measured[seen, 2]
-    if len(turned) < 4:
+    if len(turned_rad) < 4:
         return 0.0
-    (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned)
-    left = float(np.sum(np.square(turned - by_sine * ways[0] - by_cosine * ways[1])))
-    alone = float(turned @ turned) - float(ways[0] @ turned) ** 2 / max(float(ways[0] @ ways[0]), 1e-12)
-    straight, most = complex(by_sine, -by_cosine), np.sum(np.abs(rolled) * np.exp(1j * steer))
+    ways = np.stack([between(rolled * np.sin(steer_rad)), between(rolled * np.cos(steer_rad))])
+    (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)
+    total = float(turned_rad @ turned_rad)
+    left = float(np.sum(np.square(turned_rad - by_sine * ways[0] - by_cosine * ways[1])))
+    alone = total - float(ways[0] @ turned_rad) ** 2 / max(float(ways[0] @ ways[0]), 1e-12)
+    straight, most = complex(by_sine, -by_cosine), np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
     straight *= np.sign((straight * most.conjugate()).real)
-    if left > POOR * float(turned @ turned) or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
+    if left > POOR * total or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
         return 0.0
-    return float(np.angle(straight))
+    found_rad = float(np.angle(straight))
+    return found_rad if abs(found_rad) > FARTHEST_ZERO_RAD else 0.0
 
 
 def _chord_sense(measured: FloatArray) -> FloatArray:

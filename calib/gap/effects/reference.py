@@ -148,17 +148,20 @@ class ReferenceYaw(Effect):
     OF_POSITION: ClassVar[str] = "position alone"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return two forms: the position alone is turned, or position and heading; none without end poses."""
+        """Return a form of the position alone and one of position and heading; none without end poses."""
         if not observations.usable[:, 2].any():
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
         position = Perturbation(turned_rad=np.ones(len(observations)))
-        heading = replace(position, reading=Perturbation.on_readings(observations, heading=1.0).reading)
-        return [
-            Form(self.id, self.OF_POSITION, (parameter,), lambda _: [position], tries=2),
-            Form(self.id, "position and heading", (parameter,), lambda _: [heading], tries=2),
-        ]
+        both = replace(position, reading=Perturbation.on_readings(observations, heading=1.0).reading)
+        # a window begins in the same axes: what it turns by is not touched
+        shapes = {self.OF_POSITION: position} | ({} if observations.windowed else {"position and heading": both})
+
+        def form(label: str, perturbation: Perturbation) -> Form:
+            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(shapes))
+
+        return [form(*shape) for shape in shapes.items()]
 
 
 class ReferenceLatency(Effect):

@@ -10,7 +10,12 @@ from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Perturbation
 from calib.gap.observations.arrays import Channel
 from calib.gap.steps import joined_perturbation
+from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray
+
+#: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another
+#: cause altogether (Ackermann, 4 and 12 runs)
+FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 
 def has_front(observations: Observations) -> BoolArray:
@@ -88,7 +93,9 @@ def error_form(
         travel_m, sine, cosine = front_travel_m(part), part.steer_sin, part.steer_cos
         if part.by_shaft:
             # where the way is counted behind the steering, the curvature is tan(delta) / L
-            ahead, turn = np.zeros_like(travel_m), error * (1.0 + sine**2)
+            tangent = np.tan(exact_at * error)
+            turn = (sine**2 + 1.0) * (tangent / (1.0 + sine * tangent) / exact_at if exact_at else error)
+            ahead = np.zeros_like(travel_m)
         elif exact_at:
             less, aside = np.cos(exact_at * error) - 1.0, np.sin(exact_at * error)
             ahead, turn = (-(cosine * less + sine * aside) / exact_at, (cosine * aside - sine * less) / exact_at)
@@ -118,7 +125,43 @@ class SteeringZero(Effect):
         if not has_front(observations).any():
             return []
         parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
-        return [error_form(observations, self.id, "", parameter, np.ones(len(observations.unit)))]
+        error = np.ones(len(observations.unit))
+        return [error_form(observations, self.id, "", parameter, error, exact_at=straight_ahead_rad(observations))]
+
+
+def steering_blunder(observations: Observations) -> str:
+    """Return what is wrong with an angle that no vehicle steers by; empty where it is right or drives no odometry."""
+    headed = observations.usable[:, Channel.HEADING] & has_front(observations)
+    if not observations.by_front or not headed.any():
+        return ""
+    rolled, turned_rad = observations.total(front_travel_m(observations)), observations.measured[:, Channel.HEADING]
+    still = still_steering(steer_rad(observations), rolled[headed], turned_rad[headed], observations.run[headed])
+    found_rad = straight_ahead_rad(observations)
+    if still or abs(found_rad) <= FARTHEST_STRAIGHT_RAD:
+        return still
+    return (
+        f"found {found_rad:.3g} rad ({np.degrees(found_rad):.0f} degrees) where the wheels stand straight ahead; "
+        f"expected 0 within {FARTHEST_STRAIGHT_RAD:g} rad; subtract that from the column"
+    )
+
+
+def straight_ahead_rad(observations: Observations) -> float:
+    """Return the angle read straight ahead where it is large and drives the odometry; 0 where not."""
+    headed = observations.usable[:, Channel.HEADING] & has_front(observations)
+    if not observations.by_front:
+        return 0.0
+    measured_rad = observations.measured[headed, Channel.HEADING]
+    # its whole turns are those of the path that the angle itself bends
+    for turned_rad in (measured_rad, np.angle(np.exp(1j * measured_rad))):
+        found_rad = straight_reading_rad(
+            front_travel_m(observations),
+            steer_rad(observations),
+            turned_rad,
+            lambda steps: observations.total(steps)[headed],
+        )
+        if found_rad:
+            return found_rad
+    return 0.0
 
 
 class SteeringScale(Effect):
