@@ -193,7 +193,7 @@ def judged(
     large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
         np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     )
-    named = () if WRONG in (level, level_of_heading) else tuple(faults)
+    named = tuple(fault for fault in faults if fault.seen or WRONG not in (level, level_of_heading))
     extra = (
         *impossible,
         *_at_odds(whole, outliers, large),

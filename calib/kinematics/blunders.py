@@ -43,6 +43,8 @@ TURNS_RAD: Final = 0.1
 FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
+#: no wheel is steered further
+LARGEST_STEERING_RAD: Final = 2.0
 #: an angle that moves by less over a whole campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
 Between = Callable[[FloatArray], FloatArray]
@@ -54,6 +56,7 @@ class Fault:
 
     code: str
     text: str
+    seen: bool = False  #: whether the readings show it, whatever a fit leaves
 
 
 def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
@@ -117,7 +120,7 @@ def front_faults(
     ways = segments.between(recording.steps.turned_rad[0])[longest]
     still = still_steering(steer, ways, segments.measured[longest, 2], segments.run[longest])
     if still:
-        return recording, (Fault("steering_still", f"steer_rad: {still}"),)
+        return recording, (Fault("steering_still", f"steer_rad: {still}", seen=True),)
     rolled, turned = recording.steps.turned_rad[0], segments.measured[headed, 2]
     straight_rad = straight_reading_rad(rolled, steer, turned, lambda steps: segments.between(steps)[headed])
     if straight_rad:
@@ -177,7 +180,7 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
     between : callable
         Sums of steps over these stretches.
     """
-    if len(turned_rad) < 4:
+    if len(turned_rad) < 4 or float(np.ptp(steer_rad)) > 2.0 * LARGEST_STEERING_RAD:
         return 0.0
     ways = np.stack([between(rolled * np.sin(steer_rad)), between(rolled * np.cos(steer_rad))])
     (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)

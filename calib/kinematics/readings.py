@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.kinematics.blunders import Fault
+from calib.kinematics.blunders import LARGEST_STEERING_RAD, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
@@ -45,8 +45,6 @@ TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
 JUMP_FACTOR: Final = 20.0
 #: jumps a run, on average; more are a counter that wraps
 MOST_JUMPS: Final = 2.0
-#: no wheel is steered further
-LARGEST_STEERING_RAD: Final = 2.0
 #: gear ratios tried, near enough to each other for the scale of the steering angle to be found from one of them
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 

@@ -87,6 +87,7 @@ NAMES: Final = {
     "positions in degrees of latitude": {"radius_factor"},
     "absolute steering encoder that wraps": {"steering_wraps"},
     "steering 0.3 rad off its zero": {"steering_offset"},
+    "steering stays at zero": {"steering_still"},
     "heading as the quaternion's z": {"heading_quaternion"},
     **{f"steering with a play of {play} rad": {"steering_play"} for play in ("0.02", "0.06")},
 }
