@@ -56,7 +56,7 @@ class Fault:
 
     code: str
     text: str
-    seen: bool = False  #: whether the readings show it, whatever a fit leaves
+    seen: bool = False  #: whether the readings alone show it, well fitted or not
 
 
 def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
