@@ -112,14 +112,14 @@ def variances(design: str, n_runs: int, scatter: str, seed: list[int], *, estima
     )
 
 
-def ratio(case: tuple[str, str, int], draws: int, seed: int) -> FloatArray:
+def ratio(case: tuple[str, str, int], draws: int, seed: int, n_true: int = N_TRUE) -> FloatArray:
     """Return estimated over true variance of each route and channel of a design, shape (n_routes, 4)."""
     design, scatter, n_runs = case
     number = [list(DESIGNS).index(design), SCATTERS.index(scatter), n_runs]
     # many short sessions are so many draws of one
     parts = [
         variances(design, 40 * len(DESIGNS[design]), scatter, [seed, *number, 0, part], estimated=False)
-        for part in range(N_TRUE // 40 if scatter != "session" else 300)
+        for part in range(n_true // 40 if scatter != "session" else 300)
     ]
     estimates = [variances(design, n_runs, scatter, [seed, *number, 1, k], estimated=True) for k in range(draws)]
     quotient: FloatArray = np.mean(estimates, axis=0) / np.mean(parts, axis=0)

@@ -37,7 +37,8 @@ from tests.gap.effects.making import (
     situation,
 )
 
-#: ten draws of some 50 degrees of freedom each scatter by 5 %, the true variance by 4 %, the bias allowed is 5 %
+#: ten draws of some 50 degrees of freedom each scatter by 5 %, the true variance by 7 % in each channel and by 3 % over
+#: four, the bias allowed is 5 %
 MEAN_VARIANCE_REL = 0.15
 NAMES = [name for name, _, _ in COMPONENTS]
 SIGMA_DISTANCE_M, SIGMA_XY_M, SIGMA_RAD = 0.0015, 0.002, 0.0008
@@ -273,6 +274,6 @@ def test_a_missing_channel_has_unit_variance_and_no_correlation() -> None:
     ("design", "scatter"), [("corridors", "start pose"), ("squares", "radius"), ("mixed", "heading walk")]
 )
 def test_variances_are_the_true_ones(design: str, scatter: str) -> None:
-    """Sixty runs: the mean of ten estimates against the variance of 1,500 runs whose every parameter is known."""
-    quotient = noise_bias.ratio((design, scatter, 60), draws=10, seed=11)
+    """Sixty runs: the mean of ten estimates against the variance of 400 runs whose every parameter is known."""
+    quotient = noise_bias.ratio((design, scatter, 60), draws=10, seed=11, n_true=400)
     assert np.exp(np.nanmean(np.log(quotient))) == pytest.approx(1.0, rel=MEAN_VARIANCE_REL)
