@@ -14,17 +14,18 @@ from hypothesis import strategies as st
 from calib.cli.commands import COMMANDS
 from calib.coefficients.file import load_coefficients
 from calib.documents import checksum
+from tests.effort import EXPLORES
 from tests.fuzz.answer import outcome
 from tests.fuzz.damage import WORDS, damaged
 from tests.fuzz.inputs import FILES, options, outcomes
 from tests.fuzz.sound import prepared
 
 #: inputs of the suite, in parts so that a fault names its part; the script takes as many as it is given
-PARTS, OF_A_PART = 8, 225
+PARTS, OF_A_PART = 8, 225 if EXPLORES else 75
 #: inputs with numbers alone, which reach further and take longer
 QUANTITIES = 30
 #: examples that hypothesis adds
-TEXTS, NUMBERS = 100, 100
+TEXTS, NUMBERS = (100, 100) if EXPLORES else (40, 40)
 
 
 @pytest.fixture(scope="module", autouse=True)
