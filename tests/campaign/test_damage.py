@@ -15,9 +15,11 @@ from calib.campaign.write import write_campaign
 from calib.cli.main import run
 from tests.campaign.damage import DAMAGES
 from tests.campaign.making import campaign
+from tests.effort import EXPLORES
 
-PER_BATCH = 26
-NUMBER = 312
+PER_BATCH = 24
+#: each kind of damage four times, a dozen where more is asked for
+NUMBER = len(DAMAGES) * (12 if EXPLORES else 4)
 
 
 @pytest.fixture(scope="module")
