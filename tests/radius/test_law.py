@@ -36,9 +36,9 @@ def test_the_curve_stays_between_the_pooled_and_the_wider_t() -> None:
     assert curve.max() <= stats.t.ppf(0.975, 4) + 1e-12
 
 
-@pytest.mark.parametrize("name", ["confounded", "confounded+", "crossed", "crossed+"])
+@pytest.mark.parametrize("name", ["confounded+", "crossed"])
 def test_intervals_of_whole_campaigns_hold_the_truth(name: str) -> None:
-    """150 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000."""
+    """150 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000, and the other designs."""
     shares = coverage(DESIGNS[name], 150, seed=7)
     # standard error 1.26 % of 300 intervals; three of them
     np.testing.assert_allclose(shares[:2], 0.95, atol=0.038)
