@@ -50,13 +50,13 @@ class Truth:
     fastest_mps: float = 0.9
 
 
-def drive(truth: Truth, seed: int, columns: str) -> dict[str, np.ndarray]:
-    """Return the log of one run of 12 s: a steering angle that swings about a mean, a speed that rises and falls."""
+def drive(truth: Truth, seed: int, columns: str, seconds: float) -> dict[str, np.ndarray]:
+    """Return the log of one run: a steering angle that swings about a mean, a speed that rises and falls."""
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, 12.0 + STEP_S, STEP_S)
+    t = np.arange(0.0, seconds + STEP_S, STEP_S)
     swing = rng.uniform(0.1, 0.3) * np.sin(2.0 * np.pi * t / rng.uniform(4.0, 9.0))
     steer = swing + rng.uniform(-0.2, 0.2)
-    speed = rng.uniform(0.4, 1.0) * truth.fastest_mps * np.sin(np.pi * t / 12.0) ** 2
+    speed = rng.uniform(0.4, 1.0) * truth.fastest_mps * np.sin(np.pi * t / seconds) ** 2
     curvature = np.tan(steer + truth.zero_rad) / (truth.wheelbase * WHEELBASE_M * (1.0 + truth.understeer * speed**2))
     theta = np.concatenate(([0.0], np.cumsum(STEP_S * 0.5 * ((speed * curvature)[1:] + (speed * curvature)[:-1]))))
     course = theta - truth.side_slip * speed**2 * curvature
@@ -92,13 +92,20 @@ def drive(truth: Truth, seed: int, columns: str) -> dict[str, np.ndarray]:
     return log
 
 
-def campaign(folder: Path, truth: Truth, columns: str = "counts", kind: str = "ackermann", runs: int = 12) -> Path:
+def campaign(
+    folder: Path,
+    truth: Truth,
+    columns: str = "counts",
+    kind: str = "ackermann",
+    runs: int = 12,
+    seconds: float = 12.0,
+) -> Path:
     """Write a campaign; return its folder."""
     (folder / "logs").mkdir(parents=True)
     rows = ["run_id,session,kind,log"]
     for number in range(runs):
         name = f"r{number:02d}"
-        log = drive(truth, 100 + number, columns)
+        log = drive(truth, 100 + number, columns, seconds)
         lines = [",".join(f"{value:.9g}" for value in row) for row in zip(*log.values(), strict=True)]
         (folder / "logs" / f"{name}.csv").write_text("\n".join([",".join(log), *lines]) + "\n")
         rows.append(f"{name},day 1,winding,logs/{name}.csv")
@@ -125,7 +132,7 @@ frame = "map"
     return folder
 
 
-@pytest.mark.parametrize(("offset_rad", "runs"), [(0.08, 4), (0.5 * np.pi, 4), (np.pi, 4), (-0.5 * np.pi, 12)])
+@pytest.mark.parametrize(("offset_rad", "runs"), [(0.08, 4), (np.pi, 4), (-0.5 * np.pi, 8)])
 def test_an_angle_that_is_not_counted_from_straight_ahead_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_rad: float, runs: int
 ) -> None:
@@ -186,6 +193,8 @@ SPOILT = {
     "clock backwards": ("t_s", lambda values: values[::-1]),
     "clock stands": ("t_s", lambda values: 0.0 * values + 1.0),
 }
+#: in few short runs these are a steering that is known within its interval, which holds anything
+STANDING = {"no steering", "steering at a right angle"}
 
 
 @pytest.mark.usefixtures("diagnosed_once")
@@ -195,7 +204,8 @@ def test_spoilt_logs_end_in_words_never_in_a_result(
 ) -> None:
     """Geometry is wrong or refused; every command ends with a status of its own, none with a bug."""
     column, change = SPOILT[what]
-    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=6), column, change)
+    runs, seconds = (6, 12.0) if what in STANDING else (3, 6.0)
+    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=runs, seconds=seconds), column, change)
     assert calib(["geometry", str(folder), "--json", "-"]) in {1, 2}
     for command in (["check"], ["diagnose"], ["fit"], ["plan", "--most", "1"]):
         assert calib([*command, str(folder)]) in {0, 1, 2}, command
@@ -210,7 +220,7 @@ WITHIN = 4.5
 def test_geometry_finds_lengths_zero_and_the_sensor_ahead_of_the_axle(tmp_path: Path, columns: str) -> None:
     """From the folder alone, nothing said of the sensor: no finding that it is implausible, everything within noise."""
     truth = Truth()
-    found = estimate_geometry(read_campaign(campaign(tmp_path / "car", truth, columns)))
+    found = estimate_geometry(read_campaign(campaign(tmp_path / "car", truth, columns, runs=8)))
     assert found.passed, found.why
     expected = true_values(truth)
     assert {"rear_radius_m", "steering_zero_rad", "sensor_x_m"} <= {one.name for one in found.estimates}
@@ -289,7 +299,7 @@ def test_slip_is_estimated_in_fast_turns_only() -> None:
 
 def test_every_command_takes_an_ackermann_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Check, geometry with a coefficient file, replay, diagnose before and with the geometry, ROS 2 parameters."""
-    folder, file, out = campaign(tmp_path / "car", Truth()), tmp_path / "coefficients.json", tmp_path / "ros2"
+    folder, file, out = campaign(tmp_path / "car", Truth(), runs=8), tmp_path / "coefficients.json", tmp_path / "ros2"
     assert calib(["check", str(folder)]) == 0
     assert calib(["geometry", str(folder), "--output", str(file)]) == 0
     capsys.readouterr()
