@@ -33,11 +33,11 @@ def exchanged(columns: Columns) -> Columns:
     return {"ref_x_m": columns["ref_y_m"], "ref_y_m": columns["ref_x_m"]}
 
 
-@pytest.mark.parametrize(("mistake", "every"), [(in_degrees, 1), (clockwise, 2), (in_millimetres, 1), (exchanged, 1)])
+@pytest.mark.parametrize(("mistake", "every"), [(in_degrees, 1), (clockwise, 3), (in_millimetres, 3), (exchanged, 1)])
 def test_a_reference_in_other_units_or_axes_gets_no_cause(
     mistake: Callable[[Columns], Columns], every: int, project_root: Path
 ) -> None:
-    """Of clockwise angles half of the runs: the search through all of them takes three times as long."""
+    """On some runs of the yard, where these are enough to tell."""
     campaign = read_campaign(project_root / "sample_runs" / "yard")
     campaign = campaign.select(np.arange(0, len(campaign.runs), every))
     numbers = {**campaign.runs.numbers, **mistake(dict(campaign.runs.numbers))}

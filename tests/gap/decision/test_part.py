@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
 from calib.gap.decision.causes import negligible
@@ -26,6 +28,12 @@ from tests.real.plants import calibrated
 #: ramps are a tenth of a corridor at most
 RAMPS = 0.1
 LEFT = Unexplained(share=0.2, signal=20.0, where=())
+
+
+@pytest.fixture(scope="module")
+def recording(shared_data: Path) -> tuple[Campaign, dict[str, Any]]:
+    """A real recording judged against radii and track fitted to it, and its verdict; nobody changes either."""
+    return calibrated(recordings.optiodom_differential(shared_data))[:2]
 
 
 def cause(name: str, low: float = 1.0, signal: float = 60.0, share: float = 0.5) -> Cause:
@@ -103,9 +111,9 @@ def test_swapped_counters_alone_are_corrected(project_root: Path) -> None:
     assert diagnosis.recommended and diagnosis.fix.why == ()
 
 
-def test_a_real_recording_gets_the_fix_of_its_sure_cause_alone(shared_data: Path) -> None:
+def test_a_real_recording_gets_the_fix_of_its_sure_cause_alone(recording: tuple[Campaign, dict[str, Any]]) -> None:
     """Swapped counters on a recording that scrubs by itself: the swap is corrected, the scrub left with its reason."""
-    base, _, _ = calibrated(recordings.optiodom_differential(shared_data))
+    base, _ = recording
     (swapped,) = [one for one in POSES if one.name == "counters swapped"]
     campaign = swapped.change(base)
     diagnosis = diagnose_in_full(campaign, plan=False)
@@ -116,9 +124,11 @@ def test_a_real_recording_gets_the_fix_of_its_sure_cause_alone(shared_data: Path
     assert [section.effect for section in applied_model(diagnosis, campaign).effects] == ["encoder_gross"]
 
 
-def test_a_real_recording_is_no_worse_with_its_law_and_track_than_it_was_by_itself(shared_data: Path) -> None:
+def test_a_real_recording_is_no_worse_with_its_law_and_track_than_it_was_by_itself(
+    recording: tuple[Campaign, dict[str, Any]],
+) -> None:
     """Loaded wheels 1.5 % smaller: the fix's load law is not found again, and nothing but the own rest is left."""
-    base, own, _ = calibrated(recordings.optiodom_differential(shared_data))
+    base, own = recording
     (payload,) = [one for one in POSES if one.name == "payload, loaded wheels smaller"]
     campaign = payload.change(base)
     diagnosis = diagnose_in_full(campaign, plan=False)
