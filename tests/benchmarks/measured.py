@@ -40,10 +40,17 @@ def spent(arguments: Sequence[str]) -> Spent:
     return Spent(float(cpu_s), float(peak_MB))
 
 
-def least(turns: int, *works: Callable[[], Spent]) -> list[Spent]:
-    """Return the least of several turns of each."""
-    taken = [[work() for work in works] for _ in range(turns)]
-    return [
-        Spent(min(one.cpu_s for one in column), min(one.peak_MB for one in column))
-        for column in zip(*taken, strict=True)
-    ]
+def least(
+    turns: int, *works: Callable[[], Spent], enough: Callable[[list[Spent]], bool] = lambda _: False
+) -> list[Spent]:
+    """Return the least of several turns of each; no more turns than until it is `enough`."""
+    found: list[Spent] = []
+    for _ in range(turns):
+        taken = [work() for work in works]
+        found = [
+            Spent(min(one.cpu_s, now.cpu_s), min(one.peak_MB, now.peak_MB))
+            for one, now in zip(found or taken, taken, strict=True)
+        ]
+        if enough(found):
+            break
+    return found

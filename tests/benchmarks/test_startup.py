@@ -33,10 +33,10 @@ def _ratio(ours: list[str], reference: list[str], cwd: Path, limit: float) -> fl
     """Best of several each, in turns after one of each that compiles; no more turns than show the limit kept."""
     _seconds(reference, cwd), _seconds(ours, cwd)
     bare = command = float("inf")
-    for turn in range(ROUNDS):
+    for _ in range(ROUNDS):
         bare = min(bare, _seconds(reference, cwd))
         command = min(command, _seconds(ours, cwd))
-        if turn >= 1 and command <= limit * bare:
+        if command <= limit * bare:
             break
     return command / bare
 

@@ -58,7 +58,8 @@ def test_diagnose_names_what_changes_its_answer(name: str) -> None:
 
 @pytest.mark.parametrize("name", BY_ALL)
 def test_every_command_names_it(name: str) -> None:
-    assert set(outcome(BY_NAME[name], "yard").values()) == {"named"}
+    """Where the fit's notes do, so does the diagnosis, which repeats them: it is made for the others alone."""
+    assert set(outcome(BY_NAME[name], "yard", whole=False).values()) <= {"named", "named as by fit"}
 
 
 def test_a_diagnosis_repeats_the_findings_of_the_fit(tmp_path: Path) -> None:

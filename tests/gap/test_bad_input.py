@@ -20,6 +20,7 @@ from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
+from tests.effort import EXPLORES
 
 RUNS = 24
 
@@ -76,7 +77,7 @@ def crippled(draw: st.DrawFn) -> Campaign:
 
 
 @settings(
-    max_examples=25,
+    max_examples=25 if EXPLORES else 12,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),

@@ -88,9 +88,10 @@ def test_the_systematic_part_is_the_scatter_of_vehicles_whose_law_is_another() -
     ends = []
     means = [[one.radius_ref_m, one.slope_m_per_N] for one in (LAW.left, LAW.right)]
     spread = COVARIANCE + np.diag([2e-5**2, 0.0])
-    for _ in range(20_000):
-        (a, b), (c, d) = (rng.multivariate_normal(mean, spread) for mean in means)
-        track = TRACK_M + 2e-3 * rng.standard_normal()
+    draws = 20_000
+    lefts, rights = (rng.multivariate_normal(mean, spread, draws).tolist() for mean in means)
+    tracks = (TRACK_M + 2e-3 * rng.standard_normal(draws)).tolist()
+    for (a, b), (c, d), track in zip(lefts, rights, tracks, strict=True):
         pose = (0.0, 0.0, 0.0)
         for length, left_N, right_N in ((4.0, 300.0, 350.0), (6.0, 900.0, 400.0)):
             left = length * (a + b * (left_N - 300.0)) / float(LAW.left.radius_m(left_N))

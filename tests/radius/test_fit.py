@@ -13,6 +13,7 @@ from calib.documents import checksum
 from calib.errors import BadInputError, CalibError
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, is_result, read_result, write_result
+from tests.effort import EXPLORES
 from tests.radius import campaigns
 from tests.radius.campaigns import COUNTS_PER_REV, straight
 from tests.radius.coverage import DESIGNS, campaign_of
@@ -145,7 +146,7 @@ def test_the_same_campaign_gives_the_same_fit() -> None:
     assert one.to_dict() == other.to_dict()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150 if EXPLORES else 40, deadline=None)
 @given(
     st.integers(1, 14),
     st.integers(1, 14),

@@ -73,7 +73,7 @@ def radii_like(n: int, sessions: int, *, loads: int, seed: int = 1) -> Effective
     )
 
 
-@pytest.mark.parametrize(("n", "sessions", "loads"), [(3, 1, 3), (12, 12, 2), (60, 5, 6), (40, 20, 1), (2100, 9, 7)])
+@pytest.mark.parametrize(("n", "sessions", "loads"), [(3, 1, 3), (12, 12, 2), (40, 20, 1), (2100, 9, 7)])
 def test_no_text_of_a_figure_is_clipped(n: int, sessions: int, loads: int) -> None:
     """Few runs, many sessions, one load, thousands of runs, names that begin with an underscore."""
     radii = radii_like(n, sessions, loads=loads)
@@ -125,7 +125,7 @@ def test_every_picture_has_words_for_those_who_do_not_see_it(source: Source) -> 
         assert one.caption.endswith(".")
 
 
-@pytest.mark.parametrize("n", [1, 4, 48, 400])
+@pytest.mark.parametrize("n", [1, 4, 400])
 def test_no_text_of_a_gap_figure_is_clipped(n: int) -> None:
     _, gap = findings(n=n)
     assert gap.offset_m is not None

@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from html import unescape
 from pathlib import Path
 
 import pytest
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.diagnose import diagnose_in_full
 
 pytest.importorskip("bokeh", reason="the extra html is not installed")
 
@@ -43,8 +44,8 @@ window.addEventListener("load", () => setTimeout(() => {
 
 
 @pytest.fixture(scope="module")
-def diagnosis() -> Diagnosis:
-    return diagnose_in_full(read_campaign(ROOT / "sample_runs" / "yard"), plan=False)
+def diagnosis(diagnosed_sample: Callable[[str], tuple[Campaign, Diagnosis]]) -> Diagnosis:
+    return diagnosed_sample("yard")[1]
 
 
 @pytest.fixture(scope="module")

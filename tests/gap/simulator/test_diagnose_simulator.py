@@ -277,9 +277,9 @@ def test_a_noisy_simulator_is_averaged(tmp_path: Path) -> None:
     assert done.runs.asked >= 8
 
 
-@pytest.mark.parametrize(("name", "value"), [("track", 0.712), ("load_slope", 1.5e-6)])
-def test_a_noisy_simulator_of_several_parameters_names_the_one(tmp_path: Path, name: str, value: float) -> None:
+def test_a_noisy_simulator_of_several_parameters_names_the_one(tmp_path: Path) -> None:
     """All parameters of the example; a step of the slope as declared changes no more than four times the scatter."""
+    name, value = "load_slope", 1.5e-6
     text = (NUMPY / "SIM.toml").read_text()
     sim = other_settings(tmp_path, "p.update(given)", text[text.index("[[parameter]]") :], NOISE)
     done = diagnosed(tmp_path, {name: value}, sim)

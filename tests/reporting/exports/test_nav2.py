@@ -134,7 +134,7 @@ def test_the_file_is_read_by_a_yaml_library_and_says_what_was_observed(capsys: p
     assert (found[:, 1] < 1.0).all() and (found[:, 2] > 1.0).all()
 
 
-@pytest.mark.parametrize("name", ["walks", "walks and a quarter constant", "the same, heavy tails"])
+@pytest.mark.parametrize("name", ["walks", "the same, heavy tails"])
 def test_true_spread_is_within_a_tenth_of_that_predicted(name: str) -> None:
     """Mean over campaigns whose noise is known, along, lateral and in heading, all runs and each kind by itself."""
     outcome = spread_study.study(spread_study.NOISES[name], CAMPAIGNS, seed=1)
