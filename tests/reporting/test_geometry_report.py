@@ -26,9 +26,9 @@ TRUTH = Truth(sensor=(0.15, -0.03, 0.2), delay_s=0.05)
 
 @pytest.fixture(scope="module")
 def along() -> Campaign:
-    """Ten free recordings by a sensor well off the axle, turned and late."""
+    """Six free recordings by a sensor well off the axle, turned and late."""
     rng = np.random.default_rng(1)
-    legs: list[list[Leg]] = [[(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 16)] for _ in range(10)]
+    legs: list[list[Leg]] = [[(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 16)] for _ in range(6)]
     routes = [("free", one) for one in legs]
     return campaign(routes, TRUTH, rng, sigma=(SIGMA_M, SIGMA_RAD), along=True, samples=400)
 
