@@ -19,12 +19,12 @@ pytest.importorskip("calib.gap.diagnose")
 
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Score:
-    """The cases of the shipped plan, of at most 30 runs each: a strong effect shows in them as in 45."""
+    """The cases of the shipped plan, of at most 24 runs each: a strong effect shows in them as in 45."""
     folder = tmp_path_factory.mktemp("blind") / "set"
     shipped = (SEEDS / "ci.toml").read_text(encoding="utf-8")
     assert "max_runs = 45" in shipped
     seeds = folder.with_name("seeds.toml")
-    seeds.write_text(shipped.replace("max_runs = 45", "max_runs = 30"), encoding="utf-8")
+    seeds.write_text(shipped.replace("max_runs = 45", "max_runs = 24"), encoding="utf-8")
     make(seeds, folder, workers=1)
     run(folder, workers=1)
     return score(folder)
