@@ -48,6 +48,8 @@ SAME_WAY_RAD: Final = 0.3
 TRIAL_ROUNDS: Final = 6
 #: of these, those that estimate the noise: it only weighs position against heading, and costs most of a trial
 TRIAL_NOISE_ROUNDS: Final = 1
+#: and to this, relative
+TRIAL_STEADY: Final = 0.2
 #: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
@@ -116,7 +118,8 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         model = Model(drive, recording, segments)
         with np.errstate(all="ignore"):
             scales = first_scales(campaign.reference)
-            values = solve(model, parameters, parameters.nominal, scales, TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS).values
+            rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
+            values = solve(model, parameters, parameters.nominal, scales, *rounds).values
             residuals = model.predict(values).residuals
             path, rotation = travelled(model, values)
     except (CalibError, np.linalg.LinAlgError, ValueError):

@@ -163,6 +163,7 @@ def solve(
     scales: FloatArray,
     rounds: int = ROUNDS,
     noise_rounds: int = NOISE_ROUNDS,
+    steady: float = STEADY,
 ) -> Solution:
     """Return the parameters that the data make most likely.
 
@@ -176,6 +177,8 @@ def solve(
         Where to begin, also with the variances of the noise's components.
     rounds, noise_rounds
         Linearisations at most, and those in which the noise is estimated too.
+    steady
+        A change of the noise's variances below this ends their estimation, relative.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std
@@ -187,7 +190,7 @@ def solve(
         if number < noise_rounds:
             kernel = _kernel(model, prediction, values)
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
-            scales = _noise(problem.part(some), kernel[:, some], scales, least)
+            scales = _noise(problem.part(some), kernel[:, some], scales, least, steady)
             whitener = _inverse(kernel, scales, seen)[1]
         spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
@@ -248,7 +251,7 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
     return np.asarray(np.linalg.solve(normal, residuals @ scaled))
 
 
-def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray) -> FloatArray:
+def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
     """Return the variances of the noise's components, estimated together with the linear problem's step."""
     step = np.zeros(problem.jacobian.shape[2])
     for _ in range(INNER):
@@ -262,7 +265,7 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
         better = np.maximum(update_scales(kernel, scales, inverse, pulled), least)
         change = float(np.max(np.abs(np.log(better / scales))))
         scales = better
-        if change < STEADY:
+        if change < steady:
             break
     return scales
 
