@@ -252,12 +252,7 @@ def diagnose(
 
 
 def _diagnose_simulator(
-    campaign: Campaign,
-    simulator: Path,
-    beside: Path | str | None,
-    exclude: Sequence[str],
-    seed: int,
-    workers: int,
+    campaign: Campaign, simulator: Path, beside: Path | str | None, exclude: Sequence[str], seed: int, workers: int
 ) -> Diagnosis:
     """Diagnose the user's own simulator; options of calib's own model are refused beside it."""
     from calib.gap.simulator.diagnose import diagnose_simulator

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import finalize
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError, BadInputError
@@ -159,7 +159,7 @@ class RunTable:
     def _repr_html_(self) -> str:
         return str(self.frame().to_html(max_rows=12))
 
-    def select(self, keep: npt.ArrayLike) -> RunTable:
+    def select(self, keep: ArrayLike) -> RunTable:
         """Return the rows that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
         return RunTable(
@@ -256,7 +256,7 @@ class Logs:
         cut = {name: read(name, part) for name in columns}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
-    def select(self, keep: npt.ArrayLike) -> Logs:
+    def select(self, keep: ArrayLike) -> Logs:
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
         index = np.flatnonzero(index) if index.dtype == bool else index
@@ -327,7 +327,7 @@ class Campaign:
     odometry: Odometry = field(default_factory=Odometry)
     assumed: tuple[str, ...] = ()
 
-    def select(self, keep: npt.ArrayLike) -> Campaign:
+    def select(self, keep: ArrayLike) -> Campaign:
         """Return the campaign with the runs that `keep` (bool mask or indices) picks."""
         return replace(self, runs=self.runs.select(keep), logs=self.logs.select(keep))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _LISTED_RUNS = 8
 
 
-def init(folder: Annotated[Path, argument(None, "Campaign folder to make.")]) -> None:
+def init(folder: Annotated[Path, arg(None, "Campaign folder to make.")]) -> None:
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
     What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
@@ -33,12 +33,12 @@ def init(folder: Annotated[Path, argument(None, "Campaign folder to make.")]) ->
 
 def ingest(
     sources: Annotated[
-        list[Path], argument(None, "Run table first, where there is one; then logs, recordings or folders of them.")
+        list[Path], arg(None, "Run table first, where there is one; then logs, recordings or folders of them.")
     ],
-    into: Annotated[Path | None, option("CAMPAIGN", "Campaign folder to make.")] = None,
-    mapping: Annotated[Path | None, option("FILE", "TOML that names the columns.")] = None,
-    describe: Annotated[bool, option(None, "Describe the files and propose a mapping, as TOML.", "--describe")] = False,
-    dry_run: Annotated[bool, option(None, "Do everything but write.", "--dry-run")] = False,
+    into: Annotated[Path | None, opt("CAMPAIGN", "Campaign folder to make.")] = None,
+    mapping: Annotated[Path | None, opt("FILE", "TOML that names the columns.")] = None,
+    describe: Annotated[bool, opt(None, "Describe the files and propose a mapping, as TOML.", "--describe")] = False,
+    dry_run: Annotated[bool, opt(None, "Do everything but write.", "--dry-run")] = False,
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
@@ -106,8 +106,8 @@ def _say_cuts(ingested: Ingested) -> None:
 
 
 def check(
-    campaign: Annotated[Path, argument(None, "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
-    strict: Annotated[bool, option(None, "Exit status 1 on suspicious things, too.", "--strict")] = False,
+    campaign: Annotated[Path, arg(None, "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
+    strict: Annotated[bool, opt(None, "Exit status 1 on suspicious things, too.", "--strict")] = False,
     mapping: terminal.MappingOption = None,
 ) -> int:
     """Say what was found in a campaign, what is wrong and what is suspicious; nothing is changed.

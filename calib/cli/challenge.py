@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.documents import plain
 from calib.errors import BadInputError
 
-Folder = Annotated[Path, argument("DIR", "A set made by 'calib challenge make'.")]
-Cases = Annotated[int | None, option("N", "Only so many cases.", "--cases", min=1)]
-Truth = Annotated[Path | None, option("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
+Folder = Annotated[Path, arg("DIR", "A set made by 'calib challenge make'.")]
+Cases = Annotated[int | None, opt("N", "Only so many cases.", "--cases", min=1)]
+Truth = Annotated[Path | None, opt("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
 
 
 def make(
-    seeds: Annotated[Path, option("FILE", "Seeds file; see calib/challenge/seeds.")],
-    into: Annotated[Path, option("DIR", "Folder for the set.")],
+    seeds: Annotated[Path, opt("FILE", "Seeds file; see calib/challenge/seeds.")],
+    into: Annotated[Path, opt("DIR", "Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,
     workers: terminal.Workers = 2,
@@ -62,7 +62,7 @@ def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed
 def score(
     folder: Folder,
     truth: Truth = None,
-    plot: Annotated[Path | None, option("FILE", "PNG, SVG or PDF; the confusion matrix goes beside it.")] = None,
+    plot: Annotated[Path | None, opt("FILE", "PNG, SVG or PDF; the confusion matrix goes beside it.")] = None,
 ) -> int:
     """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed.
 
@@ -87,14 +87,14 @@ def score(
 
 
 def own(
-    folder: Annotated[Path, argument("CAMPAIGN", "Folder with campaign.toml, runs.csv, logs.")],
-    effects: Annotated[str | None, option("A,B", "Effects to plant; all that the runs can show by default.")] = None,
+    folder: Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml, runs.csv, logs.")],
+    effects: Annotated[str | None, opt("A,B", "Effects to plant; all that the runs can show by default.")] = None,
     sizes: Annotated[
-        str, option("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
+        str, opt("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
-    planted: Annotated[int, option("N", "How often each.", min=1)] = 5,
+    planted: Annotated[int, opt("N", "How often each.", min=1)] = 5,
     workers: terminal.Workers = 2,
-    seconds: Annotated[float, option("S", "Begin no diagnosis after so long.", min=1.0)] = 900.0,
+    seconds: Annotated[float, opt("S", "Begin no diagnosis after so long.", min=1.0)] = 900.0,
     seed: terminal.Seed = 0,
 ) -> int:
     """Plant known effects on this campaign's own noise and route, and say what its data would find.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.errors import BadInputError
 
 DISTANCE_M: Final = 40.0
@@ -16,19 +16,19 @@ WAVELENGTHS_M: Final = (40.0, 5.0)
 
 def deviation(
     campaign: Annotated[
-        Path | None, argument("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
+        Path | None, arg("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
     ] = None,
-    tolerance: Annotated[float, option("SHARE", "Largest relative error of a radius.")] = 0.0005,
+    tolerance: Annotated[float, opt("SHARE", "Largest relative error of a radius.")] = 0.0005,
     amplitude: Annotated[
-        list[float] | None, option("M", "Amplitude of the weave in the table; may be given again.")
+        list[float] | None, opt("M", "Amplitude of the weave in the table; may be given again.")
     ] = None,
     wavelength: Annotated[
-        list[float] | None, option("M", "Wavelength of the weave in the table; may be given again.")
+        list[float] | None, opt("M", "Wavelength of the weave in the table; may be given again.")
     ] = None,
-    distance: Annotated[float | None, option("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
-    track: Annotated[float | None, option("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
+    distance: Annotated[float | None, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
+    track: Annotated[float | None, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
     radius_ratio: Annotated[
-        float | None, option("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")
+        float | None, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")
     ] = None,
 ) -> int:
     """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
@@ -72,24 +72,24 @@ STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
 
 
 def loads(
-    payload: Annotated[float, option("KG", "Mass of the payload.")] = 0.0,
-    x: Annotated[float, option("M", "Its centre of mass ahead of the rear axle.")] = 0.0,
-    y: Annotated[float, option("M", "Its centre of mass left of the centre line.")] = 0.0,
-    sweep: Annotated[str | None, option("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
-    first: Annotated[float | None, option(None, "First value of the sweep.", "--from")] = None,
-    last: Annotated[float | None, option(None, "Last value of the sweep.", "--to")] = None,
-    steps: Annotated[int, option(None, "Values of the sweep.")] = 21,
+    payload: Annotated[float, opt("KG", "Mass of the payload.")] = 0.0,
+    x: Annotated[float, opt("M", "Its centre of mass ahead of the rear axle.")] = 0.0,
+    y: Annotated[float, opt("M", "Its centre of mass left of the centre line.")] = 0.0,
+    sweep: Annotated[str | None, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
+    first: Annotated[float | None, opt(None, "First value of the sweep.", "--from")] = None,
+    last: Annotated[float | None, opt(None, "Last value of the sweep.", "--to")] = None,
+    steps: Annotated[int, opt(None, "Values of the sweep.")] = 21,
     weighed: Annotated[
-        str | None, option("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
+        str | None, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
     ] = None,
-    sigma: Annotated[float, option("N", "Standard uncertainty of each weighing.")] = 0.0,
-    vehicle: Annotated[Path | None, option("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
-    mass: Annotated[float | None, option("KG", "Mass of the vehicle.")] = None,
-    cog_x: Annotated[float | None, option("M", "Its centre of mass, ahead of the axle.")] = None,
-    cog_y: Annotated[float | None, option("M", "Its centre of mass, left positive.")] = None,
-    track: Annotated[float | None, option("M", "Track.")] = None,
-    wheelbase: Annotated[float | None, option("M", "Wheelbase.")] = None,
-    max_load: Annotated[float | None, option("N", "Permissible wheel load.")] = None,
+    sigma: Annotated[float, opt("N", "Standard uncertainty of each weighing.")] = 0.0,
+    vehicle: Annotated[Path | None, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
+    mass: Annotated[float | None, opt("KG", "Mass of the vehicle.")] = None,
+    cog_x: Annotated[float | None, opt("M", "Its centre of mass, ahead of the axle.")] = None,
+    cog_y: Annotated[float | None, opt("M", "Its centre of mass, left positive.")] = None,
+    track: Annotated[float | None, opt("M", "Track.")] = None,
+    wheelbase: Annotated[float | None, opt("M", "Wheelbase.")] = None,
+    max_load: Annotated[float | None, opt("N", "Permissible wheel load.")] = None,
     figures: terminal.Figures = None,
 ) -> None:
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import option
+from calib.cli.terminal import opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -18,27 +18,23 @@ if TYPE_CHECKING:
 
 RESULT_FILE = "diagnosis.json"
 Simulator = Annotated[
-    Path | None, option("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
+    Path | None, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
 ]
-Workers = Annotated[int, option("N", "Runs of the simulator at once.", "--workers", min=1)]
+Workers = Annotated[int, opt("N", "Runs of the simulator at once.", "--workers", min=1)]
 
 
 def run(
     campaign: terminal.CampaignOrRecording,
-    model: Annotated[Path | None, option("FILE", "Coefficient file that the simulator believes.")] = None,
-    exclude: Annotated[
-        list[str] | None, option("EFFECT", "Leave an effect out of the library; again for more.")
-    ] = None,
+    model: Annotated[Path | None, opt("FILE", "Coefficient file that the simulator believes.")] = None,
+    exclude: Annotated[list[str] | None, opt("EFFECT", "Leave an effect out of the library; again for more.")] = None,
     seed: terminal.Seed = 0,
     apply: Annotated[
-        Path | None, option("FILE", "Write the model with the named effect; of a simulator: what to set.")
+        Path | None, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")
     ] = None,
     figures: terminal.Figures = None,
-    html: Annotated[Path | None, option("FILE", "Write one page to look into, with linked panels.")] = None,
-    into: Annotated[Path | None, option("FOLDER", "Result folder: diagnosis.json.")] = None,
-    journeys: Annotated[
-        Path | None, option("PLAN", "Runs to come, to compare the corrections of tied causes on.")
-    ] = None,
+    html: Annotated[Path | None, opt("FILE", "Write one page to look into, with linked panels.")] = None,
+    into: Annotated[Path | None, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
+    journeys: Annotated[Path | None, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
     simulator: Simulator = None,
     workers: Workers = 1,
     mapping: terminal.MappingOption = None,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 
 
 def effects(
-    effect: Annotated[str | None, argument("ID", "An effect, of which all is said; without it a list.")] = None,
+    effect: Annotated[str | None, arg("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
         Path | None,
-        option("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too."),
+        opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too."),
     ] = None,
     figures: terminal.Figures = None,
 ) -> None:
@@ -78,18 +78,16 @@ MATRIX = "plan-matrix"
 
 
 def plan(
-    campaign: Annotated[Path | None, argument("[CAMPAIGN]", "Campaign that was driven.")] = None,
+    campaign: Annotated[Path | None, arg("[CAMPAIGN]", "Campaign that was driven.")] = None,
     source: Annotated[
-        Path | None, option("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")
+        Path | None, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")
     ] = None,
     candidates: Annotated[
-        Path | None, option("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")
+        Path | None, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")
     ] = None,
-    most: Annotated[int, option(None, "How many runs to name.", min=1, max=50)] = 5,
+    most: Annotated[int, opt(None, "How many runs to name.", min=1, max=50)] = 5,
     seed: terminal.Seed = 0,
-    figures: Annotated[
-        Path | None, option("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")
-    ] = None,
+    figures: Annotated[Path | None, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
 ) -> int:
     """List the runs to drive next, best first, with what each tells apart.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY
@@ -23,37 +23,35 @@ if TYPE_CHECKING:
 
 Loads = Annotated[
     list[str] | None,
-    option("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load"),
+    opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load"),
 ]
 Controllers = Annotated[
     list[str] | None,
-    option("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
+    opt("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
 ]
 VelocityFeedback = Annotated[
-    bool, option(None, "ROS 2: the joints report velocities, not positions.", "--velocity-feedback")
+    bool, opt(None, "ROS 2: the joints report velocities, not positions.", "--velocity-feedback")
 ]
-OpenLoop = Annotated[bool, option(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
+OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
 Output = Annotated[
-    Path | None, option(None, "File, or folder where several files are made; without it, or '-': standard output.")
+    Path | None, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
-Outside = Annotated[str | None, option("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
-Model = Annotated[
-    Path | None, option("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")
-]
-Left = Annotated[str, option("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
-Right = Annotated[str, option("NAME", "The same of the right rear wheel.")]
+Outside = Annotated[str | None, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
+Model = Annotated[Path | None, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
+Left = Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
+Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
 
 
 def export(
     source: Annotated[
-        Path, argument("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
+        Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
     ],
-    to: Annotated[str, option("FORMAT", f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")],
+    to: Annotated[str, opt("FORMAT", f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")],
     output: Output = None,
     load: Loads = None,
     outside: Outside = None,
-    date: Annotated[str | None, option("YYYY-MM-DD", "Date written into the file.")] = None,
+    date: Annotated[str | None, opt("YYYY-MM-DD", "Date written into the file.")] = None,
     controller: Controllers = None,
     model: Model = None,
     left: Left = "",
@@ -126,19 +124,17 @@ def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[st
 
 
 def report(
-    source: Annotated[
-        Path, argument("CAMPAIGN|RESULT", "Campaign folder, or result folder of calib fit, or its fit.json.")
-    ],
+    source: Annotated[Path, arg("CAMPAIGN|RESULT", "Campaign folder, or result folder of calib fit, or its fit.json.")],
     into: Annotated[
-        Path | None, option("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
+        Path | None, opt("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
     ] = None,
     date: terminal.Date = None,
     figures: terminal.Figures = None,
     html: Annotated[
-        Path | None, option("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")
+        Path | None, opt("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")
     ] = None,
     diagnosis: Annotated[
-        bool, option(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
+        bool, opt(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
     ] = False,
     seed: terminal.Seed = 0,
     accept_implausible: terminal.AcceptImplausible = "",

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from calib.cli import terminal
-from calib.cli.terminal import option
+from calib.cli.terminal import opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -17,18 +17,16 @@ if TYPE_CHECKING:
 
 def fit(
     campaign: terminal.CampaignOrRecording,
-    into: Annotated[
-        Path | None, option("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")
-    ] = None,
+    into: Annotated[Path | None, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
     reference_load: Annotated[
         float | None,
-        option("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
+        opt("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
     ] = None,
     model: Annotated[
         Path | None,
-        option("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),
+        opt("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),
     ] = None,
-    runs: Annotated[bool, option(None, "List the radius of every run.", "--runs")] = False,
+    runs: Annotated[bool, opt(None, "List the radius of every run.", "--runs")] = False,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
 ) -> int:
@@ -103,11 +101,11 @@ RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
 
 def geometry(
     campaign: terminal.CampaignOrRecording,
-    using: Annotated[str | None, option("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
-    kind: Annotated[list[str] | None, option("KIND", "Use runs of this kind alone; may be given again.")] = None,
-    leave_out: Annotated[str | None, option("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
-    into: Annotated[Path | None, option("FOLDER", "Write the result there (geometry.json).")] = None,
-    output: Annotated[Path | None, option("COEFFICIENTS", "Write a coefficient file.")] = None,
+    using: Annotated[str | None, opt("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
+    kind: Annotated[list[str] | None, opt("KIND", "Use runs of this kind alone; may be given again.")] = None,
+    leave_out: Annotated[str | None, opt("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
+    into: Annotated[Path | None, opt("FOLDER", "Write the result there (geometry.json).")] = None,
+    output: Annotated[Path | None, opt("COEFFICIENTS", "Write a coefficient file.")] = None,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
     accept_implausible: terminal.AcceptImplausible = "",

@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.errors import refuse_workers
 
 
 def run(
-    folder: Annotated[Path, argument(None, "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
-    into: Annotated[Path, option("FOLDER", "Result folder; a later run goes on there.")],
-    what: Annotated[str, option(None, "fit, check, geometry or diagnose.")] = "fit",
+    folder: Annotated[Path, arg(None, "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
+    into: Annotated[Path, opt("FOLDER", "Result folder; a later run goes on there.")],
+    what: Annotated[str, opt(None, "fit, check, geometry or diagnose.")] = "fit",
     workers: terminal.Workers = 1,
-    scheduler: Annotated[str, option("TCP", "Dask scheduler, tcp://host:port.")] = "",
+    scheduler: Annotated[str, opt("TCP", "Dask scheduler, tcp://host:port.")] = "",
     date: terminal.Date = None,
 ) -> int:
     """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
@@ -58,16 +58,16 @@ def run(
 
 
 def simulate(
-    into: Annotated[Path, option("FOLDER", "New folder for the dataset.")],
-    vehicles: Annotated[int, option(None, "How many vehicles.", min=1)] = 400,
-    runs: Annotated[int, option(None, "Runs a vehicle.", min=6)] = 60,
-    months: Annotated[int, option(None, "Months that they are spread over.", min=1)] = 6,
-    outliers: Annotated[int, option(None, "Vehicles with a wheel of their own.", min=0)] = 20,
-    drifting: Annotated[int, option(None, "Vehicles whose radius drifts.", min=0)] = 5,
-    common: Annotated[int, option(None, "Vehicles in hall B, whose floor shows.", min=0)] = 40,
+    into: Annotated[Path, opt("FOLDER", "New folder for the dataset.")],
+    vehicles: Annotated[int, opt(None, "How many vehicles.", min=1)] = 400,
+    runs: Annotated[int, opt(None, "Runs a vehicle.", min=6)] = 60,
+    months: Annotated[int, opt(None, "Months that they are spread over.", min=1)] = 6,
+    outliers: Annotated[int, opt(None, "Vehicles with a wheel of their own.", min=0)] = 20,
+    drifting: Annotated[int, opt(None, "Vehicles whose radius drifts.", min=0)] = 5,
+    common: Annotated[int, opt(None, "Vehicles in hall B, whose floor shows.", min=0)] = 40,
     poses: Annotated[
         bool,
-        option(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses"),
+        opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses"),
     ] = False,
     seed: terminal.Seed = 0,
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import argument, option
+from calib.cli.terminal import arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -20,19 +20,19 @@ DRAWS: Final = 20_000
 
 Routes = Annotated[
     list[str] | None,
-    argument(
+    arg(
         "[ROUTE]...",
         "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
     ),
 ]
 Law = Annotated[
-    Path | None, option("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")
+    Path | None, opt("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")
 ]
-Track = Annotated[float | None, option("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
-Draws = Annotated[int, option(None, "Draws of the Monte Carlo.", "--draws")]
-Output = Annotated[Path | None, option("FOLDER", "Write figures and tables there.", "--output")]
-Tum = Annotated[Path | None, option("FOLDER", "Write trajectories there, TUM format.", "--tum")]
-Speed = Annotated[float, option("M/S", "Speed that times the trajectories.", "--speed")]
+Track = Annotated[float | None, opt("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
+Draws = Annotated[int, opt(None, "Draws of the Monte Carlo.", "--draws")]
+Output = Annotated[Path | None, opt("FOLDER", "Write figures and tables there.", "--output")]
+Tum = Annotated[Path | None, opt("FOLDER", "Write trajectories there, TUM format.", "--tum")]
+Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--speed")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,12 @@ def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: l
 
 def route(
     route: Routes = None,
-    real: Annotated[str | None, option("L,R", "Real radii, m.")] = None,
-    believed: Annotated[str | None, option("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
-    ratio: Annotated[str | None, option("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
-    which: Annotated[str, option(None, "Which wheel --ratio sets off: right, left, both, equal.", "--wheel")] = "right",
+    real: Annotated[str | None, opt("L,R", "Real radii, m.")] = None,
+    believed: Annotated[str | None, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
+    ratio: Annotated[str | None, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
+    which: Annotated[str, opt(None, "Which wheel --ratio sets off: right, left, both, equal.", "--wheel")] = "right",
     track: Track = None,
-    real_track: Annotated[float | None, option("M", "Real track, if another.")] = None,
+    real_track: Annotated[float | None, opt("M", "Real track, if another.")] = None,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
@@ -132,7 +132,7 @@ def route(
 def journey(
     law: Annotated[
         Path,
-        option(
+        opt(
             "PATH",
             "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
             "--law",
@@ -140,19 +140,19 @@ def journey(
         ),
     ],
     route: Routes = None,
-    load: Annotated[list[str] | None, option("L,R", "Wheel loads, N; again for more journeys.")] = None,
+    load: Annotated[list[str] | None, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
     payload: Annotated[
-        list[str] | None, option("KG,X,Y", "The same from a payload and its place; again for more.")
+        list[str] | None, opt("KG,X,Y", "The same from a payload and its place; again for more.")
     ] = None,
     payload_at: Annotated[
         list[str] | None,
-        option(
+        opt(
             "S,KG,X,Y",
             "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
         ),
     ] = None,
     reference: Annotated[
-        str, option("L,R", "Loads whose radii the uncorrected odometry uses, N.", "--reference-load")
+        str, opt("L,R", "Loads whose radii the uncorrected odometry uses, N.", "--reference-load")
     ] = "300,300",
     track: Track = None,
     draws: Draws = DRAWS,
@@ -190,10 +190,10 @@ def journey(
 
 
 def study(
-    name: Annotated[str, argument("STUDY", "symmetric, asymmetric or corrected.")],
+    name: Annotated[str, arg("STUDY", "symmetric, asymmetric or corrected.")],
     law: Law = None,
-    load: Annotated[list[str] | None, option("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
-    route: Annotated[list[str] | None, option(None, "Another route than the study's; again for more.")] = None,
+    load: Annotated[list[str] | None, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
+    route: Annotated[list[str] | None, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,
@@ -239,9 +239,9 @@ def study(
 
 
 def replay(
-    campaign: Annotated[Path, argument("CAMPAIGN", "Campaign with logs and end poses.")],
+    campaign: Annotated[Path, arg("CAMPAIGN", "Campaign with logs and end poses.")],
     law: Law = None,
-    scheme: Annotated[str, option(None, "exact, mid_point, euler or end_point.")] = "exact",
+    scheme: Annotated[str, opt(None, "exact, mid_point, euler or end_point.")] = "exact",
     seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,

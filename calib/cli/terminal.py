@@ -295,7 +295,7 @@ def _write(stream: Any, text: str) -> None:
         stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")
 
 
-def option(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
+def opt(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
     """Return an option: how its value is called in the help, the help, and its names where its parameter says no other.
 
     `metavar` is None for a switch, and for a value called by its type; `limits` are those of `typer.Option`.
@@ -303,33 +303,31 @@ def option(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
     return typer.Option(*names, metavar=metavar, help=text, **limits)
 
 
-def argument(metavar: str | None, text: str) -> Any:
+def arg(metavar: str | None, text: str) -> Any:
     """Return an argument: how it is called in the help, and the help."""
     return typer.Argument(metavar=metavar, help=text)
 
 
-JsonTarget = Annotated[
-    str | None, option("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")
-]
+JsonTarget = Annotated[str | None, opt("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")]
 MappingOption = Annotated[
-    Path | None, option("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")
+    Path | None, opt("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")
 ]
-CampaignOrRecording = Annotated[Path, argument("CAMPAIGN", "Folder with campaign.toml and runs.csv, or a recording.")]
-Figures = Annotated[Path | None, option("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
+CampaignOrRecording = Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml and runs.csv, or a recording.")]
+Figures = Annotated[Path | None, opt("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
 Date = Annotated[
-    str | None, option("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")
+    str | None, opt("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")
 ]
-Force = Annotated[bool, option(None, "Replace existing output files.", "--force")]
+Force = Annotated[bool, opt(None, "Replace existing output files.", "--force")]
 AcceptImplausible = Annotated[
     str,
-    option(
+    opt(
         "REASON",
         "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
         "--accept-implausible",
     ),
 ]
-Workers = Annotated[int, option("N", "Processes of this machine.", "--workers", min=1)]
-Seed = Annotated[int, option("N", "Seed of everything that is drawn.", "--seed")]
+Workers = Annotated[int, opt("N", "Processes of this machine.", "--workers", min=1)]
+Seed = Annotated[int, opt("N", "Seed of everything that is drawn.", "--seed")]
 
 
 def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib import __version__
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
@@ -97,7 +97,7 @@ def from_fit(
     return file.accepted(fit.accepted, fit.implausible)
 
 
-def load_points(load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> dict[str, tuple[float, float]]:
+def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the load points of runs as lines of a load table: name -> mean wheel loads left and right in N.
 
     Runs whose loads agree to a newton are one point. Empty where there are more than 64 points: no table is then meant.

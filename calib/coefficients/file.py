@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
@@ -154,7 +154,7 @@ class CoefficientFile(Section):
             half_length_plus_half_width_m=self.together.get("half_length_plus_half_width_m"),
         )
 
-    def radius_m(self, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def radius_m(self, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the effective radii of both wheels, obeying the file outside the valid range.
 
         `load_left_N`, `load_right_N`: wheel loads, any shape each. Returns `left_m`, `right_m`: radii, of the shapes of
@@ -244,7 +244,7 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
     )
 
 
-def _radius(wheel: WheelSection, load_N: npt.ArrayLike, outside: Outside, side: str) -> FloatArray:
+def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
     loads = np.asarray(load_N, dtype=np.float64)
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
     if not np.isfinite(loads).all():

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.errors import BadInputError
@@ -26,11 +26,11 @@ MANY_STEPS: Final = 1_000_000
 
 
 def lay_flat(
-    travel_left_m: npt.ArrayLike,
-    travel_right_m: npt.ArrayLike,
-    track_m: npt.ArrayLike,
-    offsets: npt.ArrayLike | None,
-    start: npt.ArrayLike,
+    travel_left_m: ArrayLike,
+    travel_right_m: ArrayLike,
+    track_m: ArrayLike,
+    offsets: ArrayLike | None,
+    start: ArrayLike,
 ) -> Flat:
     """Check the input and lay it flat.
 
@@ -114,12 +114,12 @@ def _fill_compiled(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) 
 
 
 def integrate(
-    travel_left_m: npt.ArrayLike,
-    travel_right_m: npt.ArrayLike,
-    track_m: npt.ArrayLike,
+    travel_left_m: ArrayLike,
+    travel_right_m: ArrayLike,
+    track_m: ArrayLike,
     *,
-    offsets: npt.ArrayLike | None = None,
-    start: npt.ArrayLike = (0.0, 0.0, 0.0),
+    offsets: ArrayLike | None = None,
+    start: ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
     out: Poses | None = None,
     threads: int | None = None,
@@ -188,12 +188,12 @@ def integrate(
 
 
 def end_poses(
-    travel_left_m: npt.ArrayLike,
-    travel_right_m: npt.ArrayLike,
-    track_m: npt.ArrayLike,
+    travel_left_m: ArrayLike,
+    travel_right_m: ArrayLike,
+    track_m: ArrayLike,
     *,
-    offsets: npt.ArrayLike | None = None,
-    start: npt.ArrayLike = (0.0, 0.0, 0.0),
+    offsets: ArrayLike | None = None,
+    start: ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
 ) -> Poses:
     """Integrate the travel of the rear wheels and return the end pose of each run alone.
@@ -216,7 +216,7 @@ def end_poses(
     return Poses(end[0], end[1], end[2])
 
 
-def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets: npt.ArrayLike) -> FloatArray:
+def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
     """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
 
     A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
@@ -240,15 +240,13 @@ def loads_in_steps(run_N: npt.ArrayLike, logged_N: npt.ArrayLike | None, offsets
     return carried
 
 
-def radii_under_load(
-    law: RadiusLaw, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike
-) -> tuple[FloatArray, FloatArray]:
+def radii_under_load(law: RadiusLaw, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the effective radii of both wheels for loads of any shape, in m: the block that Fig. 7 adds."""
     return law.left.radius_m(load_left_N), law.right.radius_m(load_right_N)
 
 
 def radii_of_model(
-    model: OdometryModel, load_left_N: npt.ArrayLike, load_right_N: npt.ArrayLike
+    model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
     left_N, right_N = np.asarray(load_left_N, dtype=np.float64), np.asarray(load_right_N, dtype=np.float64)
@@ -259,13 +257,13 @@ def radii_of_model(
 
 
 def travel_from_counts(
-    counts_left: npt.ArrayLike,
-    counts_right: npt.ArrayLike,
+    counts_left: ArrayLike,
+    counts_right: ArrayLike,
     encoder: Encoder,
-    radius_left_m: npt.ArrayLike,
-    radius_right_m: npt.ArrayLike,
+    radius_left_m: ArrayLike,
+    radius_right_m: ArrayLike,
     *,
-    offsets: npt.ArrayLike | None = None,
+    offsets: ArrayLike | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11).
 

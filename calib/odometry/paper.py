@@ -9,7 +9,7 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.errors import SIMULATED_POSES, BadInputError, refuse_more
 from calib.odometry.integrate import end_poses, integrate
@@ -30,9 +30,9 @@ class Axle:
 
     #: radius_left_m, radius_right_m, track_m: shape () or (vehicles,): effective radii and the distance of the contact
     #: points; shapes that broadcast
-    radius_left_m: npt.ArrayLike
-    radius_right_m: npt.ArrayLike
-    track_m: npt.ArrayLike
+    radius_left_m: ArrayLike
+    radius_right_m: ArrayLike
+    track_m: ArrayLike
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
@@ -55,9 +55,7 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
     ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
     half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
     parts = np.broadcast_arrays(
-        ratio_left * (route.length_m - half),
-        ratio_right * (route.length_m + half),
-        np.atleast_1d(real_track)[:, None],
+        ratio_left * (route.length_m - half), ratio_right * (route.length_m + half), np.atleast_1d(real_track)[:, None]
     )
     return parts[0], parts[1], parts[2][:, :1]
 
@@ -211,11 +209,7 @@ class Sweep:
 
 
 def run_sweep(
-    route: Route | str,
-    cases: Sequence[Case],
-    *,
-    track_m: float = 0.7,
-    real_track_m: float | None = None,
+    route: Route | str, cases: Sequence[Case], *, track_m: float = 0.7, real_track_m: float | None = None
 ) -> Sweep:
     """Drive vehicles with different radii over a route (or one of that name).
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.odometry.poses import Poses, sinc
 from calib.radius.law import JOINT
@@ -37,12 +37,12 @@ class PathSteps:
 
 
 def steps(
-    travel_left_m: npt.ArrayLike,
-    travel_right_m: npt.ArrayLike,
-    track_m: npt.ArrayLike,
+    travel_left_m: ArrayLike,
+    travel_right_m: ArrayLike,
+    track_m: ArrayLike,
     *,
-    radius_left_m: npt.ArrayLike,
-    radius_right_m: npt.ArrayLike,
+    radius_left_m: ArrayLike,
+    radius_right_m: ArrayLike,
 ) -> PathSteps:
     """Return a path in exact arcs with its derivatives, from (0, 0) along x.
 
@@ -77,7 +77,7 @@ def steps(
 
 
 def jacobian(
-    path: PathSteps, *, load_offset_left_N: npt.ArrayLike = 0.0, load_offset_right_N: npt.ArrayLike = 0.0
+    path: PathSteps, *, load_offset_left_N: ArrayLike = 0.0, load_offset_right_N: ArrayLike = 0.0
 ) -> FloatArray:
     """Return the derivatives of the pose (x, y, theta) after each step by `JOINT`, shape (..., n, 3, 5).
 
@@ -186,7 +186,7 @@ class Ellipses:
     coverage: float  #: probability that the position lies within, for a normal distribution
 
 
-def ellipses(covariance: npt.ArrayLike, *, coverage: float = 0.95) -> Ellipses:
+def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
     """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
 
     A coverage of 0.95 is 2.45 standard deviations in two dimensions.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.errors import BadFileError, BadInputError
 from calib.io import write_text
@@ -47,7 +47,7 @@ class Poses:
         return np.stack([self.x_m, self.y_m, self.theta_rad], axis=-1)
 
     @staticmethod
-    def from_stacked(stacked: npt.ArrayLike) -> Poses:
+    def from_stacked(stacked: ArrayLike) -> Poses:
         """Return the poses of an array whose last axis holds x, y, theta."""
         values = np.asarray(stacked, dtype=np.float64)
         return Poses(values[..., 0], values[..., 1], values[..., 2])
@@ -85,12 +85,12 @@ class PoseErrors:
         return np.asarray(np.hypot(self.global_x_m, self.global_y_m))
 
 
-def sinc(u: npt.ArrayLike) -> FloatArray:
+def sinc(u: ArrayLike) -> FloatArray:
     """Return sin(u) / u, 1 at 0; any shape, u in rad: the ratio of chord to arc for a turn of 2 u."""
     return np.asarray(np.sinc(np.asarray(u, dtype=np.float64) / np.pi))
 
 
-def wrapped(angle_rad: npt.ArrayLike) -> FloatArray:
+def wrapped(angle_rad: ArrayLike) -> FloatArray:
     """Return angles in (-pi, pi], same shape."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     return np.asarray(angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi)))
@@ -117,7 +117,7 @@ def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
 FILE_LIMIT_BYTES = 2 << 30
 
 
-def write_tum(path: Path, t_s: npt.ArrayLike, poses: Poses, *, force: bool = False) -> Path:
+def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) -> Path:
     """Write poses at times in s, each (n,); numbers carry every digit, so that reading gives them back."""
     times = np.asarray(t_s, dtype=np.float64)
     if times.shape != poses.shape or times.ndim != 1:

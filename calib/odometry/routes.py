@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.campaign.settings_file import load_toml
 from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
@@ -72,7 +72,7 @@ class Route:
         count = pieces.astype(np.int64)
         return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
 
-    def cut(self, at_m: npt.ArrayLike) -> Route:
+    def cut(self, at_m: ArrayLike) -> Route:
         """Return the same route with a border between two segments at each of these distances along it."""
         wanted = np.unique(np.asarray(at_m, dtype=np.float64))
         edges = self.distance_m()

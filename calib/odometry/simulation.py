@@ -193,9 +193,5 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
                 f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured: the law extrapolates there"
             )
     return LawPart(
-        law=law,
-        table=law_table(law, np.array(TABLE_LOADS_N)),
-        journeys=journeys,
-        notes=tuple(notes),
-        path=path,
+        law=law, table=law_table(law, np.array(TABLE_LOADS_N)), journeys=journeys, notes=tuple(notes), path=path
     )

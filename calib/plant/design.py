@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.errors import BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
@@ -179,7 +179,7 @@ class Design:
         stretch = self.length_m * np.where(self.kind == "corridor_short", SHORT, 1.0)
         return np.where(self.direction == "back", stretch, 0.0)
 
-    def select(self, keep: npt.ArrayLike) -> Design:
+    def select(self, keep: ArrayLike) -> Design:
         """Return the runs that `keep` (mask or indices, repeats allowed) picks."""
         index = np.asarray(keep)
         of_runs = [field.name for field in fields(self) if isinstance(getattr(self, field.name), np.ndarray)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
@@ -42,7 +42,7 @@ class PathExcess:
         return PathExcess(centre, centre - half, centre + half, np.asarray(yaw_rad))
 
 
-def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
+def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the relative excess of ``y = A sin(2 pi x / lambda)`` over whole periods, equal for centre and wheels.
 
     ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
@@ -57,19 +57,19 @@ def whole_period_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike)
     return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
 
 
-def small_amplitude_excess(amplitude_m: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
+def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the small-amplitude form ``(pi A / lambda)^2`` of `whole_period_excess`."""
     ratio = np.asarray(amplitude_m, dtype=np.float64) / np.asarray(wavelength_m, dtype=np.float64)
     return np.asarray((np.pi * ratio) ** 2)
 
 
 def weave_excess(
-    amplitude_m: npt.ArrayLike,
-    wavelength_m: npt.ArrayLike,
-    distance_m: npt.ArrayLike,
+    amplitude_m: ArrayLike,
+    wavelength_m: ArrayLike,
+    distance_m: ArrayLike,
     track_m: float,
     *,
-    phase_rad: npt.ArrayLike = 0.0,
+    phase_rad: ArrayLike = 0.0,
 ) -> PathExcess:
     """Return the relative excess of a weave over any distance, whole periods or not (Fig. 8b).
 
@@ -100,7 +100,7 @@ def weave_excess(
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
 
 
-def arc_excess(yaw_rad: npt.ArrayLike, distance_m: npt.ArrayLike, track_m: float) -> PathExcess:
+def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> PathExcess:
     """Return the relative excess of a steady arc over its chord (Fig. 8a).
 
     `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
@@ -112,7 +112,7 @@ def arc_excess(yaw_rad: npt.ArrayLike, distance_m: npt.ArrayLike, track_m: float
 
 
 def arc_of_radii_rad(
-    distance_m: npt.ArrayLike, radius_left_m: npt.ArrayLike, radius_right_m: npt.ArrayLike, track_m: float
+    distance_m: ArrayLike, radius_left_m: ArrayLike, radius_right_m: ArrayLike, track_m: float
 ) -> FloatArray:
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
@@ -123,25 +123,25 @@ def arc_of_radii_rad(
     return np.asarray(np.asarray(distance_m, dtype=np.float64) * 2 * (right - left) / ((right + left) * track_m))
 
 
-def radius_error(excess: npt.ArrayLike) -> FloatArray:
+def radius_error(excess: ArrayLike) -> FloatArray:
     """Return the relative error of an uncorrected radius whose wheel rolled ``1 + excess`` times S_O."""
     e = np.asarray(excess, dtype=np.float64)
     return np.asarray(-e / (1 + e))
 
 
-def excess_of_radius_error(error: npt.ArrayLike) -> FloatArray:
+def excess_of_radius_error(error: ArrayLike) -> FloatArray:
     """Return the excess that makes a radius wrong by ``-error`` (relative, positive); inverse of `radius_error`."""
     e = np.asarray(error, dtype=np.float64)
     return np.asarray(e / (1 - e))
 
 
 def allowed_amplitude_on_run_m(
-    tolerance: npt.ArrayLike,
-    wavelength_m: npt.ArrayLike,
-    distance_m: npt.ArrayLike,
+    tolerance: ArrayLike,
+    wavelength_m: ArrayLike,
+    distance_m: ArrayLike,
     track_m: float,
     *,
-    phase_rad: npt.ArrayLike = 0.0,
+    phase_rad: ArrayLike = 0.0,
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
@@ -166,7 +166,7 @@ def allowed_amplitude_on_run_m(
     return _largest(worse, tolerance, 8 * over_periods)
 
 
-def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -> FloatArray:
+def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the largest amplitude whose weave over whole periods keeps a radius within a tolerance, in m.
 
     `tolerance`: largest relative error of the radius, between 0 and 1; `wavelength_m`: wavelength of the weave.
@@ -177,7 +177,7 @@ def allowed_amplitude_m(tolerance: npt.ArrayLike, wavelength_m: npt.ArrayLike) -
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
 
-def _largest(error: Callable[[FloatArray], FloatArray], most: npt.ArrayLike, bracket: FloatArray) -> FloatArray:
+def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
     """Return the largest amplitude between 0 and `bracket` whose error, which grows with it, is no more than `most`."""
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
@@ -188,7 +188,7 @@ def _largest(error: Callable[[FloatArray], FloatArray], most: npt.ArrayLike, bra
 
 
 def deviation_rows(
-    amplitudes_m: npt.ArrayLike, wavelengths_m: npt.ArrayLike, distance_m: float, track_m: float, tolerance: float
+    amplitudes_m: ArrayLike, wavelengths_m: ArrayLike, distance_m: float, track_m: float, tolerance: float
 ) -> list[dict[str, float]]:
     """Return the table of Fig. 9: one mapping for each pair of amplitude and wavelength.
 

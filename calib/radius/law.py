@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.documents import plain_fields
 from calib.types import FloatArray
@@ -65,18 +65,18 @@ class WheelLaw:
     #: runs behind it
     n_runs: int
 
-    def radius_m(self, load_N: npt.ArrayLike) -> FloatArray:
+    def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
         offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
         return np.asarray(self.radius_ref_m + self.slope_m_per_N * offset)
 
-    def mean_std_m(self, load_N: npt.ArrayLike) -> FloatArray:
+    def mean_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
         offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
         variance = self.covariance[0, 0] + 2 * offset * self.covariance[0, 1] + offset**2 * self.covariance[1, 1]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
-    def prediction_std_m(self, load_N: npt.ArrayLike) -> FloatArray:
+    def prediction_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""
         return np.asarray(np.hypot(self.mean_std_m(load_N), self.residual_std_m))
 
@@ -164,7 +164,7 @@ class LineEstimate:
         return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
 
     def half_width(
-        self, contrast: npt.ArrayLike, coverage: float, *, more_within: float = 0.0, more_between: float = 0.0
+        self, contrast: ArrayLike, coverage: float, *, more_within: float = 0.0, more_between: float = 0.0
     ) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
@@ -183,7 +183,7 @@ class LineEstimate:
 
     def band(
         self,
-        offset_N: npt.ArrayLike,
+        offset_N: ArrayLike,
         reach_N: tuple[float, float],
         *,
         more_within: float = 0.0,
@@ -227,7 +227,7 @@ class LineEstimate:
         value, half = self.coefficients[index], self.half_width(np.eye(2)[index], COVERAGE)
         return float(value - half), float(value + half)
 
-    def dof(self, contrast: npt.ArrayLike, coverage: float = COVERAGE) -> FloatArray:
+    def dof(self, contrast: ArrayLike, coverage: float = COVERAGE) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
         total, share = self._variance(contrast)
         if len(self.systematic):
@@ -239,7 +239,7 @@ class LineEstimate:
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
     def _variance(
-        self, contrast: npt.ArrayLike, more_within: float = 0.0, more_between: float = 0.0
+        self, contrast: ArrayLike, more_within: float = 0.0, more_between: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Return the random variance of ``contrast @ coefficients`` and the share of sessions in it, shape (...)."""
         c = np.asarray(contrast, dtype=np.float64)
@@ -309,7 +309,7 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
     return curve
 
 
-def critical_value(share: npt.ArrayLike, dof_between: float, dof_within: float, coverage: float) -> FloatArray:
+def critical_value(share: ArrayLike, dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical value for observed shares of the between part.
 
     `share`: V_between over the sum; `dof_between`, `dof_within`: degrees of freedom of each part; 0 where there is no
@@ -328,7 +328,7 @@ def critical_value(share: npt.ArrayLike, dof_between: float, dof_within: float, 
     return np.asarray(np.interp(observed, SHARES, critical_curve(dof_between, dof_within, coverage)))
 
 
-def equivalent_dof(critical: npt.ArrayLike, coverage: float) -> FloatArray:
+def equivalent_dof(critical: ArrayLike, coverage: float) -> FloatArray:
     """Return the degrees of freedom whose Student's t is `critical`, 1 to 1e6; `coverage`: that of the interval."""
     from scipy.special import stdtridf
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
@@ -178,15 +178,15 @@ class WheelFit:
         """95 % interval of the slope; None for a constant."""
         return self.estimate.slope_ci95_m_per_N if self.model == "line" else None
 
-    def mean_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def mean_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the lower and upper end of the 95 % band of the regression mean at wheel loads, in m (Fig. 11)."""
         return self._band(load_N, 0.0, 0.0)
 
-    def prediction_band_m(self, load_N: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def prediction_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
         return self._band(load_N, self.estimate.run_variance, self.estimate.session_variance)
 
-    def _band(self, load_N: npt.ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
+    def _band(self, load_N: ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
         load = np.asarray(load_N, dtype=np.float64)
         reach = (self.law.load_min_N - self.reference_load_N, self.law.load_max_N - self.reference_load_N)
         half = self.estimate.band(
@@ -270,7 +270,7 @@ def from_plain(kind: type[Plain], value: Any) -> Plain:
     return TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
 
 
-def t_quantile(dof: npt.ArrayLike) -> FloatArray:
+def t_quantile(dof: ArrayLike) -> FloatArray:
     """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
     from scipy.special import stdtrit
 
@@ -295,7 +295,7 @@ def load_groups(load_N: FloatArray) -> IntArray:
 
 
 def fit_wheel(
-    wheel: str, load_N: npt.ArrayLike, radius_m: npt.ArrayLike, session: npt.ArrayLike, *, reference_load_N: float
+    wheel: str, load_N: ArrayLike, radius_m: ArrayLike, session: ArrayLike, *, reference_load_N: float
 ) -> WheelFit:
     """Fit the law of one wheel.
 

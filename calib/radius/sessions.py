@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.radius.law import LineEstimate
 from calib.types import FloatArray, IntArray, StrArray
@@ -62,7 +62,7 @@ class Groups:
         return np.asarray(values - self.means(values)[self.index])
 
 
-def groups_of(session: npt.ArrayLike) -> Groups:
+def groups_of(session: ArrayLike) -> Groups:
     """Return the sessions of runs; an empty label is a session of its own name."""
     labels = np.asarray(session, dtype=np.str_)
     names, first, inverse, sizes = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)

@@ -7,15 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.readers.table import (
-    NS_PER_S,
-    Layout,
-    RawTable,
-    Wanted,
-    check_header,
-    numbers,
-    object_array,
-)
+from calib.campaign.readers.table import NS_PER_S, Layout, RawTable, Wanted, check_header, numbers, object_array
 from calib.errors import BadFileError, error_words, missing_reader
 
 _MAX_ROWS: Final = 200_000_000

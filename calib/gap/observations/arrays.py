@@ -14,7 +14,7 @@ from tempfile import TemporaryFile
 from typing import Any, Final, Generic, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from calib.campaign.settings import OdometryModel
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
@@ -252,7 +252,7 @@ class Observations:
         """Return what an array (n, ...) over all observations of the campaign says of these, shape (n_obs, ...)."""
         return values[self.first_unit : self.first_unit + len(self)]
 
-    def total(self, steps: npt.ArrayLike) -> FloatArray:
+    def total(self, steps: ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each observation, shape (n_obs,)."""
         summed: FloatArray = np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
         return summed

@@ -207,13 +207,7 @@ def _measured(
 
 
 def _guided(
-    setup: Setup,
-    steps: WheelTravel,
-    measured: FloatArray,
-    index: IntArray,
-    remarks: list[str],
-    *,
-    one_sensor: bool,
+    setup: Setup, steps: WheelTravel, measured: FloatArray, index: IntArray, remarks: list[str], *, one_sensor: bool
 ) -> tuple[BoolArray, FloatArray]:
     """Return which observations have the heading of a guided run, and its standard uncertainty, each (n_obs,)."""
     campaign = setup.campaign

@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 #: name of the format -> module of this package; each has ``render(path, accept, progress)``, which returns its files.
 #: A new format is one file and one line here
-FORMATS: Final[dict[str, str]] = {
-    "dcc": "dcc",
-    "mcap": "mcap_paths",
-    "nav2": "nav2",
-}
+FORMATS: Final[dict[str, str]] = {"dcc": "dcc", "mcap": "mcap_paths", "nav2": "nav2"}
 #: formats that are no text
 BINARY: Final = frozenset({"mcap"})
 
