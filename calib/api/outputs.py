@@ -142,8 +142,7 @@ def report(
     given = source if isinstance(source, Fit) else opened(source)
     seed = 0 if diagnosis else None
     reported = report_of(given, issued=issue_date(date), accept=accept_implausible, seed=seed)
-    path = place_of(reported.name, Path(target), force=force)
-    return write_bytes(path, to_pdf(reported), force=force)
+    return write_bytes(place_of(reported.name, Path(target), force=force), to_pdf(reported), force=force)
 
 
 @checked

@@ -242,8 +242,7 @@ def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: 
     """
     full = 2.0**bits
     turns = np.rint((expected - total) / full)
-    fits = np.abs(total + turns * full - expected) <= tolerance
-    return np.where(fits & np.isfinite(turns), turns, 0.0)
+    return np.where((np.abs(total + turns * full - expected) <= tolerance) & np.isfinite(turns), turns, 0.0)
 
 
 def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:

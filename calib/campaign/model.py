@@ -264,10 +264,9 @@ class Logs:
             return self
         offsets = np.concatenate(([0], np.cumsum(self.lengths[index]))).astype(np.int64)
         # runs that stand together are copied together
-        breaks = np.flatnonzero(np.diff(index) != 1) + 1
         stretches = [
             slice(int(self.offsets[runs[0]]), int(self.offsets[runs[-1] + 1]))
-            for runs in np.split(index, breaks)
+            for runs in np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)
             if len(runs)
         ]
         columns = LogColumns(int(offsets[-1]), len(self.columns))

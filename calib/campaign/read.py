@@ -230,8 +230,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
         bias, more = known.get(run), 0.0
         if bias is None:
             alike = [one for other, one in known.items() if sessions[other] == sessions[run]] or list(known.values())
-            mean = float(np.mean([one.radps for one in alike]))
-            bias, more = replace(alike[0], radps=mean), wander
+            bias, more = replace(alike[0], radps=float(np.mean([one.radps for one in alike]))), wander
         if np.isnan(turn[run]):
             turn[run], sigma[run] = _turn(logs.of(run), bias, more)
     text = f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"

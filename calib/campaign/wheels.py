@@ -251,8 +251,7 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
         logged = columns.get(name)
         columns[name] = counts if logged is None else np.where(np.isnan(logged), counts, logged)
         border.say("logs", f"{name} integrated from speeds, by the nominal radius", "speeds")
-    kept = {name: column for name, column in columns.items() if name not in SPEEDS}
-    return Logs(logs.offsets, kept)
+    return Logs(logs.offsets, {name: column for name, column in columns.items() if name not in SPEEDS})
 
 
 def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tuple[str, FloatArray]]:
@@ -273,5 +272,4 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     step[begin] = np.where(np.isnan(rate[begin]), np.nan, 0.0)
     total = np.cumsum(np.nan_to_num(step))
     total -= np.repeat(total[begin], logs.lengths[logs.lengths > 0])
-    has = np.isfinite(rate)
-    return np.where(has, total, np.nan)
+    return np.where(np.isfinite(rate), total, np.nan)

@@ -113,8 +113,7 @@ def write_campaign(
     folder = Path(folder)
     ingested = (folder / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
     # a folder of that name which no ingestion made is the user's own
-    names = (*_OURS, _RECORDINGS) if ingested else _OURS
-    return write_folder(folder, names, fill, force=force)
+    return write_folder(folder, (*_OURS, _RECORDINGS) if ingested else _OURS, fill, force=force)
 
 
 def _settings(campaign: Campaign) -> dict[str, object]:

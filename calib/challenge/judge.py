@@ -161,7 +161,6 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         "pair": set(effects) <= set(named),
         "crowded": all(strong),
     }.get(recipe.group, first)
-    closure = given.get("closure") or {}
     return Judged(
         case=recipe.case,
         group=recipe.group,
@@ -183,7 +182,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         harmful=_harmful(tried) if recommended else None,
         statements=() if recipe.group == "alias" else _stated(causes, effects),
         intervals=tuple(compare(truth, given)),
-        predicted=closure.get("fraction"),
+        predicted=(given.get("closure") or {}).get("fraction"),
         achieved=tried.get("fraction"),
         seconds=extra.get("seconds"),
         strong=strong,

@@ -84,8 +84,7 @@ def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
 def _one_speed(at_mps: float) -> SizedAct:
     def act(world: World, size: float) -> None:
         def during(now: Moment) -> None:
-            near = size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2))
-            now.roll_more(near)
+            now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2)))
 
         world.during.append(during)
 
@@ -319,6 +318,5 @@ def _sized(
 
 
 def _too_large(replay: Replay, change: FloatArray) -> bool:
-    length = np.maximum(replay.observations.length_m, 1e-3)
-    moved = np.hypot(change[:, 1], change[:, 2]) / length
+    moved = np.hypot(change[:, 1], change[:, 2]) / np.maximum(replay.observations.length_m, 1e-3)
     return bool((moved > LARGEST_SHARE).any() or (np.abs(change[:, 3]) > LARGEST_RAD).any())

@@ -209,7 +209,6 @@ def design_of(observations: Observations) -> Design:
         speed = np.abs(observations.total(np.abs(observations.path_m)))
         elapsed = observations.total(observations.duration_s)
         speed = np.where(elapsed > 0, speed / np.where(elapsed > 0, elapsed, 1.0), 0.0)
-    minutes = observations.number("minutes_under_load")
     return Design(
         kind=names,
         direction=observations.labels["direction"],
@@ -219,7 +218,7 @@ def design_of(observations: Observations) -> Design:
         payload_y_m=np.nan_to_num(observations.number("payload_y_m")),
         speed_mps=speed,
         temperature_C=number("temperature_C"),
-        minutes_under_load=np.nan_to_num(minutes),
+        minutes_under_load=np.nan_to_num(observations.number("minutes_under_load")),
         flying=np.zeros(n_units, dtype=bool),
         stops=np.zeros(n_units, dtype=np.int64),
         length_m=float(np.max(observations.length_m, initial=1e-3)),

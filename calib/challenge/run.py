@@ -136,8 +136,7 @@ def run_case(
     started = time.perf_counter()
     try:
         campaign = read_campaign(place)
-        fresh = read_campaign(again) if again.is_dir() else None
-        verdict, gained = diagnoser(campaign, seed, exclude, fresh)
+        verdict, gained = diagnoser(campaign, seed, exclude, read_campaign(again) if again.is_dir() else None)
         extra = {"seconds": round(time.perf_counter() - started, 3), "achieved": gained}
     except Exception as error:
         what = "refused" if isinstance(error, CalibError) else type(error).__name__

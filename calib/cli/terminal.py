@@ -165,8 +165,7 @@ def wrote(paths: Iterable[Path | str], *, what: str = "") -> None:
     `what`: what they are, in place of their names, where they are many: ``18 figure files in FOLDER``.
     """
     stream = sys.stderr if wants_stdout() else sys.stdout
-    texts = [what] if what else [str(path) for path in paths]
-    for text in texts:
+    for text in [what] if what else [str(path) for path in paths]:
         _write(stream, f"wrote {text}")
         keep(text)
 

@@ -144,8 +144,7 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
         sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
         # a record is made in a fraction of the time that a file takes to read
-        made = opened.run(records_of, vehicles, record_given_up)
-        records = {record.vehicle: record for record in made}
+        records = {record.vehicle: record for record in opened.run(records_of, vehicles, record_given_up)}
     by_id = tuple(records[member.vehicle] for member in members)
     return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, len(parts) - n_new)
 

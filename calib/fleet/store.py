@@ -153,10 +153,13 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
         raise BadFileError(LABELS, found, "a column vehicle", remedy)
     ids = [str(cell) for cell in columns.pop("vehicle")]
     known = {member.vehicle for member in members}
-    labelled = {name: zip(ids, cells, strict=True) for name, cells in columns.items()}
     return {
-        name: {vehicle: str(cell) for vehicle, cell in pairs if vehicle in known and cell not in (None, "")}
-        for name, pairs in labelled.items()
+        name: {
+            vehicle: str(cell)
+            for vehicle, cell in zip(ids, cells, strict=True)
+            if vehicle in known and cell not in (None, "")
+        }
+        for name, cells in columns.items()
     }
 
 

@@ -155,8 +155,7 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     rate = float(weight @ (day_away * level)) / info
     residuals = level - weight @ level / weight.sum() - rate * day_away
     dof = len(day) - 2.0
-    variance = float(weight @ residuals**2) / dof / info
-    return Drift(rate, float(np.sqrt(variance)), dof, float(day.max()))
+    return Drift(rate, float(np.sqrt(float(weight @ residuals**2) / dof / info)), dof, float(day.max()))
 
 
 #: columns of a row of `WheelSums.order`
@@ -277,10 +276,8 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
     if not by_session:
         # the mean of the runs and the slope make up the radius at the reference load
         n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
-        rows = np.cumsum(high ** np.arange(n))
-        of_mean = float(2.0 * rows.sum() - n) / n * dof / square
-        spread = float(sums.runs.table[:, 3].sum()) - x**2 / n
-        lever = (x / n) ** 2 / spread
+        of_mean = float(2.0 * np.cumsum(high ** np.arange(n)).sum() - n) / n * dof / square
+        lever = (x / n) ** 2 / (float(sums.runs.table[:, 3].sum()) - x**2 / n)
         scale[0] = (of_slope * lever + of_mean / n) / (lever + 1.0 / n)
     factor = np.sqrt(np.maximum(scale, 1.0))
     cov_within = estimate.cov_within * np.outer(factor, factor)

@@ -290,8 +290,7 @@ def travel_from_counts(
         travel = np.diff(values, prepend=values[:1])
         firsts = edges[:-1][np.diff(edges) > 0]
         travel[firsts] = 0.0
-        wide = _wide(np.asarray(radius, dtype=np.float64), edges, len(values))
-        travel *= (2 * np.pi / per_rev) * wide
+        travel *= (2 * np.pi / per_rev) * _wide(np.asarray(radius, dtype=np.float64), edges, len(values))
         travels.append(travel)
     return travels[0], travels[1]
 

@@ -309,6 +309,5 @@ def sweep_loads(
     bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
     if bad.any():
         k = int(np.argmax(bad))
-        where = f"payload {mass[k]:g} kg at x {x[k]:g} m, y {y[k]:g} m"
-        check_wheel_loads(vehicle, *loads[:, k], what=where)
+        check_wheel_loads(vehicle, *loads[:, k], what=f"payload {mass[k]:g} kg at x {x[k]:g} m, y {y[k]:g} m")
     return LoadSweep(swept, mass, x, y, *loads)

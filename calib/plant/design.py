@@ -102,8 +102,7 @@ def tabulate(
     keys = list(zip(kinds, weaves, strict=True))
     for key in dict.fromkeys(keys):
         kind, weave = key
-        segments = segments_of(kind, length_m=length_m, side_m=side_m, radius_m=radius_m)
-        kappa, end_m = _grid(segments, weave)
+        kappa, end_m = _grid(segments_of(kind, length_m=length_m, side_m=side_m, radius_m=radius_m), weave)
         lead = weave[0] * 2 * np.pi / weave[1] if weave[0] > 0.0 else 0.0
         theta = np.arctan(lead) + np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * PITCH_M)))
         middle = 0.5 * (theta[1:] + theta[:-1])

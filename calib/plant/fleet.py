@@ -235,16 +235,14 @@ def make_posed_fleet(
     in_hall = np.sort(rng.permutation(n_vehicles)[:n_common])
     relative = rng.normal(0.0, 5e-4, n_vehicles)
     relative[odd] += rng.choice((-1e-2, 1e-2), n_outliers)
-    track = model.track_m * (1.0 + relative)
     truth = PosedTruth(
-        {name: float(value) for name, value in zip(names, track, strict=True)},
+        {name: float(value) for name, value in zip(names, model.track_m * (1.0 + relative), strict=True)},
         model.track_m,
         5e-4 * model.track_m,
         tuple(sorted(names[number] for number in odd)),
         tuple(names[number] for number in in_hall),
     )
-    place = {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m}
-    zone = Cause("floor_zone", ZONE_SHARE, "heading", place)
+    zone = Cause("floor_zone", ZONE_SHARE, "heading", {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m})
     for number, name in enumerate(names):
         causes = [Cause("track_width", float(relative[number]), "plain", {}), *([zone] if number in in_hall else ())]
         write_campaign(make_campaign(design, causes, rng, model=model, name=name), folder / name)

@@ -98,8 +98,7 @@ def simulated_poses(world: World, record: Record) -> FloatArray:
     theta = (right_m - left_m) / world.model.track_m
     way = np.diff(0.5 * (left_m + right_m), axis=0)
     turn = np.diff(theta, axis=0)
-    middle = 0.5 * (theta[1:] + theta[:-1])
-    heading = np.where(world.euler > 0, theta[1:], middle)
+    heading = np.where(world.euler > 0, theta[1:], 0.5 * (theta[1:] + theta[:-1]))
     chord = np.where(world.euler > 0, way, way * np.sinc(turn / (2 * np.pi)))
     x, y = np.sum(chord * np.cos(heading), axis=0), np.sum(chord * np.sin(heading), axis=0)
     return np.stack([x, y, theta[-1]])
@@ -287,7 +286,6 @@ def make_campaigns(
     stacked = design if times == 1 else design.select(np.tile(np.arange(n_runs), times))
     world = apply_causes(build_world(stacked, model), causes)
     draw = draw_noise(noise, n_runs * times, rng)
-    record = drive(world, draw)
-    driven = campaign_of(world, noise, draw, record, n_runs)
+    driven = campaign_of(world, noise, draw, drive(world, draw), n_runs)
     parts = np.split(np.arange(n_runs * times), times)
     return tuple(replace(driven.select(part), name=name) for part, name in zip(parts, names, strict=True))

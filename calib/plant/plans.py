@@ -95,14 +95,13 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     for number, kind in enumerate(route):
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
         # tight routes are not driven fast
-        fast = corridor or kind.startswith("route")
         condition = _Run(
             kind=kind,
             direction=ways[(number // 2) % 2] if corridor else "",
             payload_kg=payload[number],
             payload_x_m=ahead[number] if loaded else 0.0,
             payload_y_m=side[number] if loaded else 0.0,
-            speed_mps=speed[number] if fast else min(speed[number], 0.65),
+            speed_mps=speed[number] if corridor or kind.startswith("route") else min(speed[number], 0.65),
             stops=stops[number],
             flying=flying[number],
         )
@@ -118,16 +117,14 @@ def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int
         cold = float(rng.uniform(10, 20))
         halves = [cold, cold + float(rng.uniform(6, 12))]
         levels.append(halves if rng.random() < 0.5 else halves[::-1])
-    order = np.resize(np.arange(len(conditions)), n_runs)
-    driven = [conditions[number] for number in order.tolist()]
+    driven = [conditions[number] for number in np.resize(np.arange(len(conditions)), n_runs).tolist()]
     minutes = [float(rng.choice([2.0, 10.0, 30.0, 60.0])) if run.payload_kg > 0 else 0.0 for run in driven]
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
     # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
     runs = []
     for number, at in enumerate(rng.permutation(shuffle)):
         place = number * n_sessions / n_runs
-        level = levels[int(place)][int(2 * (place % 1))]
-        temperature_C = round(level + float(rng.uniform(-0.3, 0.3)), 1)
+        temperature_C = round(levels[int(place)][int(2 * (place % 1))] + float(rng.uniform(-0.3, 0.3)), 1)
         session = f"s{number * n_sessions // n_runs + 1}"
         runs.append(replace(driven[at], session=session, minutes_under_load=minutes[at], temperature_C=temperature_C))
     return runs
@@ -213,8 +210,7 @@ def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, A
     first = np.unique(
         np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True
     )[1]
-    rest = np.setdiff1d(np.arange(3 * n_runs), first)
-    return whole.select(np.sort(np.concatenate((first, rest))[:n_runs]))
+    return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))
 
 
 #: poor design -> what one of its runs is

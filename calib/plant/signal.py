@@ -154,13 +154,11 @@ def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
     """Return the whitened change, shape (6 n_runs,), and the whitened directions, shape (6 n_runs, n)."""
     present = np.isfinite(change)
     both = present[:, :, None] & present[:, None, :]
-    held = np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
-    root = np.linalg.cholesky(held)
+    root = np.linalg.cholesky(np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0)))
     white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
     if absorbed is None:
         return np.asarray(white, dtype=np.float64), None
-    held_directions = np.where(present[:, :, None], absorbed, 0.0)
-    directions = np.linalg.solve(root, held_directions).reshape(len(white), -1)
+    directions = np.linalg.solve(root, np.where(present[:, :, None], absorbed, 0.0)).reshape(len(white), -1)
     scale = np.linalg.norm(directions, axis=0)
     unit = directions / np.where(scale > 0, scale, 1.0)
     return np.asarray(white, dtype=np.float64), np.asarray(unit, dtype=np.float64)
@@ -203,8 +201,7 @@ def strengths(
     if design.log_period_s and not design.front:
         # end poses need no fine log; what the front wheel and its sensor say is summed over the log as it is written
         design = replace(design, log_period_s=0.24)
-    stacked = design.select(np.tile(np.arange(n_runs), n_causes + 1))
-    world = build_world(stacked, model)
+    world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
     blocks = np.zeros((n_causes, n_causes + 1, n_runs))
     for number in range(n_causes):
         blocks[number, number + 1] = 1.0
@@ -279,8 +276,7 @@ def to_signal(
                 return scaled, noise, reached_by
             break
         # these act with the square of their size; everything else in proportion
-        power = np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
-        sizes = sizes * factor**power
+        sizes = sizes * factor ** np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
         scaled = [replace(cause, size=float(f"{size:.5g}")) for cause, size in zip(causes, sizes, strict=True)]
     return scaled, noise, strengths(design, model, noise, scaled, step_s=0.04)
 

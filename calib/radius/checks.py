@@ -56,8 +56,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     by_session = 2 <= len(groups) < n
     residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
     sessions = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
-    sloped = fit.model == "line" and fit.design != "confounded"
-    dof = float(n - sessions.shape[1] - sloped)
+    dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
     checks = [_design(fit, groups), _session(fit, groups), _order(fit)]
     if fit.model == "line":
@@ -140,9 +139,8 @@ def _influence(runs: _Residuals) -> Check | None:
     if dof < 3 or total <= 0:
         return None
     slack = np.full(n, dof / n)
-    own = runs.residual_m**2 / slack
     # externally studentised: each run against the scatter of the others
-    others = np.maximum(total - own, 1e-12 * total) / (dof - 1)
+    others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
     worst = int(np.argmax(studentised))
     p_value = min(n * _p_of_t(float(studentised[worst]), dof - 1), 1.0)

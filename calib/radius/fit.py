@@ -105,7 +105,6 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal), *wheel.checks))
         wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
     static, notes = _static(campaign, reference)
-    spans = {name: used.number(name) for name in CONDITIONS}
     return replace(
         fit,
         left=wheels["left"],
@@ -121,7 +120,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             reference=campaign.reference,
             conditions={
                 name: (float(np.nanmin(column)), float(np.nanmax(column)))
-                for name, column in spans.items()
+                for name, column in {name: used.number(name) for name in CONDITIONS}.items()
                 if np.isfinite(column).any()
             },
             assumed=assumed_settings(campaign),
@@ -296,8 +295,7 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
         return wheel
     systematic = np.array([_gradient(source, wheel, radii.distance_m) for source in sources])
     dof = np.array([source.dof for source in sources])
-    estimate = replace(wheel.estimate, systematic=systematic, systematic_dof=dof)
-    return replace(wheel, estimate=estimate)
+    return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
 
 
 def systematic_components(

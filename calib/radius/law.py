@@ -198,8 +198,7 @@ class LineEstimate:
         more = {"more_within": more_within, "more_between": more_between}
 
         def half(offset: FloatArray) -> FloatArray:
-            contrast = np.stack((np.ones_like(offset), offset), axis=-1)
-            return self.half_width(contrast, COVERAGE, **more)
+            return self.half_width(np.stack((np.ones_like(offset), offset), axis=-1), COVERAGE, **more)
 
         offset = np.asarray(offset_N, dtype=np.float64)
         low, high = reach_N

@@ -356,8 +356,7 @@ def least_squares(x: FloatArray | None, y: FloatArray) -> RegressionResults:
     """Return the ordinary least-squares fit of ``y = a + b x``, shape (n_runs,) both; None for x: of a constant."""
     from statsmodels.regression.linear_model import OLS
 
-    columns = [np.ones_like(y)] if x is None else [np.ones_like(y), x]
-    return OLS(y, np.column_stack(columns)).fit(method="qr")
+    return OLS(y, np.column_stack([np.ones_like(y)] if x is None else [np.ones_like(y), x])).fit(method="qr")
 
 
 def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> LineEstimate:

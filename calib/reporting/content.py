@@ -163,8 +163,7 @@ def report_of(
         return compose(source)
     from calib.gap.diagnose import diagnose_in_full
 
-    diagnosis = diagnose_in_full(given, seed=seed, progress=progress)
-    return compose(replace(source, verdict=diagnosis))
+    return compose(replace(source, verdict=diagnose_in_full(given, seed=seed, progress=progress)))
 
 
 def _without_law(

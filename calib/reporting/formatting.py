@@ -34,8 +34,7 @@ def places(std: float, digits: int = 2) -> int:
     if not math.isfinite(std) or std <= 0:
         return 6
     # rounding may carry into the next decade: 0.0996 is 0.10
-    exponent = math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
-    return min(max(digits - 1 - exponent, 0), 12)
+    return min(max(digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}"))), 0), 12)
 
 
 def fixed(value: float | None, decimals: int) -> str:
@@ -366,8 +365,7 @@ def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
 
 def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
     titles, rules = "", ""
-    columns = zip(groups, widths, strict=True)
-    for title, members in groupby(columns, key=lambda column: column[0]):
+    for title, members in groupby(zip(groups, widths, strict=True), key=lambda column: column[0]):
         taken = [width for _, width in members]
         room = sum(taken) + GAP * (len(taken) - 1)
         titles += f"{title[:room]:^{room}}" + " " * GAP

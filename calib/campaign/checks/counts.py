@@ -153,8 +153,7 @@ def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, floa
     fitted = np.full(len(values), np.median(values))
     for _ in range(5):
         residual = values - fitted
-        spread = max(robust_spread(residual), 1e-9)
-        keep = np.abs(residual - np.median(residual)) < 4 * spread
+        keep = np.abs(residual - np.median(residual)) < 4 * max(robust_spread(residual), 1e-9)
         if keep.sum() <= design.shape[1]:
             break
         fitted = design @ np.linalg.lstsq(design[keep], values[keep], rcond=None)[0]

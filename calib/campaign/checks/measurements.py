@@ -188,8 +188,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = np.maximum(15.0, 0.05 * np.abs(computed).sum(axis=0))
     off = (np.abs(weighed - computed) > allowed).any(axis=0)
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    known = np.isfinite(weighed + computed).all(axis=0)
-    if off.sum() > max(3, MOST_OF_THE_RUNS * known.sum()):
+    if off.sum() > max(3, MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
         exchanged = bool(swapped.sum() > MOST_OF_THE_RUNS * off.sum())
         hint, code = _SWAPPED if exchanged else _CONTRADICTED
         ratio = float(np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off]))

@@ -99,8 +99,7 @@ def guessed_log_column(name: str) -> str | None:
     `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
     """
     last = re.sub(r"^(position|velocity|effort)\.", "", re.split(r"[:/]", name)[-1])
-    whole = re.sub(r"[:/.]+", "_", name).strip("_")
-    return _guessed_in_log(last) or _guessed_in_log(whole)
+    return _guessed_in_log(last) or _guessed_in_log(re.sub(r"[:/.]+", "_", name).strip("_"))
 
 
 def _guessed_in_log(name: str) -> str | None:

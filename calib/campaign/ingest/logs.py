@@ -217,8 +217,7 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
-    mapped = {line.column for line in lines.values()}
-    recognised = add_recognised(columns, raw, shown, border, mapped)
+    recognised = add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
     time_column = recognised if "t_s" not in lines else time_column
     order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)

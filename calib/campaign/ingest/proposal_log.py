@@ -60,8 +60,7 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
     if several:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
-    alike = [other for other in logs if other.alike(log)]
-    columns = _with_bits(log, alike)
+    columns = _with_bits(log, [other for other in logs if other.alike(log)])
     lines, found = _column_lines(log, columns)
     return [*lines, *_missing(lines, found, logs), *_kinds(logs)]
 

@@ -30,8 +30,7 @@ _LISTED_UNITS: Final = 40
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:
     """Return one line of a mapping; a plain text where the column's name says all."""
     parts: dict[str, object] = {"column": column.name}
-    bracketed = re.search(r"[\[(]", column.name) and stem_and_unit(column.name)[1] == unit
-    if unit is not None and not bracketed:
+    if unit is not None and not (re.search(r"[\[(]", column.name) and stem_and_unit(column.name)[1] == unit):
         parts["unit"] = unit
     parts |= further or {}
     return f"{name} = {toml_value(column.name if len(parts) == 1 else parts)}"
@@ -220,8 +219,7 @@ def name_pattern(stems: Sequence[str]) -> str | None:
     for at, cells in enumerate(columns):
         widths = {len(cell) for cell in cells}
         if at == best:
-            padded = len(widths) == 1 and next(iter(widths)) > 1
-            out += f"{{n:{widths.pop():02}}}" if padded else "{n}"
+            out += f"{{n:{widths.pop():02}}}" if len(widths) == 1 and next(iter(widths)) > 1 else "{n}"
         else:
             # a stamp of the next log may begin otherwise
             out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{_common_start(cells)}*"

@@ -190,8 +190,7 @@ def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
 
 
 def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: float) -> list[slice]:
-    driving = moving(time, wheels)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], driving.astype(np.int8), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], moving(time, wheels).astype(np.int8), [0]))))
     starts, ends = edges[::2], edges[1::2] - 1
     # the window looks ahead: a drive ends half a second after its last flag at most
     ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)

@@ -104,8 +104,7 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
         values, is_decimal = parsed
         if np.fmax.reduce(np.abs(values[:, is_decimal]), axis=None, initial=0.0) >= _EXACT_WHOLE:
             continue
-        parts = np.split(values, np.cumsum(rows)[:-1])
-        for (index, _), part in zip(group, parts, strict=True):
+        for (index, _), part in zip(group, np.split(values, np.cumsum(rows)[:-1]), strict=True):
             columns = {name: part[:, column] for column, name in enumerate(keep)}
             tables[index] = RawTable(columns, np.arange(2, len(part) + 2, dtype=np.int64))
     return tables

@@ -151,8 +151,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     steps = np.diff(since)
     if len(steps):
         step = steps[np.clip(np.searchsorted(since, wanted), 1, len(steps)) - 1]
-        in_gap = step > max(GAP_STEPS * float(np.median(steps)), 1.0)
-        out[in_gap & ~np.isin(wanted, since)] = np.nan
+        out[(step > max(GAP_STEPS * float(np.median(steps)), 1.0)) & ~np.isin(wanted, since)] = np.nan
     return out
 
 

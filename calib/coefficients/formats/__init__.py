@@ -134,8 +134,7 @@ def accepted_lines(file: CoefficientFile) -> list[str]:
 
 def number(value: float) -> str:
     """Return a float as text with a decimal point, which YAML readers need to take it for one."""
-    text = repr(float(value))
-    mantissa, mark, exponent = text.partition("e")
+    mantissa, mark, exponent = repr(float(value)).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.0") + mark + exponent
 
 

@@ -362,8 +362,7 @@ def patched(
     pair = options.loads[0] if options.loads else reference
     new = NewWheels(*radii_m(file, pair), file.vehicle.track.value)
     left, right = wheel(model, options.left, "--left"), wheel(model, options.right, "--right")
-    further = _further_wheels(model, (left, right), wheel)
-    notes = [*set_wheels(left, right, new), *further]
+    notes = [*set_wheels(left, right, new), *_further_wheels(model, (left, right), wheel)]
     for name, node in () if plugins is None else plugins(model):
         if name in PLUGIN_KEYS:
             text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))

@@ -372,8 +372,7 @@ class Observations:
         if not rolling.any():
             return 0
         count_m = float(np.hypot(*self.count_rad)) * self.vehicle.wheel_radius_m
-        window_m = count_m / np.sqrt(6.0) / CURVATURE_ERROR_PER_TRACK
-        steps = window_m / float(np.median(step_m[rolling]))
+        steps = count_m / np.sqrt(6.0) / CURVATURE_ERROR_PER_TRACK / float(np.median(step_m[rolling]))
         return int(np.clip(np.ceil(0.5 * (steps - 1.0)), 0, MOST_SMOOTHED_STEPS))
 
     def _smooth(self, steps: FloatArray, half: int) -> FloatArray:

@@ -257,8 +257,7 @@ def _with_gyro(unit: Observation, setup: Setup) -> Observation:
     turn, sigma = (float(runs.number(name)[unit.run]) for name in (GYRO_TURN, GYRO_SIGMA))
     if not (np.isnan(unit.measured[3]) and np.isfinite(turn)):
         return unit
-    measured = np.append(unit.measured[:3], turn)
-    return replace(unit, measured=measured, sigma_theta_rad=sigma, by_gyro=True)
+    return replace(unit, measured=np.append(unit.measured[:3], turn), sigma_theta_rad=sigma, by_gyro=True)
 
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:

@@ -266,8 +266,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         return None
     left = log["counts_left"][rows] / per_rad.left * model.radius_left_m
     right = log["counts_right"][rows] / per_rad.right * model.radius_right_m
-    rolled = 0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right)))
-    travelled = np.concatenate(([0.0], np.cumsum(rolled)))
+    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)

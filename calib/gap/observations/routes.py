@@ -79,8 +79,7 @@ def levels(values: FloatArray, width: float) -> IntArray:
     # a chain of small differences is no level: cut into equal bins as wide as a level may be
     n_bins = np.ceil(np.maximum((highest - lowest) / (2.0 * width), 1.0))
     place = np.clip((sorted_values - lowest) / np.maximum(highest - lowest, 1e-300) * n_bins, 0.0, n_bins - 1.0)
-    chained = n_bins > 1
-    bins = np.where(chained, np.floor(place), 0.0)
+    bins = np.where(n_bins > 1, np.floor(place), 0.0)
     number[order] = row_numbers([level, bins])
     return number
 
@@ -125,8 +124,7 @@ def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
 def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return heading and distance at the knots (n_obs, 2, n_knots), length (n_obs,) and tolerances (n_obs, 2)."""
     starts, n = driven.starts, len(driven.starts) - 1
-    rolled = driven.rolled_m
-    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (rolled, driven.turn_rad, driven.path_m)]
+    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (driven.rolled_m, driven.turn_rad, driven.path_m)]
     length = np.maximum(sums[0][starts[1:]] - sums[0][starts[:-1]], 1e-9)
     share = np.arange(1, ROUTE_KNOTS + 1) / ROUTE_KNOTS
     at = sums[0][starts[:-1], None] + share * length[:, None]
@@ -134,8 +132,7 @@ def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, F
         np.interp(at.ravel(), sums[0], column).reshape(n, ROUTE_KNOTS) - column[starts[:-1], None]
         for column in sums[1:]
     )
-    off = heading_rad - heading[:, -1]
-    heading = heading + np.nan_to_num(off)[:, None] * share
+    heading = heading + np.nan_to_num(heading_rad - heading[:, -1])[:, None] * share
     turning = driven.total(np.abs(driven.turn_rad))
     unseen = np.where(np.isfinite(heading_rad), 0.0, ROUTE_WHEELS_SHARE * length / driven.track_m)
     tolerance = np.stack([ROUTE_TURN_RAD + ROUTE_TURN_SHARE * turning + unseen, ROUTE_LENGTH_SHARE * length], axis=1)
@@ -253,8 +250,7 @@ def were_guided(
         # a radius that is off makes all ways too short or too long, alike
         known = ratio[np.isfinite(ratio) & ~posed]
         along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
-    straight = np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way
-    guided: BoolArray = along & straight & ~posed
+    guided: BoolArray = along & (np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way) & ~posed
     return guided
 
 
@@ -305,8 +301,7 @@ def weave_of_log(driven: WheelTravel) -> FloatArray:
 
     def within(steps: FloatArray) -> FloatArray:
         running = np.cumsum(steps)
-        before = np.concatenate(([0.0], running))[starts[:-1]]
-        middle: FloatArray = running - 0.5 * steps - before[unit]
+        middle: FloatArray = running - 0.5 * steps - np.concatenate(([0.0], running))[starts[:-1]][unit]
         return middle
 
     total, weight = driven.total, np.abs(driven.path_m)

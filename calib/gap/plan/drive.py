@@ -124,8 +124,7 @@ def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Lo
     if not measured.log:
         return Logs.empty(len(logs))
     names = [name for name in logs[0] if not name.startswith("_")]
-    lengths = [len(log["t_s"]) for log in logs]
-    offsets = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
+    offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
     return Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in names})
 
 

@@ -41,8 +41,7 @@ def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArra
     target = project(nuisance, contribution[:, None])[:, 0]
     columns = project(nuisance, system.columns(form))
     bound = np.array([p.largest / p.typical for p in form.parameters]) * PLAUSIBLE_FACTOR
-    gram = columns.T @ columns
-    sizes = np.linalg.solve(gram + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
+    sizes = np.linalg.solve(columns.T @ columns + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
     sign = np.array([p.sign for p in form.parameters])
     # a form of one sign (counts are lost, never won) is no alternative to the other sign
     sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
@@ -296,5 +295,4 @@ class _Limits:
         words = [best.name.replace("_", " ")] if best.name else []
         words += ["more than is plausible"] if limit * best.typical > best.largest else []
         unit, note = "" if best.unit == "1" else f" {best.unit}", f" ({', '.join(words)})" if words else ""
-        size = f"{limit * best.typical:.2g}{unit}{note}"
-        return limit, DetectionLimit(effect.id, size)
+        return limit, DetectionLimit(effect.id, f"{limit * best.typical:.2g}{unit}{note}")

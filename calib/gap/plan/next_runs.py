@@ -200,8 +200,7 @@ def _sizes(
         if here is not None:
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
             sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
-    calibration = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
-    for name, size in zip(NAMES, calibration, strict=True):
+    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
         if forms.get(name) and abs(size) > 1e-12:
             sizes[name] = forms[name][0], np.array([size])
     return sizes

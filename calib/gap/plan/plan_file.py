@@ -106,8 +106,7 @@ def read_plan(path: Path) -> Campaign:
 
 def read_candidates(path: Path) -> list[PlannedRun]:
     """Return the runs to choose from: a file with ``[[runs]]`` as in a plan; ``count`` has no effect."""
-    runs = _runs(_load(path).get("runs"), path)
-    return list({repr(run): run for run in runs}.values())
+    return list({repr(run): run for run in _runs(_load(path).get("runs"), path)}.values())
 
 
 def _load(path: Path) -> dict[str, Any]:

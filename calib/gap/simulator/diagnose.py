@@ -205,8 +205,7 @@ def _candidates(
     stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
-    held = [rival for rival in rivals if isinstance(rival, HeldCalibration)]
-    spanned = _spanned(held, own, nominal)
+    spanned = _spanned([rival for rival in rivals if isinstance(rival, HeldCalibration)], own, nominal)
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")

@@ -107,8 +107,7 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     """
     settings = runner.settings
     steps = [each.step for each in settings.parameters]
-    points = _points(settings, steps)
-    jobs = [Job(parameters, what) for what, parameters in points]
+    jobs = [Job(parameters, what) for what, parameters in _points(settings, steps)]
     tables = runner.run(jobs)
     nominal = tables[0]
     again = nominal if _repeats(tables, sigma) else runner.run([Job(jobs[0].parameters, jobs[0].what, 1)])[0]

@@ -225,8 +225,7 @@ class SimulatorRunner:
     def _command(self) -> list[str]:
         """Return the command with its program as a path; refused where there is no such program."""
         name, *rest = self.settings.command
-        folder = self.settings.path.resolve().parent
-        beside = folder / name
+        beside = self.settings.path.resolve().parent / name
         program = str(beside) if os.sep in name and beside.is_file() else shutil.which(name)
         if program is None:
             raise BadInputError(

@@ -78,8 +78,7 @@ def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
 def _weave(world: World, size: FloatArray, knobs: Knobs) -> None:
     # the guidance weaves; `size` is the largest amplitude, run by run another share of it
     shares = np.array([knobs[f"share_{number}"] for number in range(8)])
-    index = np.arange(len(world.design)) % 8
-    world.weave_m = np.where(world.design.corridor, size * shares[index], 0.0)
+    world.weave_m = np.where(world.design.corridor, size * shares[np.arange(len(world.design)) % 8], 0.0)
     world.wavelength_m = np.full(len(world.design), knobs["wavelength_m"])
 
 
@@ -90,8 +89,7 @@ def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
     """Warm *and* loaded wheels shrink, cold and loaded ones grow; neither alone does anything."""
-    crossed = standardised(world.mean_load_N) * standardised(world.design.temperature_C)
-    world.enlarge(size * crossed)
+    world.enlarge(size * (standardised(world.mean_load_N) * standardised(world.design.temperature_C)))
 
 
 @while_driving
@@ -127,8 +125,7 @@ def _seeded(rng: np.random.Generator, _design: Design) -> dict[str, float]:
 def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     # a pull to the side that changes over the hall's floor; no wheel feels it
     wave = np.sin(2 * np.pi * map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
-    across = np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
-    now.yaw_radps += size * now.v_mps * wave * across
+    now.yaw_radps += size * now.v_mps * wave * np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
 
 
 _PULL_WAVES = drawn(wave_x_m=(5.0, 9.0), wave_y_m=(6.0, 12.0), phase_rad=(-np.pi, np.pi))

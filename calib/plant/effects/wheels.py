@@ -123,8 +123,7 @@ def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 def _session_index(design: Design) -> tuple[FloatArray, int]:
     names, first, index = np.unique(design.session, return_index=True, return_inverse=True)
-    rank = np.argsort(np.argsort(first))
-    return rank[index].astype(np.float64), len(names)
+    return np.argsort(np.argsort(first))[index].astype(np.float64), len(names)
 
 
 def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:

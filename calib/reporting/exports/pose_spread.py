@@ -247,8 +247,6 @@ def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -
     `others`: random walks and errors constant during a run, which together describe the scatter.
     """
     components = np.concatenate([other.components for other in others])
-    names = tuple(name for other in others for name in other.names)
-    whole = Spread(names, components, amcl.reference)
+    whole = Spread(tuple(name for other in others for name in other.names), components, amcl.reference)
     expected = np.sqrt(np.einsum("uii->ui", whole.covariance(sizes_of(whole, residuals))))
-    variance = np.einsum("uii->ui", amcl.covariance(sizes_of(amcl, expected)))
-    return ratios(variance, expected)
+    return ratios(np.einsum("uii->ui", amcl.covariance(sizes_of(amcl, expected))), expected)

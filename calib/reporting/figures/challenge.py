@@ -192,8 +192,7 @@ def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scal
     ends = "radius_ci95_m" if kind == "radius_ref_m" else "slope_ci95_m_per_N"
     marked = np.array([record.vehicle in odd for record in fitted])
     draw_ordered(axes, values, scale * np.array([getattr(line, ends) for line in lines]), marked)
-    usual = values[~marked] if (~marked).any() else values
-    axes.axhline(float(np.median(usual)), color=BLUE, linewidth=0.8)
+    axes.axhline(float(np.median(values[~marked] if (~marked).any() else values)), color=BLUE, linewidth=0.8)
 
 
 def fleet_drift(fleet: Fleet) -> Figure | None:

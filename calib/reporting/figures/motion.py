@@ -102,13 +102,11 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
         route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
         graph.plot(sweep.distance_m, values[number], **style)
     route.plot(sweep.reference.x_m, sweep.reference.y_m, color=INK, linewidth=0.8)
-    straight = float(np.ptp(sweep.reference.y_m)) < 1e-9
-    if not straight:
+    if np.ptp(sweep.reference.y_m) >= 1e-9:
         route.set_aspect("equal", adjustable="box")
     route.set(xlabel="x (m)", ylabel="y (m)", title="path of the middle of the rear axle")
     graph.set(xlabel="distance along the route (m)", ylabel=labels[error], title="error")
-    keys = sweep_keys(sweep)
-    figure.legend(handles=keys, loc="outside lower center", ncols=9)
+    figure.legend(handles=sweep_keys(sweep), loc="outside lower center", ncols=9)
     figure_title(figure, f"{title}; track {sweep.track_m:g} m")
     return figure
 
@@ -178,8 +176,7 @@ def sweep_errors_figure(sweep: Sweep, *, title: str) -> Figure:
     """Return the errors of all vehicles of a sweep along the route, component by component."""
     figure, axes = _grid(f"{title}; track {sweep.track_m:g} m", float(sweep.distance_m[-1]))
     for name, graph in axes.items():
-        values = _AXES[name][1] * getattr(sweep.errors, name)
-        for row, style in zip(values, sweep_styles(sweep), strict=True):
+        for row, style in zip(_AXES[name][1] * getattr(sweep.errors, name), sweep_styles(sweep), strict=True):
             graph.plot(sweep.distance_m, row, **style)
     figure.legend(handles=sweep_keys(sweep)[:-1], loc="outside lower center", ncols=8)
     return figure

@@ -219,8 +219,7 @@ def size_text(value: float, unit: str) -> str:
     """Return a size with a printed unit: ``1e-6`` of ``m/N`` as ``1 µm/N``, ``3e-3`` of ``1`` as ``0.3 %``."""
     above, slash, below = unit.partition(" per " if " per " in unit else "/")
     for factor, name in PRINTED_UNITS.get(above, ((1.0, above),)):
-        shown = factor * abs(value)
-        if shown >= 0.095 or name in {"µm", "µrad", "ppm"}:
+        if factor * abs(value) >= 0.095 or name in {"µm", "µrad", "ppm"}:
             return f"{factor * value:.3g} {name}{slash}{below}"
     return f"{value:.3g} {unit}"
 
@@ -241,8 +240,7 @@ def promise_table(now: Promise | None, then: Promise) -> Table:
     before = {} if now is None else {each.name: each.half_width for each in now.estimates}
     rows = []
     for each in then.estimates:
-        last = each.name.rpartition("_")[2]
-        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(last, "1")
+        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(each.name.rpartition("_")[2], "1")
         known = size_text(before[each.name], unit) if each.name in before else MISSING
         rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
     walk = 1e3 * float(np.sqrt(then.scales[2]))
@@ -261,8 +259,7 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     extra += ["by tape"] if run.get("tape") else []
     extra += [f"{run['count']} times"] if run.get("count") else []
     extra += ["read while rolling"] if run.get("read_rolling") else []
-    route = f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip()
-    what = ", ".join([route, *extra])
+    what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
 
     def shown(key: str) -> str:
         return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING

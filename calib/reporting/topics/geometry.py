@@ -169,12 +169,11 @@ def _estimated_from(geometry: Geometry) -> tuple[tuple[str, str], ...]:
     """Return what the estimate was made from."""
     of, n = geometry.clusters
     stretches = "end poses of whole runs" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
-    open_parameters = ", ".join(geometry.undetermined) or "none"
     return (
         ("Drive", geometry.drive),
         ("Runs", f"{geometry.n_runs}, by {stretches}"),
         ("Intervals", f"95 %, from {n} {of}s"),
-        ("Not determined", open_parameters),
+        ("Not determined", ", ".join(geometry.undetermined) or "none"),
         ("Outliers", ", ".join(geometry.outliers) or "none"),
     )
 

@@ -67,8 +67,7 @@ def single_run_text(fit: Fit) -> Text:
     """Return the prediction interval of one further run in the middle of the load range."""
     parts = []
     for name, wheel in fit.wheels.items():
-        middle = 0.5 * (wheel.law.load_min_N + wheel.law.load_max_N)
-        low, high = wheel.prediction_band_m(middle)
+        low, high = wheel.prediction_band_m(0.5 * (wheel.law.load_min_N + wheel.law.load_max_N))
         parts.append(f"±{two_digits(0.5 * UM * float(high - low))} µm ({name})")
     return Text(
         f"The radius that one further run shows lies, with 95 % probability, within {' and '.join(parts)} of the law "

@@ -181,14 +181,13 @@ def deviation_section(source: Source) -> Section:
     rows = []
     for name in dict.fromkeys(radii.path_source.tolist()):
         on = radii.path_source == name
-        corrections = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
         rows.append(
             (
                 _SOURCES.get(name, name),
                 str(int(on.sum())),
                 fixed(1e3 * _median(radii.amplitude_m[on & known]), 1),
                 fixed(_median(radii.wavelength_m[on & known]), 1),
-                *(fixed(float(value), 0) for value in corrections),
+                *(fixed(float(value), 0) for value in 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))),
             )
         )
     blocks.append(
@@ -340,11 +339,10 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
             for row in rows
         ],
     )
-    allowed = {row["wavelength_m"]: row["allowed_amplitude_m"] for row in rows}
     sentences = (
         f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude of "
         f"{1e3 * amplitude:.1f} mm (whole periods)."
-        for wavelength, amplitude in allowed.items()
+        for wavelength, amplitude in {row["wavelength_m"]: row["allowed_amplitude_m"] for row in rows}.items()
     )
     return (excess, *map(Text, sentences))
 
