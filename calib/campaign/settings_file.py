@@ -13,17 +13,11 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, StrictBool, TypeAdapter, ValidationError
 
+from calib import errors
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import SPEED_COUNT_M, Encoder, Odometry, OdometryModel, Rangefinder, Reference, recognise
-from calib.errors import (
-    LABEL_CHARACTERS,
-    SETTINGS_BYTES,
-    BadFileError,
-    refuse_beyond,
-    refuse_hostile_document,
-    refuse_hostile_keys,
-)
+from calib.errors import SETTINGS_BYTES, BadFileError, refuse_beyond, refuse_hostile_document, refuse_hostile_keys
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-campaign/1"
@@ -55,7 +49,7 @@ class _Heading(BaseModel):
     """The keys above the sections."""
 
     format: Literal["calib-campaign/1"] | None = None
-    name: Annotated[str, Field(max_length=LABEL_CHARACTERS)]
+    name: Annotated[str, Field(max_length=errors.LABEL_CHARACTERS)]
     simulated: StrictBool = False
     #: keys whose values an earlier program filled in
     assumed: list[str] = []

@@ -11,21 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import __version__
+from calib.coefficients import sections
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, sealed
-from calib.coefficients.sections import (
-    CovarianceEntry,
-    EffectSection,
-    EncoderSection,
-    GeometrySection,
-    LimitsSection,
-    LoadPoint,
-    LoadRange,
-    NoiseSection,
-    Quantity,
-    VehicleSection,
-    WheelSection,
-    WheelsSection,
-)
+from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadInputError, ImplausibleError
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.units import GRAVITY_MPS2
@@ -146,7 +134,7 @@ def from_law(
     header: Header,
     *,
     load_table: Mapping[str, tuple[float, float]] | None = None,
-    effects: Iterable[EffectSection] = (),
+    effects: Iterable[sections.EffectSection] = (),
     load_margin_N: float | None = None,
     noise: PoseNoise = PoseNoise(),
 ) -> CoefficientFile:
@@ -173,11 +161,11 @@ def from_law(
         outside=header.outside,
         wheels=wheels,
         vehicle=VehicleSection.of(vehicle, track_std=noise.track_std_m, gravity=GRAVITY_MPS2),
-        encoder=EncoderSection.of(encoder),
-        noise=NoiseSection.of(noise, count_std=COUNT_STD),
-        limits=LimitsSection.of(max_step=_max_step_m(law, encoder), max_gap=MAX_GAP_S),
+        encoder=sections.EncoderSection.of(encoder),
+        noise=sections.NoiseSection.of(noise, count_std=COUNT_STD),
+        limits=sections.LimitsSection.of(max_step=_max_step_m(law, encoder), max_gap=MAX_GAP_S),
         load_table=[
-            LoadPoint.of(name=name, load_left=left, load_right=right)
+            sections.LoadPoint.of(name=name, load_left=left, load_right=right)
             for name, (left, right) in (load_table or {}).items()
             if left in wheels.left.valid_load and right in wheels.right.valid_load
         ],
@@ -206,7 +194,7 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
         covariance_radius_ref_slope=law.covariance[0, 1],
         variance_slope=law.covariance[1, 1],
         # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
-        valid_load=LoadRange.of(
+        valid_load=sections.LoadRange.of(
             min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
             max=math.ceil((law.load_max_N + margin) * 1e3) / 1e3,
         ),
@@ -268,7 +256,7 @@ def _section(geometry: Geometry) -> GeometrySection:
         source=geometry.source,
         parameters={name: Quantity.of(value=value, unit=_unit(name)) for name, value in geometry.values.items()},
         covariance=[
-            CovarianceEntry.of(
+            sections.CovarianceEntry.of(
                 first=first, second=second, covariance=Quantity.of(value=float(value), unit=product(first, second))
             )
             for row, first in enumerate(names)

@@ -16,22 +16,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
 from calib.campaign.wheels import STEERED
-from calib.coefficients.sections import (
-    AcceptedSection,
-    EffectSection,
-    EncoderSection,
-    GeometrySection,
-    InputFile,
-    LimitsSection,
-    LoadPoint,
-    NoiseSection,
-    Section,
-    VehicleSection,
-    WheelSection,
-    WheelsSection,
-    first_fault,
-    validated,
-)
+from calib.coefficients import sections
+from calib.coefficients.sections import Section, VehicleSection, WheelSection, WheelsSection, first_fault, validated
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
@@ -64,14 +50,14 @@ class CoefficientFile(Section):
     outside: Outside
     wheels: WheelsSection
     vehicle: VehicleSection
-    encoder: EncoderSection
-    noise: NoiseSection
-    limits: LimitsSection
-    load_table: list[LoadPoint] = Field(default_factory=list)
-    effects: list[EffectSection] = Field(default_factory=list)
-    joint_geometry: GeometrySection | None = None
-    inputs: list[InputFile] = Field(default_factory=list)
-    accepted_implausible: AcceptedSection | None = None
+    encoder: sections.EncoderSection
+    noise: sections.NoiseSection
+    limits: sections.LimitsSection
+    load_table: list[sections.LoadPoint] = Field(default_factory=list)
+    effects: list[sections.EffectSection] = Field(default_factory=list)
+    joint_geometry: sections.GeometrySection | None = None
+    inputs: list[sections.InputFile] = Field(default_factory=list)
+    accepted_implausible: sections.AcceptedSection | None = None
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 
     @model_validator(mode="after")
@@ -110,9 +96,9 @@ class CoefficientFile(Section):
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
         return to_json(self.to_dict()).encode("utf-8")
 
-    def changed(self, **sections: Any) -> CoefficientFile:
-        """Return the file with `sections` (models or plain values) replaced and a new checksum."""
-        return sealed(**{**self.to_dict(), **sections})
+    def changed(self, **changes: Any) -> CoefficientFile:
+        """Return the file with `changes` (models or plain values) replaced and a new checksum."""
+        return sealed(**{**self.to_dict(), **changes})
 
     def accepted(self, reason: str, findings: Sequence[str]) -> CoefficientFile:
         """Return the file with the findings beyond the bounds that the user accepts; the file itself without any."""
@@ -205,12 +191,12 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
     return file if written == computed else file.model_copy(update={"checksum": written})
 
 
-def sealed(**sections: Any) -> CoefficientFile:
+def sealed(**parts: Any) -> CoefficientFile:
     """Return the coefficient file of its sections, as models or plain values, with the checksum of its content.
 
     Raises BadInputError where they break the schema.
     """
-    file = validated(CoefficientFile, {**sections, "checksum": "sha256:" + "0" * 64})
+    file = validated(CoefficientFile, {**parts, "checksum": "sha256:" + "0" * 64})
     return file.model_copy(update={"checksum": checksum(file.to_dict())})
 
 

@@ -13,17 +13,9 @@ from numpy.typing import ArrayLike
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
+from calib.radius import sessions
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
-from calib.radius.sessions import (
-    HC3_BELOW,
-    HC3_MIN_DOF,
-    Autocorrelation,
-    breusch_pagan,
-    groups_of,
-    stratified_constant,
-    stratified_line,
-    widened,
-)
+from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -111,7 +103,7 @@ class WheelFit:
     #: see `calib.radius.checks`
     checks: tuple[Check, ...] = ()
     #: of runs that follow each other; None in a fit read from a file, whose estimate allows for it already
-    autocorrelation: Autocorrelation | None = None
+    autocorrelation: sessions.Autocorrelation | None = None
 
     @property
     def model(self) -> str:
@@ -364,7 +356,7 @@ def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> Lin
 
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
     """
-    hc3 = x is not None and ols.df_resid >= HC3_MIN_DOF and breusch_pagan(ols.resid, x)[1] < HC3_BELOW
+    hc3 = x is not None and ols.df_resid >= HC3_MIN_DOF and breusch_pagan(ols.resid, x)[1] < sessions.HC3_BELOW
     covariance = ols.cov_HC3 if hc3 else ols.cov_params()
     return LineEstimate.one_stratum(
         "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)

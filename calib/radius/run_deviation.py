@@ -10,14 +10,8 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.documents import plain
 from calib.errors import BadInputError
-from calib.radius.deviation import (
-    allowed_amplitude_m,
-    allowed_amplitude_on_run_m,
-    arc_excess,
-    arc_of_radii_rad,
-    radius_error,
-    small_amplitude_excess,
-)
+from calib.radius import deviation
+from calib.radius.deviation import allowed_amplitude_m, arc_excess, radius_error, small_amplitude_excess
 from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import correct_paths
 from calib.types import FloatArray, Row, StrArray
@@ -114,7 +108,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
     if phased.any():
         length, phase, far = (part[phased] for part in (path.wavelength_m, path.phase_rad, distance))
-        allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
+        allowed[phased] = deviation.allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
     # r_R / r_L as each run shows it; the distance cancels
@@ -122,7 +116,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )
     believed = model.radius_right_m / model.radius_left_m
-    turn = arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
+    turn = deviation.arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
     unknown_nan = np.where(known, 0.0, np.nan)
     return RunDeviations(
         tolerance=tolerance,

@@ -16,22 +16,10 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
+from calib.reporting import panel_data
 from calib.reporting.figures.gap import GapArrays
 from calib.reporting.formatting import percent
-from calib.reporting.panel_data import (
-    ALONG,
-    LABELS,
-    PATHS,
-    RUN_AXES,
-    channel_units,
-    covariate_titles,
-    first_channel,
-    gap_along_runs,
-    labels_of,
-    noise_limits,
-    panel_columns,
-    run_paths,
-)
+from calib.reporting.panel_data import LABELS, channel_units, covariate_titles, first_channel, labels_of, noise_limits
 from calib.types import FloatArray
 
 try:
@@ -83,8 +71,8 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
     Scripts are packed, so that a page can be sent by mail; the browser unpacks them.
     """
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
-    columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
+    gap, along = GapArrays.of(diagnosis), panel_data.gap_along_runs(diagnosis.observations, campaign)
+    columns = panel_data.panel_columns(gap, along, panel_data.run_paths(diagnosis, campaign), COLOURS)
     layout = _layout(gap, along, ColumnDataSource(columns, name="observations"), diagnosis)
     script, div = components(layout, wrap_script=False)
     packed = "\n".join(map(_packed, [*resources.js_raw, script]))
@@ -111,7 +99,7 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     tools = [_session_choice(gap, source), _colour_choice(gap, source, legend), *tools]
     runs = [
         _along_panel(source, name)
-        for name, place in ALONG.items()
+        for name, place in panel_data.ALONG.items()
         if any(np.isfinite(path[:, place]).any() for path in along)
     ]
     if gap.offset_m is not None:
@@ -175,7 +163,7 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
-    for which in PATHS:
+    for which in panel_data.PATHS:
         if not any(len(path) for path in data[f"{which}_x"]):
             continue
         dash, mark, name = PATH_STYLES[which]
@@ -209,7 +197,7 @@ def _moment_slider(source: ColumnDataSource) -> Model:
         name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start (s)",
         width=220, format="0.0",
     )  # fmt: skip
-    return _changed(slider, "moment", source=source, paths=PATHS)
+    return _changed(slider, "moment", source=source, paths=panel_data.PATHS)
 
 
 def _covariate_panel(
@@ -247,14 +235,14 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
 
 def _along_panel(source: ColumnDataSource, name: str) -> figure:
     """Draw how the gap grows along the run, where the log has a continuous reference or range."""
-    plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(RUN_AXES)), name)
+    plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(panel_data.RUN_AXES)), name)
     _hover(plot, _lines(plot, "way", f"gap {name}", source, line_alpha=0.6))
     return plot
 
 
 def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
     """Return the choice of what the gap along the run is drawn against."""
-    axes = list(RUN_AXES)
+    axes = list(panel_data.RUN_AXES)
     choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
     return _changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in plots])
 

@@ -8,20 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import (
-    MOST_OF_THE_RUNS,
-    SIDES,
-    cell_note,
-    column_note,
-    listed,
-    meaning,
-    per_rev,
-    raw_radius_ratio,
-    robust_spread,
-    rolled_m,
-    stated,
-    turned_rad,
-)
+from calib.campaign.checks import design
+from calib.campaign.checks.design import MOST_OF_THE_RUNS, SIDES, cell_note, column_note, robust_spread, turned_rad
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.campaign.wheels import odometry_source, on_one_axle
@@ -57,14 +45,14 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
     for side in SIDES:
-        ratio = np.abs(raw_radius_ratio(campaign, side))
+        ratio = np.abs(design.raw_radius_ratio(campaign, side))
         known = np.isfinite(ratio)
         if not known.any():
             continue
         odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
         usual = float(np.nanmedian(ratio))
         alike = robust_spread(ratio) < 0.02 * usual
-        if alike and abs(usual - 1) > _WORN and stated(campaign, "vehicle.wheel_radius_m"):
+        if alike and abs(usual - 1) > _WORN and design.stated(campaign, "vehicle.wheel_radius_m"):
             odd = known
         if alike and odd.sum() > MOST_OF_THE_RUNS * known.sum():
             reason = _reason(usual) or "check counts_per_rev, the wheel radius and the unit of the distance"
@@ -95,7 +83,7 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
 
 
 def _reason(ratio: float) -> str:
-    reason = meaning(ratio)
+    reason = design.meaning(ratio)
     return f"this looks like {reason}" if reason else ""
 
 
@@ -126,7 +114,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     and its value does not.
     """
     runs = campaign.runs
-    left, right = (runs.number(f"counts_{side}") / per_rev(campaign, side) for side in SIDES)
+    left, right = (runs.number(f"counts_{side}") / design.per_rev(campaign, side) for side in SIDES)
     usable = (left > 0) & (right > 0) & (runs.number("distance_m") > 1.0)
     if usable.sum() < 5:
         return
@@ -144,19 +132,19 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
     """Fit on the loads where they vary, dropping what lies far off, five rounds; fitted values and spread."""
-    design = np.ones((len(values), 1))
+    regressors = np.ones((len(values), 1))
     for load in loads.T:
         if np.isfinite(load).all() and np.ptp(load) > 1.0:
-            candidate = np.column_stack([design, (load - load.mean()) / np.ptp(load)])
+            candidate = np.column_stack([regressors, (load - load.mean()) / np.ptp(load)])
             if np.linalg.matrix_rank(candidate, tol=1e-6 * len(values)) == candidate.shape[1] < len(values) / 3:
-                design = candidate
+                regressors = candidate
     fitted = np.full(len(values), np.median(values))
     for _ in range(5):
         residual = values - fitted
         keep = np.abs(residual - np.median(residual)) < 4 * max(robust_spread(residual), 1e-9)
-        if keep.sum() <= design.shape[1]:
+        if keep.sum() <= regressors.shape[1]:
             break
-        fitted = design @ np.linalg.lstsq(design[keep], values[keep], rcond=None)[0]
+        fitted = regressors @ np.linalg.lstsq(regressors[keep], values[keep], rcond=None)[0]
     return fitted, robust_spread(values - fitted)
 
 
@@ -183,7 +171,7 @@ def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str
     columns = f"counts_left, counts_right, {column}"
     if against.sum() > max(1.0, MOST_OF_THE_RUNS * clear.sum()):
         text = (
-            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({listed(campaign.runs.run_id[against])}) "
+            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({design.listed(campaign.runs.run_id[against])}) "
             f"{what}; left and right look swapped throughout, or the reference counts clockwise"
         )
         yield column_note(columns, text, "swapped_wheels")
@@ -272,7 +260,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         stride = max(1, len(log["t_s"]) // 50)
         step = np.diff(log["t_s"][::stride])
         if (step > 0).all():
-            rolled = np.abs(np.diff(rolled_m(campaign, "left", log["counts_left"][::stride])))
+            rolled = np.abs(np.diff(design.rolled_m(campaign, "left", log["counts_left"][::stride])))
             ratios[run] = np.median(rolled / step) / speed[run]
     known = np.isfinite(ratios) & (ratios > 0)
     # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd

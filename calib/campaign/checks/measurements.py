@@ -8,20 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import (
-    LEAST_RUNS,
-    MOST_OF_THE_RUNS,
-    SIDES,
-    cell_note,
-    column_note,
-    implausible_column,
-    listed,
-    meaning,
-    robust_spread,
-    rolled_m,
-    setting_note,
-    stated,
-)
+from calib.campaign.checks import design
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, column_note, implausible_column, listed, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
@@ -95,7 +83,7 @@ def off(ratio: float) -> bool:
 
 def factor_reason(ratio: float) -> str:
     """Return the unit or setting that a ratio of radius to nominal radius points to; a general hint where none does."""
-    text = meaning(ratio)
+    text = design.meaning(ratio)
     return f"{text}?" if text else "check counts_per_rev, wheel_radius_m and the unit of the distance"
 
 
@@ -105,7 +93,7 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
     counts = {side: campaign.runs.number(f"counts_{side}") for side in SIDES}
     for side, other in (SIDES, SIDES[::-1]):
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.abs(distance / rolled_m(campaign, side))
+            ratio = np.abs(distance / design.rolled_m(campaign, side))
         good = np.isfinite(ratio) & (ratio > 0)
         if good.sum() >= LEAST_RUNS:
             usual = float(np.median(ratio[good]))
@@ -134,12 +122,12 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
 
 def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str) -> Iterator[Note]:
     """Yield a note where radii scatter as no wheel's do; logarithms of the good runs' radii, of all runs' distances."""
-    spread = robust_spread(radius)
+    spread = design.robust_spread(radius)
     if len(radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
         moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = robust_spread(moved[1:-1])
+        again = design.robust_spread(moved[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = (
                 f"the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each "
@@ -188,8 +176,8 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = np.maximum(15.0, 0.05 * np.abs(computed).sum(axis=0))
     off = (np.abs(weighed - computed) > allowed).any(axis=0)
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    if off.sum() > max(3, MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
-        exchanged = bool(swapped.sum() > MOST_OF_THE_RUNS * off.sum())
+    if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
+        exchanged = bool(swapped.sum() > design.MOST_OF_THE_RUNS * off.sum())
         hint, code = _SWAPPED if exchanged else _CONTRADICTED
         ratio = float(np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off]))
         text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
@@ -217,7 +205,7 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
             f"({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from "
             "those stated at another by the slope times the difference; check the value"
         )
-        yield setting_note("model.reference_load_N", text, "reference_load", "info")
+        yield design.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
 #: a reference load is another one within this share of itself: what scales and rounding leave
@@ -281,7 +269,7 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
 
 
 def _in_another_unit(columns: str, ratio: float, what: str) -> Note:
-    hint = meaning(ratio, _LOAD_UNITS, 0.25)
+    hint = design.meaning(ratio, _LOAD_UNITS, 0.25)
     hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
     text = f"the wheel loads are {ratio:.3g} times {what}; expected the same within a factor of 2; {hint}"
     return implausible_column(columns, text)
@@ -319,7 +307,7 @@ def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
     found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
     good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
     opposite = found[good] / expected[good] < -0.5
-    if good.sum() >= LEAST_RUNS and opposite.mean() > MOST_OF_THE_RUNS:
+    if good.sum() >= LEAST_RUNS and opposite.mean() > design.MOST_OF_THE_RUNS:
         text = (
             f"in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel carries "
             "more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the right?"

@@ -8,20 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import (
-    LEAST_RUNS,
-    MOST_OF_THE_RUNS,
-    SIDES,
-    cell_note,
-    column_note,
-    groups_of,
-    implausible_column,
-    robust_spread,
-    rolled_m,
-    setting_note,
-    stated,
-    turned_rad,
-)
+from calib.campaign.checks import design
+from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
 from calib.campaign.model import Campaign, Note
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
@@ -79,7 +67,7 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
             f"found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away, {apart[run]:+.3g} "
             "m against the other straight runs; do distance and end pose belong to the same run?"
         )
-        yield cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
+        yield design.cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
 
 
 def _longer(campaign: Campaign, most: float) -> FloatArray:
@@ -100,7 +88,7 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return
-    for name, members in (("", known), *groups_of(session[known])):
+    for name, members in (("", known), *design.groups_of(session[known])):
         found = values[known[members]] if name else values[known]
         if len(found) < LEAST_RUNS:
             continue
@@ -140,7 +128,7 @@ def _bows(campaign: Campaign) -> _Bows:
 def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
     """Return the bow of one run by its log, its wheels as large as the distance says."""
     log = campaign.logs.of(run)
-    left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in SIDES)
+    left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in design.SIDES)
     along = (left + right) / 2
     if not np.isfinite(along).all() or along[-1] <= 0.0:
         return math.nan
@@ -177,7 +165,7 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
         f"{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of {track:g} m "
         f"(standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"
     )
-    yield setting_note("vehicle.track_m", text, "track_against_bows")
+    yield design.setting_note("vehicle.track_m", text, "track_against_bows")
 
 
 def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
@@ -188,7 +176,7 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
         (("rangefinder.sigma_m", "reference.sigma_xy_m"), longer[np.isfinite(longer)], sigma_m, "m"),
         (("reference.sigma_theta_rad",), _aside_rad(campaign)[1], reference.sigma_theta_rad, "rad"),
     ):
-        if len(values) < _LEAST_STRAIGHT_RUNS or not all(stated(campaign, name) for name in names):
+        if len(values) < _LEAST_STRAIGHT_RUNS or not all(design.stated(campaign, name) for name in names):
             continue
         scatter = robust_spread(values)
         # headings scatter by more than the reference's share, since no floor is even
@@ -199,7 +187,7 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
                 f"found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g} {unit}; "
                 f"expected the same within {most:g} times; check the unit and the value"
             )
-            yield setting_note(" and ".join(names), text, "stated_uncertainties")
+            yield design.setting_note(" and ".join(names), text, "stated_uncertainties")
 
 
 def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
@@ -212,7 +200,7 @@ def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
 
 def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
     """Find straight runs that end aside of their start heading: a frame turned far, or x and y exchanged."""
-    runs, turned = campaign.runs, turned_rad(campaign)
+    runs, turned = campaign.runs, design.turned_rad(campaign)
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     away = np.hypot(x, y)
     straight = ~runs.excluded & (distance > 1.0) & (np.abs(turned) < _MOST_BEARING_RAD)
@@ -278,7 +266,7 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
     if good.sum() >= LEAST_RUNS:
         far = good & (away > 3 * distance + 1)
-        if far.sum() > MOST_OF_THE_RUNS * good.sum():
+        if far.sum() > design.MOST_OF_THE_RUNS * good.sum():
             ratio = float(np.median(away[far] / distance[far]))
             hint = "are they in millimetres?" if ratio > 300 else "check their unit and frame"
             text = (
@@ -311,7 +299,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     Radii that scatter with the load make the small headings of nearly straight runs follow the counts less than once,
     and never the other way round.
     """
-    theta, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
+    theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:
         return
@@ -326,7 +314,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             yield implausible_column("ref_theta_rad", text)
             return
     elif campaign.reference.frame != "map":
-        loads = [campaign.runs.number(f"load_{side}_N")[good] for side in SIDES]
+        loads = [campaign.runs.number(f"load_{side}_N")[good] for side in design.SIDES]
         by_load = [distance[good] * load for load in loads if np.isfinite(load).all()]
         ratio, std = _partial_slope(theta[good], turned[good], [distance[good], *by_load])
         if not ratio < min(_OPPOSED_RATIO, -_OPPOSED_SIGMAS * std):
@@ -342,12 +330,12 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
 
 def _partial_slope(measured: FloatArray, counted: FloatArray, nuisance: Sequence[FloatArray]) -> tuple[float, float]:
     """Return the slope of `measured` over `counted` beside nuisance columns, and its standard error; else 0 and inf."""
-    design = np.column_stack(nuisance)
-    design = design / np.maximum(np.abs(design).max(axis=0), 1e-300)
+    regressors = np.column_stack(nuisance)
+    regressors = regressors / np.maximum(np.abs(regressors).max(axis=0), 1e-300)
     # loads may come in step with each other: what they explain is set aside at any rank
     both = np.column_stack([counted, measured])
-    explained, _, rank, _ = np.linalg.lstsq(design, both, rcond=1e-9)
-    counted, measured = (both - design @ explained).T
+    explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
+    counted, measured = (both - regressors @ explained).T
     free, square = len(measured) - int(rank) - 1, float(counted @ counted)
     if free < LEAST_RUNS or square <= 0.0:
         return 0.0, math.inf

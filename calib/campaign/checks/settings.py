@@ -7,20 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import (
-    LEAST_RUNS,
-    SIDES,
-    cell_note,
-    column_note,
-    listed,
-    load_label,
-    per_rev,
-    raw_radius_ratio,
-    rolled_m,
-    setting_note,
-    stated,
-    turned_rad,
-)
+from calib.campaign.checks import design
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
 from calib.types import FloatArray, IntArray
@@ -54,7 +42,7 @@ MOST_SCATTER_COUNTS: Final = 1.0
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
     """Find counts per revolution that are one off a round number, and radii that are off together."""
     for side in SIDES if stated(campaign, "encoder.counts_per_rev") else ():
-        value = per_rev(campaign, side)
+        value = design.per_rev(campaign, side)
         near = [value + step for step in (-1.0, 1.0) if _is_round(value + step)]
         if near and not _is_round(value):
             text = f"found {value:.10g}, one off {near[0]:.10g}; encoders have a round number of counts; check it"
@@ -126,7 +114,7 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
         ratio = ratio / float(np.nanmedian(ratio))
         for run in np.flatnonzero((ratio > ODD_RATIO) | (ratio < 1.0 / ODD_RATIO)):
             text = f"the distance is {ratio[run]:.3g} times what the wheels rolled; check it, or exclude the run"
-            yield cell_note(campaign, int(run), "distance_m", text, "odd_distance")
+            yield design.cell_note(campaign, int(run), "distance_m", text, "odd_distance")
     logs = campaign.logs
     fell = np.flatnonzero(np.diff(logs.columns.get("t_s", np.zeros(0))) < 0.0) + 1
     runs = np.unique(np.searchsorted(logs.offsets, np.setdiff1d(fell, logs.offsets), side="right") - 1)
@@ -138,7 +126,7 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs that are a whole turn off what the wheels say."""
     measured = campaign.runs.number("ref_theta_rad")
-    apart = turned_rad(campaign) - measured
+    apart = design.turned_rad(campaign) - measured
     turns = np.round(apart / (2 * np.pi))
     near = np.abs(apart - 2 * np.pi * turns) < NEAR_TURN_RAD
     odd = near & (turns != 0.0)
@@ -146,7 +134,7 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
     for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
         text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
-        yield cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
+        yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
 def pose_resolution(campaign: Campaign) -> Iterator[Note]:
@@ -166,7 +154,7 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
     """Find distances, headings and counts in steps far above the uncertainty of a distance or heading."""
     sigma_m = campaign.rangefinder.sigma_m
     resolutions = {"distance_m": sigma_m, "ref_theta_rad": campaign.reference.sigma_theta_rad}
-    resolutions |= {f"counts_{side}": sigma_m / float(rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
+    resolutions |= {f"counts_{side}": sigma_m / float(design.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
     driven = campaign.runs.label("loop") != CLOSED
     for name, resolution in resolutions.items():
         step = _coarse_step(campaign.runs.number(name)[driven], resolution)
@@ -195,7 +183,10 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
     """Find session labels that are a row off: moved, each session has one load or temperature, and now it has not."""
     session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
-    for name, values in (("load", load_label(campaign)), ("temperature_C", campaign.runs.number("temperature_C"))):
+    for name, values in (
+        ("load", design.load_label(campaign)),
+        ("temperature_C", campaign.runs.number("temperature_C")),
+    ):
         group = np.unique(values, return_inverse=True)[1]
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
             continue

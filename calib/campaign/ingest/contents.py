@@ -12,14 +12,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.guesses import (
-    behaviour,
-    count_unit,
-    guessed_table_column,
-    rises_evenly,
-    stem_and_unit,
-    usual_step,
-)
+from calib.campaign.ingest import guesses
+from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
@@ -228,7 +222,7 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
         n_empty=len(values) - len(known),
         wrap_bits=bits,
         whole=whole,
-        does="" if bits or len(known) <= _FEW_ROWS else behaviour(known, whole=whole),
+        does="" if bits or len(known) <= _FEW_ROWS else guesses.behaviour(known, whole=whole),
         step=usual_step(known),
         even=rises_evenly(known),
     )

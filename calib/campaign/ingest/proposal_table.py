@@ -8,14 +8,9 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
+from calib.campaign.ingest import guesses
 from calib.campaign.ingest.contents import ColumnContents, FileContents
-from calib.campaign.ingest.guesses import (
-    direction_of,
-    guessed_log_column,
-    guessed_table_column,
-    plain_text,
-    stem_and_unit,
-)
+from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
@@ -159,7 +154,9 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     patterns = {name: name_pattern([Path(log.name).stem for log in group]) for name, group in groups.items()}
     whole = [pattern for pattern in patterns.values() if pattern]
     # files that each hold the wheels are runs of their own: run_1_out, run_1_back
-    wheels = sum("counts_left" in {guessed_log_column(c.name) for c in group[0].columns} for group in groups.values())
+    wheels = sum(
+        "counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups.values()
+    )
     if not 1 < len(groups) == len(whole) or wheels > 1:
         return {}
     pairs = zip(whole, groups.values(), strict=True)

@@ -12,17 +12,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers import table
 from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
-from calib.campaign.readers.table import (
-    HEADER_ROWS,
-    LARGEST_VALUE,
-    Layout,
-    RawTable,
-    Wanted,
-    check_header,
-    find_header,
-    is_number,
-)
+from calib.campaign.readers.table import LARGEST_VALUE, Layout, RawTable, Wanted, check_header, find_header, is_number
 from calib.campaign.readers.text import find_delimiter, split_cells, tidy, utf8
 from calib.errors import BadFileError
 from calib.types import FloatArray
@@ -156,7 +148,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         rows = split_cells(lines, usual)
         if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
-    lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
+    lines = _first_lines(data, table.HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
             expected = f"the header in row {layout.header_row}"
@@ -312,10 +304,10 @@ def _read_cells(
             expected = f"{len(names)}, as the header in row {skipped + 1} has"
             remedy = _remedy(cells, names, delimiter)
             raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=lines[at])
-    table = np.empty((len(rows), len(names)), dtype=object)
+    grid = np.empty((len(rows), len(names)), dtype=object)
     for index, cells in enumerate(rows):
-        table[index] = cells
-    columns = {name: table[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
+        grid[index] = cells
+    columns = {name: grid[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
     return finished(columns, lines, wanted, notes, shown)
 
 

@@ -14,16 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import (
-    EMPTY,
-    Layout,
-    RawTable,
-    Wanted,
-    filled_cells,
-    is_filled,
-    is_number,
-    with_numbers,
-)
+from calib.campaign.readers import table
+from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, is_filled, is_number, with_numbers
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, unit_named
 
@@ -187,7 +179,7 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
         over = [str(row[column]).strip() for column in filled if column in numeric]
         if any(is_number(cell) for cell in over):
             break
-        texts = [cell for cell in over if cell.lower() not in EMPTY]
+        texts = [cell for cell in over if cell.lower() not in table.EMPTY]
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
         # a second row of names stands over columns of numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)

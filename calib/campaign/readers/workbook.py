@@ -16,18 +16,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from calib.campaign.model import Note
+from calib.campaign.readers import table
 from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
-from calib.campaign.readers.table import (
-    HEADER_ROWS,
-    Layout,
-    RawTable,
-    Wanted,
-    check_header,
-    filled_cells,
-    find_header,
-    object_array,
-    turned,
-)
+from calib.campaign.readers.table import Layout, Wanted, check_header, filled_cells, find_header, object_array, turned
 from calib.errors import SHEET_CELLS, SHEET_EMPTY, SHEET_UNPACKED_BYTES, SHEETS, BadFileError, refuse_beyond
 
 #: parts of the archive that hold cells and their texts; all others describe, and are small
@@ -52,7 +43,7 @@ _REMEDY: Final = "export the table as CSV or Parquet"
 _HEADER_ROW_REMEDY: Final = "correct header_row of the mapping"
 
 
-def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
+def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> table.RawTable:
     """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""
     last_row = check_size(path, shown)
     notes: list[Note] = []
@@ -146,16 +137,15 @@ def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> 
         header_at = _header_index(filled, layout, shown)
         if header_at is None and (first.rows or not filled):
             continue
-        table = _Sheet(str(sheet.title), [row for _, row in filled], [at for at, _ in filled], header_at or 0, notes)
+        first = _Sheet(str(sheet.title), [row for _, row in filled], [at for at, _ in filled], header_at or 0, notes)
         if header_at is not None:
-            return table
-        first = table
+            return first
     return first
 
 
 def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: str) -> int | None:
     if layout.header_row is None:
-        return find_header([cells for _, cells in filled[:HEADER_ROWS]])
+        return find_header([cells for _, cells in filled[: table.HEADER_ROWS]])
     index = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
     if index is None:
         expected = "the header, as the mapping says"

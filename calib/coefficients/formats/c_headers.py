@@ -14,16 +14,9 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Final
 
+from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import (
-    Artifact,
-    ExportOptions,
-    accepted_lines,
-    c_number,
-    left_out_lines,
-    rendered,
-    templates,
-)
+from calib.coefficients.formats import Artifact, ExportOptions, c_number, left_out_lines, rendered, templates
 from calib.coefficients.sections import EffectSection, WheelSection
 from calib.errors import RefusedError
 from calib.radius.law import JOINT
@@ -181,7 +174,7 @@ def effects_header(file: CoefficientFile, options: ExportOptions) -> tuple[Artif
         column = section.effect.partition(":")[2]
         at = covariates.index(column) if column else -1
         effects.append(_Effect(section.effect, section.form, section.settings, sizes, reference_N, at))
-    accepted = accepted_lines(file)
+    accepted = formats.accepted_lines(file)
     data = rendered(
         "c_effects.h.j2", file=file, acting=effects, others=others, accepted=accepted, covariates=covariates
     )

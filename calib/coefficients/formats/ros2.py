@@ -21,17 +21,9 @@ from typing import Final
 
 import numpy as np
 
+from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import (
-    Artifact,
-    ExportOptions,
-    LoadPair,
-    default_loads,
-    left_out_lines,
-    radii_m,
-    rendered,
-    within_N,
-)
+from calib.coefficients.formats import Artifact, LoadPair, default_loads, left_out_lines, radii_m, rendered, within_N
 from calib.errors import BadInputError, RefusedError
 from calib.kinematics.drives import STEERING_SCALE
 from calib.types import FloatArray
@@ -60,7 +52,7 @@ OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
 OF_FRONT: Final = ("tricycle_controller",)
 
 
-def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
+def render(file: CoefficientFile, options: formats.ExportOptions) -> tuple[Artifact, ...]:
     """Return one YAML a load point, with the controllers of the vehicle's drive or those chosen.
 
     Raises BadInputError where there is no such controller; RefusedError where a load lies outside the valid range and

@@ -9,18 +9,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Final
 
-from calib.coefficients.formats.model_file import (
-    ModelFile,
-    Node,
-    Slot,
-    Wheel,
-    attribute_slot,
-    named,
-    numbers,
-    patched,
-    text_slot,
-    written,
-)
+from calib.coefficients.formats import model_file
+from calib.coefficients.formats.model_file import ModelFile, Node, Slot, Wheel, numbers, patched, text_slot, written
 from calib.errors import RefusedError
 
 #: elements that have a radius; of a geom of MJCF it is the first size
@@ -78,11 +68,15 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
     for node in joints:
         for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
             _add(candidates, known, node)
-    joint = named(candidates, name, model.path, option)
+    joint = model_file.named(candidates, name, model.path, option)
     link = model.root.child("link", _link(joint, "child"))
 
     def stated(shape: Node) -> Slot | None:
-        return attribute_slot(model, shape, "radius", f"radius of {name!r}") if "radius" in shape.attributes else None
+        return (
+            model_file.attribute_slot(model, shape, "radius", f"radius of {name!r}")
+            if "radius" in shape.attributes
+            else None
+        )
 
     radius, slots = link_radii(model, link, name, stated)
     tilted = _tilted(model, joints, _link(joint, "parent"))
@@ -130,7 +124,7 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
             link = node if node.tag == "link" else _child_link(node)
             if link is not None and "name" in node.attributes:
                 _add(candidates, node.attributes["name"], link)
-    link = named(candidates, name, model.path, option)
+    link = model_file.named(candidates, name, model.path, option)
 
     def stated(shape: Node) -> Slot | None:
         radius = shape.child("radius")
@@ -243,7 +237,7 @@ def _body(model: ModelFile, name: str, option: str) -> Node:
         if known is None or body is None or body.tag != "body" or node.tag not in ("body", "joint", "geom"):
             continue
         _add(candidates, known, body)
-    return named(candidates, name, model.path, option)
+    return model_file.named(candidates, name, model.path, option)
 
 
 def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:

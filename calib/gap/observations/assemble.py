@@ -9,16 +9,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations, let_go, step_array
 from calib.gap.observations.observation import Observation, Setup
-from calib.gap.observations.routes import (
-    WheelTravel,
-    heading_by_straightness,
-    replicates,
-    steered_by_counts,
-    weave_of_log,
-    were_guided,
-)
+from calib.gap.observations.routes import WheelTravel, replicates, steered_by_counts, weave_of_log, were_guided
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import wheel_loads_N
 
@@ -227,7 +221,7 @@ def _guided(
             "of one wheel against the other"
         )
         guided = np.zeros_like(guided)
-    sigma, assumed = heading_by_straightness(
+    sigma, assumed = routes.heading_by_straightness(
         campaign.runs.number("amplitude_m")[index],
         campaign.runs.number("wavelength_m")[index],
         weave_of_log(steps),

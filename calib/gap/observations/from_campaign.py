@@ -14,23 +14,10 @@ from calib.campaign.read import GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
+from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble
-from calib.gap.observations.observation import (
-    ALONG_RUN,
-    MAX_STEPS,
-    CountsPerRadian,
-    Observation,
-    ReferencePoses,
-    Setup,
-    log_rows,
-    observation_from_log,
-    observation_from_row,
-    poses_are_in_a_map,
-    poses_of_vehicle,
-    reference_poses,
-    relative_pose,
-)
+from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
 from calib.types import FloatArray, IntArray
 
 #: with fewer runs than this, recordings are cut into windows
@@ -94,7 +81,7 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
     """Return an observation with the motion between two poses of the reference: both of them read, both uncertain."""
     (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
-    measured[1:] = relative_pose(start, end)
+    measured[1:] = observation.relative_pose(start, end)
     if reference.course is not None:
         # a course is known up to whole turns
         turned = reference.course.by_wheels[last, 2] - reference.course.by_wheels[first, 2]
@@ -125,9 +112,9 @@ def observations_of(
     a log counts with what its row says. Refused where no run has both counts and something measured.
     """
     setup = _setup(campaign, model)
-    n_runs, samples = len(setup.campaign.runs), MAX_STEPS + 1
+    n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
     # of a large campaign thousands of small arrays would leave as much memory behind that nothing large fits into
-    room = np.empty((len(ALONG_RUN), n_runs, samples))
+    room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
     if whole_runs:
@@ -149,8 +136,8 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         # wheels that represent others do not carry a load of their own
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
-    per_rad = CountsPerRadian.from_encoder(campaign.encoder)
-    return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+    per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
+    return Setup(campaign, model, per_rad, observation.poses_are_in_a_map(campaign), stands_in)
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
@@ -163,7 +150,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
     for number, run in enumerate(observations.run.tolist()):
         if known[0] != run:
             log = setup.campaign.logs.of(run)
-            known = (run, reference_poses(log, setup), log.get("t_s", np.zeros(0)))
+            known = (run, observation.reference_poses(log, setup), log.get("t_s", np.zeros(0)))
         _, reference, time = known
         first, last = observations.starts[number], observations.starts[number + 1] - 1
         begin, end = observations.time_s[first] - observations.duration_s[first], observations.time_s[last]
@@ -214,11 +201,15 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     rows = log_rows(log)
     runs = campaign.runs
     logged = len(rows) >= 2
-    unit = observation_from_log(run, log, rows, per_rad) if logged else observation_from_row(run, runs, per_rad)
+    unit = (
+        observation_from_log(run, log, rows, per_rad)
+        if logged
+        else observation.observation_from_row(run, runs, per_rad)
+    )
     if unit is None:
         return None
     placed: dict[str, Any] = {}
-    for name, place in zip(ALONG_RUN, room, strict=True):
+    for name, place in zip(observation.ALONG_RUN, room, strict=True):
         values = getattr(unit, name)
         if values is not None:
             placed[name] = place[: len(values)]
@@ -228,10 +219,14 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
         distance = log["range_m"][-1]
     pose = np.array([runs.number(name)[run] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
     # an end pose in a map says nothing without the pose at the start
-    pose = np.full(3, np.nan) if setup.in_map else poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
+    pose = (
+        np.full(3, np.nan)
+        if setup.in_map
+        else observation.poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
+    )
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
-    return Recorded(unit, reference_poses(log, setup) if logged else None)
+    return Recorded(unit, observation.reference_poses(log, setup) if logged else None)
 
 
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:

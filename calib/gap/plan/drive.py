@@ -9,17 +9,11 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign import wheels
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.read import CLOSED, GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import FrontModel
-from calib.campaign.wheels import (
-    STEERED,
-    WHEEL_COLUMNS,
-    counts_per_rev,
-    mecanum_model,
-    odometry_source,
-    without_rear_wheels,
-)
+from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.errors import PLANNED_SAMPLES, BadInputError
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.odometry.integrate import radii_of_model
@@ -165,7 +159,7 @@ def wheel_counts(
         model = FrontModel.of(campaign.vehicle)
         return counts | _steered(campaign, distance_m, heading_rad, model, "front") if front else counts
     source = odometry_source(campaign)
-    if source in STEERED:
+    if source in wheels.STEERED:
         model = campaign.model.front or FrontModel.of(campaign.vehicle)
         return _steered(campaign, distance_m, heading_rad, model, source)
     return _mecanum(campaign, distance_m, heading_rad)

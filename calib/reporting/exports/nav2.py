@@ -18,19 +18,7 @@ from calib.documents import templates_of
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.reporting.exports import diagnosed, pose_spread
-from calib.reporting.exports.pose_spread import (
-    ALPHAS,
-    DEFAULT_ALPHA,
-    MODELS,
-    POSE,
-    Fitted,
-    Spread,
-    fitted,
-    form_ratios,
-    sizes_of,
-    spread_of,
-    undetermined,
-)
+from calib.reporting.exports.pose_spread import ALPHAS, DEFAULT_ALPHA, POSE, form_ratios, sizes_of, undetermined
 from calib.types import FloatArray, Progress, StrArray
 
 #: fewer end poses do not show a spread: its standard error is then beyond a sixth
@@ -61,7 +49,7 @@ class KindNoise:
     form: FloatArray
 
 
-def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[KindNoise, ...]:
+def kind_noise(models: Sequence[pose_spread.Spread], residuals: FloatArray, kinds: StrArray) -> tuple[KindNoise, ...]:
     """Return the alphas of each kind (n_obs,) of enough runs by itself, where there are several kinds.
 
     `models`: the spreads of `MODELS` on these runs; `residuals`: (n_obs, 3).
@@ -88,7 +76,7 @@ class MotionNoise:
     alphas: dict[str, float]
     undetermined: tuple[str, ...]  #: alphas that these runs say nothing of
     walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
-    held_out: Fitted  #: observed over predicted standard deviation of runs held out, with intervals
+    held_out: pose_spread.Fitted  #: observed over predicted standard deviation of runs held out, with intervals
     form: FloatArray  #: the same ratios by the form of AMCL's model alone, shape (3,)
     by_kind: tuple[KindNoise, ...] = ()  #: where no alphas spread as all runs do
 
@@ -148,8 +136,10 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
             "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
         )
     residuals, kinds = diagnosis.held_out.after[units][:, POSE], observations.labels["kind"][units]
-    models = amcl, walk, constant = tuple(spread_of(diagnosis.correction.path, units, model) for model in MODELS)
-    found, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
+    models = amcl, walk, constant = tuple(
+        pose_spread.spread_of(diagnosis.correction.path, units, model) for model in pose_spread.MODELS
+    )
+    found, form = pose_spread.fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
     unknown = undetermined(amcl, found.sizes)
     alphas = dict(zip(ALPHAS, map(float, found.sizes), strict=True))
     return MotionNoise(

@@ -15,22 +15,10 @@ from calib.errors import BadInputError
 from calib.fleet.run import Fleet
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.io import refuse_existing, write_bytes
-from calib.reporting.figures.style import (
-    BLUE,
-    FORMS,
-    GREY,
-    INK,
-    ORANGE,
-    PALETTE,
-    axes_grid,
-    canvas,
-    draw_ordered,
-    figure_title,
-    render,
-    styled,
-)
+from calib.reporting.figures import style
+from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, canvas, draw_ordered, figure_title, render, styled
 
-GREEN: Final = PALETTE[2]
+GREEN: Final = style.PALETTE[2]
 #: the board is a page of its own, wider than the report's text
 BOARD_CM: Final = (24.0, 19.0)
 
@@ -165,7 +153,7 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     """
     path = Path(path)
     form = path.suffix.lower()[1:]
-    if form not in FORMS:
+    if form not in style.FORMS:
         raise BadInputError(f"{path}: found {path.suffix!r}; expected .png, .svg or .pdf; choose one of these")
     refuse_existing([path], force=force)
     return write_bytes(path, render(figure, form), force=force)
@@ -177,7 +165,7 @@ def fleet_distribution(fleet: Fleet) -> Figure:
     fitted = [record for record in fleet.records if record.status == "fitted"]
     odd = {outlier.vehicle for outlier in fleet.view.outliers}
     figure = canvas(10.0)
-    grid = axes_grid(figure, 2, 2)
+    grid = style.axes_grid(figure, 2, 2)
     for column, side in enumerate(WHEELS):
         _ordered(grid[0, column], fitted, side, "radius_ref_m", 1e3, odd)
         grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load, mm")

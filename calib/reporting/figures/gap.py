@@ -10,22 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.gap.observations.arrays import Channel
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    MANY,
-    ORANGE,
-    WIDTH_CM,
-    Groups,
-    canvas,
-    colour,
-    group_legend,
-    legible,
-    panels,
-    round_down,
-    styled,
-)
+from calib.reporting.figures import style
+from calib.reporting.figures.style import GREY, INK, Groups, colour, group_legend, legible, panels, round_down, styled
 from calib.reporting.formatting import readable, with_unit
 from calib.types import FloatArray, StrArray
 
@@ -119,7 +105,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     # a long corridor is a flat figure: the height follows the plan, within reason
     aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
     stretched = aspect < 0.12
-    figure = canvas(float(np.clip(2.6 + 0.86 * WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
+    figure = style.canvas(float(np.clip(2.6 + 0.86 * style.WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
     axis = figure.add_subplot()
     groups = _groups(group)
     for path in paths_m:
@@ -221,11 +207,13 @@ def before_after(
         if np.isfinite(level):
             axis.axhspan(-level, level, color=GREY, alpha=0.22, lw=0)
         axis.axhline(0.0, color=GREY, lw=0.6)
-        for place, (values, tint) in enumerate(((before[:, k], ORANGE), (after[:, k], BLUE))):
+        for place, (values, tint) in enumerate(((before[:, k], style.ORANGE), (after[:, k], style.BLUE))):
             gaps = factor * values[np.isfinite(values)]
             # dots beside each other, evenly, not by chance
             aside = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
-            axis.plot(place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > MANY)
+            axis.plot(
+                place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > style.MANY
+            )
             mean, spread = (float(gaps.mean()), float(gaps.std())) if len(gaps) else (np.nan, np.nan)
             axis.errorbar(place, mean, yerr=spread, color=tint, elinewidth=1.4, capsize=9, capthick=1.4)
             axis.plot([place - 0.3, place + 0.3], [mean, mean], color=tint, lw=2.2)

@@ -18,18 +18,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from calib.kinematics.result import RunTrace
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    MANY,
-    Groups,
-    axes_grid,
-    canvas,
-    colour,
-    shared_legend,
-    styled,
-)
+from calib.reporting.figures import style
+from calib.reporting.figures.style import BLUE, GREY, INK, MANY, axes_grid, canvas, colour, shared_legend, styled
 from calib.types import FloatArray, StrArray, evenly
 
 if TYPE_CHECKING:
@@ -160,7 +150,7 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
     """Draw the residuals at the end of each run in the order driven, before above and after below, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
-    kinds = Groups.of(np.array([trace.kind for trace in traces]), "all runs")
+    kinds = style.Groups.of(np.array([trace.kind for trace in traces]), "all runs")
     order = np.arange(1.0, len(traces) + 1)
     for row, word, values in (
         (grid[0], "before", [trace.residual_before[-1] for trace in traces]),

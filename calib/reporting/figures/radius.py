@@ -15,21 +15,8 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    LEGEND_LIMIT,
-    MANY,
-    ORANGE,
-    Groups,
-    axes_grid,
-    canvas,
-    group_legend,
-    legible,
-    shared_legend,
-    styled,
-)
+from calib.reporting.figures import style
+from calib.reporting.figures.style import BLUE, GREY, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled
 from calib.types import FloatArray, StrArray
 
 MM: Final = 1e3
@@ -73,7 +60,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
         axis.margins(x=0.015, y=0.08)
     axes[-1].set_xlabel("run, in the order driven")
     if span is None:
-        group_legend(figure, axes[0], sessions.names)
+        style.group_legend(figure, axes[0], sessions.names)
     else:
         figure.colorbar(ScalarMappable(span, scale), ax=axes, pad=0.01, aspect=40, label="wheel load (N)")
     return figure
@@ -121,7 +108,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
             ):
                 low, high = (scale * (end - zero) for end in band)
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
-            axis.plot(load, scale * (centre - zero), color=INK, lw=1.0, label="law")
+            axis.plot(load, scale * (centre - zero), color=style.INK, lw=1.0, label="law")
         sessions.draw(upper, fit.load_N, MM * fit.radius_m, ms=3.2)
         sessions.draw(lower, fit.load_N, UM * fit.residual_m, ms=3.2)
         upper.set_title(f"{fit.wheel.capitalize()} wheel")
@@ -133,7 +120,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     axes[1, 0].set_ylabel("radius minus law (µm)")
     prediction, mean, line, *runs = zip(*axes[0, 0].get_legend_handles_labels(), strict=True)
     entries = [line, mean, prediction, *(runs if 1 < len(sessions.names) <= LEGEND_LIMIT else ())]
-    shared_legend(figure, [handle for handle, _ in entries], [label for _, label in entries])
+    style.shared_legend(figure, [handle for handle, _ in entries], [label for _, label in entries])
     return figure
 
 
@@ -214,7 +201,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
         reach = np.array([quantile.min(), quantile.max()])
-        axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=INK, lw=0.8)
+        axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=style.INK, lw=0.8)
         axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")
         axes[row, 1].set_title("in the order driven")
         axes[row, 2].set_title("against a normal distribution")
@@ -229,7 +216,7 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
 
     `budget`: of `calib.radius.effective.EffectiveRadii`. One pair of bars a contribution, the total last.
     """
-    names = [legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
+    names = [style.legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
     sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]
     figure = canvas(2.2 + 0.62 * len(names))
     axis = figure.add_subplot()
@@ -243,7 +230,7 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("contribution to the standard uncertainty of one radius (µm, k = 1)")
     axis.margins(y=0.02)
-    shared_legend(figure, *axis.get_legend_handles_labels())
+    style.shared_legend(figure, *axis.get_legend_handles_labels())
     return figure
 
 

@@ -9,19 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.reporting.blocks import (
-    Block,
-    Heading,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    items,
-    picture,
-    simulated_notice,
-    table,
-)
+from calib.reporting import blocks
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
 from calib.reporting.formatting import MISSING, length, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.gap import (
@@ -71,7 +60,7 @@ def page_one_notice(verdict: Diagnosis) -> Notice:
 def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
     """Return what the terminal prints of a diagnosis, under the name of its campaign."""
     mark = (simulated_notice(),) if verdict.simulated else ()
-    return (Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
+    return (blocks.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
 
 def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple[Block, ...]:

@@ -8,31 +8,11 @@ from typing import TYPE_CHECKING, Final
 from calib.campaign.checks.design import WEIGHTY
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.result import Fit
-from calib.reporting.blocks import (
-    Block,
-    Heading,
-    Items,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    items,
-    picture,
-    simulated_notice,
-    table,
-)
+from calib.reporting import blocks
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
 from calib.reporting.formatting import fixed, places, plural, probability, prose
-from calib.reporting.topics.law import (
-    budget_picture,
-    law_table,
-    naive_text,
-    quality_text,
-    radius_budget,
-    regressions_picture,
-    single_run_text,
-    static_table,
-)
+from calib.reporting.topics import law
+from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
 
 if TYPE_CHECKING:
@@ -48,12 +28,12 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
     """Return what a fit says, the most important first and last; with `runs` the radius of every run, too."""
     sessions = len(set(fit.radii.session.tolist()))
     return (
-        Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
+        blocks.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
         *([simulated_notice()] if fit.simulated else []),
         law_table(fit),
         single_run_text(fit),
-        Text(" ".join(map(quality_text, fit.wheels.values()))),
-        *naive_text(fit),
+        Text(" ".join(map(law.quality_text, fit.wheels.values()))),
+        *law.naive_text(fit),
         *([static_table(fit)] if fit.static else []),
         checks_table(fit),
         *([radius_budget(fit)] if fit.radii.budget else []),
@@ -86,7 +66,7 @@ def result_section(source: Source) -> Section:
     """Return the laws in one table and the verdict of the checks in one sentence."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
-    low, high = max(law.load_min_N for law in laws), min(law.load_max_N for law in laws)
+    low, high = max(one.load_min_N for one in laws), min(one.load_max_N for one in laws)
     loads = f"a wheel load of {low:.0f} N" if high - low < 1.0 else f"wheel loads from {low:.0f} to {high:.0f} N"
     holds = Text(
         f"The law holds for {loads}. It comes from {len(fit.radii)} runs along a straight corridor. The same law, with "
@@ -144,7 +124,7 @@ def _gap(source: Source) -> tuple[Notice, ...]:
 def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
     """Return the pictures that a report on a fit shows."""
     draw = (runs_picture, regressions_picture, deviation_picture, residuals_picture)
-    return (*(picture(fit) for picture in draw), *((budget_picture(fit),) if fit.radii.budget else ()))
+    return (*(picture(fit) for picture in draw), *((law.budget_picture(fit),) if fit.radii.budget else ()))
 
 
 def fit_brief(fit: Fit) -> tuple[Block, ...]:
@@ -232,7 +212,7 @@ def decision_section(source: Source) -> Section:
         "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is made. Where "
         "one is made from these results, the expanded uncertainty has to be taken into account."
     )
-    return Section("Decision rule", (Items(rules), Text(conformity)))
+    return Section("Decision rule", (blocks.Items(rules), Text(conformity)))
 
 
 def residuals_picture(fit: Fit) -> Picture:

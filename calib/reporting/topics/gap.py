@@ -11,20 +11,9 @@ from calib.gap.decision.held_out import RERUN, Closure
 from calib.gap.decision.sentences import advice, headline
 from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import POSE
+from calib.reporting import formatting
 from calib.reporting.blocks import Block, Table, Text, items, table
-from calib.reporting.formatting import (
-    MISSING,
-    aligned,
-    fixed,
-    in_words,
-    length,
-    percent,
-    places,
-    probability,
-    prose,
-    readable,
-    three_digits,
-)
+from calib.reporting.formatting import MISSING, fixed, length, percent, probability, prose, readable, three_digits
 
 #: most covariates, runs and places shown; the JSON has them all
 MAX_LINES: Final = 12
@@ -69,7 +58,7 @@ def _covariates(where: GapLocation) -> Table:
     rows = []
     for line in where.significant[:MAX_LINES]:
         shares = [fixed(value, 2) for value in (line.share, *(line.ci95 or (None, None)))]
-        rows.append((in_words(line.name), line.channel_label, *shares, probability(line.p_value)))
+        rows.append((formatting.in_words(line.name), line.channel_label, *shares, probability(line.p_value)))
     return table(
         "Correlations of the gap: share of its variance above the noise, and p corrected for the number of tests (the "
         "chance of any false line is 5 %).",
@@ -144,7 +133,7 @@ def _by_channel(verdict: Diagnosis) -> Table:
         f"How far: the gap by channel {_on_which_runs(closure)}, and of the noise. Closed: share of error variance "
         "above noise removed.",
         ("<Channel", "<Unit", "Before", "After", "Noise", "Closed"),
-        aligned(rows, 2, 3, 4),
+        formatting.aligned(rows, 2, 3, 4),
     )
 
 
@@ -254,7 +243,7 @@ def _interval(quantity: Quantity) -> tuple[str, ...]:
     numbers = (value, low, high) if math.isfinite(value) else (math.nan,) * 3
     half = 0.5 * (high - low) if math.isfinite(high - low) else abs(value)
     small = 0 < max(abs(value), half) < 1e-3
-    return tuple(_scientific(number) if small else fixed(number, places(half)) for number in numbers)
+    return tuple(_scientific(number) if small else fixed(number, formatting.places(half)) for number in numbers)
 
 
 def _scientific(value: float) -> str:

@@ -15,7 +15,6 @@ from calib.reporting.blocks import (
     Block,
     Facts,
     Heading,
-    Items,
     Notice,
     Picture,
     Section,
@@ -246,7 +245,7 @@ def check_content(report: CheckReport) -> tuple[Block, ...]:
     ]
     for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
-            blocks += [Heading(f"{title} ({len(notes)})"), Items(tuple(_grouped(notes)))]
+            blocks += [Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
     return (*blocks, _verdict(report))
 
 
