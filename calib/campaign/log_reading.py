@@ -187,10 +187,12 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
     """Return some logs, from the cache where it has them; `together`: parse small logs as one."""
     states = [_state(path) for _, _, path, _ in files]
     hashes = [_sha256(path) for _, _, path, _ in files]
-    places = [
-        _place(cache, sha256, name) if cache is not None and sha256 else None
-        for (_, _, _, name), sha256 in zip(files, hashes, strict=True)
-    ]
+    places: list[Path | None] = [None] * len(files)
+    for number, ((_, _, _, name), sha256) in enumerate(zip(files, hashes, strict=True)):
+        if cache is not None and sha256:
+            what = json.dumps([_read_by(), sha256, name]).encode("utf-8", "backslashreplace")
+            key = hashlib.sha256(what).hexdigest()
+            places[number] = cache / key[:2] / f"{key}.log"
     logs = [_kept(place, sha256) if place else None for place, sha256 in zip(places, hashes, strict=True)]
     new = [number for number, log in enumerate(logs) if log is None]
     raws: dict[int, RawTable | None] = {}
@@ -207,13 +209,6 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
             _keep(place, log)
         logs[number] = log
     return [log for log in logs if log is not None]
-
-
-def _place(cache: Path, sha256: str, name: str) -> Path:
-    """Return the place of a log: by its bytes, its name in messages, and the code that reads it."""
-    what = json.dumps([_read_by(), sha256, name])
-    key = hashlib.sha256(what.encode("utf-8", "backslashreplace")).hexdigest()
-    return cache / key[:2] / f"{key}.log"
 
 
 def _parsed(file: LogFile, sha256: str, raw: RawTable | None) -> ReadLog:

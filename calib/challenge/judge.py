@@ -137,7 +137,8 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
     word = str(given.get("verdict", "missing"))
-    effects = _to_be_named(truth)
+    crowded = recipe.group == "crowded"  # its outside cause is there to disturb: it is the rest, and none can name it
+    effects = tuple(c.effect for c in truth.causes if not (crowded and c.effect.startswith("outside:")))
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
     groups = _groups_of(given, causes)
@@ -153,6 +154,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
+    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
     target = recipe.targets[0] if recipe.targets else math.nan
     right = {
         "outside": word in _OPEN,
@@ -179,8 +181,14 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         rival=f"{truth.rivals[0][0]} {truth.rivals[0][1]:.1f}" if truth.rivals else "",
         recommended=recommended,
         wrong_fix=recommended and bool(sure or not effects),
-        harmful=_harmful(tried) if recommended else None,
-        statements=() if recipe.group == "alias" else _stated(causes, effects),
+        harmful=bool(after > before) if recommended and before is not None and after is not None else None,
+        statements=()
+        if recipe.group == "alias"
+        else tuple(
+            (float(c["probability"]), str(c.get("effect", "")) in effects)
+            for c in causes
+            if c.get("probability") is not None
+        ),
         intervals=tuple(compare(truth, given)),
         predicted=(given.get("closure") or {}).get("fraction"),
         achieved=tried.get("fraction"),
@@ -193,24 +201,10 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     )
 
 
-def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tuple[tuple[float, bool], ...]:
-    """Return the probability of each cause that has one, and whether it is at work."""
-    stated = [cause for cause in causes if cause.get("probability") is not None]
-    return tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated)
-
-
 def _family(effect: str) -> str:
     """Return the family of an effect of the library; the effect itself where it has none to share."""
     kind = effect_class(effect)
     return effect if kind is None else kind.family.value
-
-
-def _to_be_named(truth: Truth) -> tuple[str, ...]:
-    """Return the true effects; in a crowd the outside one is there to disturb: it is the rest, and none can name it."""
-    effects = tuple(cause.effect for cause in truth.causes)
-    if truth.recipe.group != "crowded":
-        return effects
-    return tuple(effect for effect in effects if not effect.startswith("outside:"))
 
 
 def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
@@ -221,12 +215,6 @@ def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) ->
         for group in given.get("indistinguishable", [])
     ]
     return groups + [{name, *others} for name, others in open_forms.items()]
-
-
-def _harmful(tried: Mapping[str, Any]) -> bool | None:
-    """Return whether a fix made the fresh campaign worse; None where it was not tried."""
-    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
-    return None if before is None or after is None else bool(after > before)
 
 
 def _strong(truth: Truth) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import Final
 from zlib import crc32
@@ -226,10 +227,14 @@ def _candidates(
         elif effect.id not in plant_effects():
             left_out[effect.id] = "an effect of the campaign's own has no form to plant"
         else:
-            form = _form(effect.id)
+            forms = forms_of(effect.id)
+            # one that the library does not assume, where the plant has one
+            form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             # drawn by name, so that another selection of effects draws the same
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
-            candidates.append(_Candidate(effect.id, form.form, form.unit, form.typical, False, _bound(form, knobs)))
+            candidates.append(
+                _Candidate(effect.id, form.form, form.unit, form.typical, False, partial(_planted, form, knobs))
+            )
     for name, outsider in outsiders(replay, rng).items():
         if isinstance(outsider, str):
             left_out[name] = outsider
@@ -238,14 +243,8 @@ def _candidates(
     return candidates, left_out
 
 
-def _form(effect: str) -> Form:
-    """Return a form that the library does not assume, where the plant has one."""
-    forms = forms_of(effect)
-    return next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
-
-
-def _bound(form: Form, knobs: dict[str, float]) -> SizedAct:
-    return lambda world, size: form.act(world, np.full(len(world.design), size), knobs)
+def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> None:
+    form.act(world, np.full(len(world.design), size), knobs)
 
 
 def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
@@ -308,15 +307,11 @@ def _sized(
         value = float(f"{value:.4g}")
         signs = (1.0,) if candidate.effect in ONE_SIGN else (1.0, -1.0)
         changes = tuple(change(sign * value) for sign in signs)
-        if _too_large(replay, changes[0]):
+        moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
+        if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
         reached = signal_of(diagnosis, changes[0], free)
         plants.append(
             Plant(candidate.effect, candidate.form, candidate.outside, value, candidate.unit, reached, changes)
         )
     return plants, "" if plants else "a size that shows would have to be out of all proportion"
-
-
-def _too_large(replay: Replay, change: FloatArray) -> bool:
-    moved = np.hypot(change[:, 1], change[:, 2]) / np.maximum(replay.observations.length_m, 1e-3)
-    return bool((moved > LARGEST_SHARE).any() or (np.abs(change[:, 3]) > LARGEST_RAD).any())

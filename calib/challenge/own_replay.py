@@ -51,7 +51,8 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     same channels.
     """
     channels = observations.usable @ (2 ** np.arange(6))
-    circles = [_numbered(by, channels) for by in (observations.condition, observations.kind, np.zeros_like(channels))]
+    alike = (observations.condition, observations.kind, np.zeros_like(channels))
+    circles = [np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1] for by in alike]
     group = circles[2] + circles[0].max() + circles[1].max() + 2
     for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
         group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
@@ -64,11 +65,6 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
         n = int(members.sum())
         whitened[members] = (whitened[members] - whitened[members].mean(axis=0)) * np.sqrt(n / (n - 1))
     return OwnNoise(whitened, root, group, size > 1)
-
-
-def _numbered(by: IntArray, channels: IntArray) -> IntArray:
-    """Return a number for each unit, the same where both arrays (n_units,) agree."""
-    return np.asarray(np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1])
 
 
 #: the sensor has turned round once it came back by this, or by so many standard deviations of its noise

@@ -149,10 +149,9 @@ COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 #: commands of one word that share a module, where each is the function that bears its name
 TOGETHER: Final = {
     **dict.fromkeys(("check", "init", "ingest"), "campaigns"),
-    **dict.fromkeys(("fit", "geometry"), "fit"),
-    **dict.fromkeys(("effects", "plan"), "effects"),
+    **dict.fromkeys(("fit", "geometry", "deviation", "loads"), "fit"),
+    **dict.fromkeys(("effects", "plan"), "diagnose"),
     **dict.fromkeys(("export", "report"), "export"),
-    **dict.fromkeys(("deviation", "loads"), "deviation"),
 }
 
 

@@ -49,15 +49,11 @@ def failed(error: Exception, given: list[str]) -> int:
         sys.stderr.write(_message(error) + "\n")
         return EXIT_BAD_INPUT
     message, status = _explained(error, given)
-    if _wants_json(given):
+    if "--json=-" in given or ("--json", "-") in pairwise(given):
         with suppress(OSError, ValueError):
             sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
             sys.stdout.flush()
     return _complain(message, status)
-
-
-def _wants_json(given: Sequence[str]) -> bool:
-    return "--json=-" in given or ("--json", "-") in pairwise(given)
 
 
 def _explained(error: Exception, given: list[str]) -> tuple[str, int]:

@@ -116,7 +116,7 @@ def show(blocks: Iterable[Block | Section]) -> None:
 
     heed()
     stream = sys.stderr if wants_stdout() else sys.stdout
-    lines = text_lines(blocks, _width())
+    lines = text_lines(blocks, min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST))
     if _is_coloured(stream):
         from rich.console import Console
         from rich.text import Text
@@ -266,10 +266,6 @@ def waiting(what: str) -> Iterator[None]:
     with Console(stderr=True).status(f"{what} ..."):
         yield
     heed()
-
-
-def _width() -> int:
-    return min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST)
 
 
 def _is_coloured(stream: Any) -> bool:

@@ -66,15 +66,20 @@ def survey_fleet(
     members = {member.vehicle: member for member in members_of(folder)}
     with engine(workers, scheduler) as opened:
         path, task = into / f"{what}.jsonl", partial(_results, what)
-        kept, n_new = renewed(path, members, opened, task, _given_up, progress, "vehicles", lambda _member: WEIGHT)
+        kept, n_new = renewed(
+            path,
+            members,
+            opened,
+            task,
+            lambda member, why: Kept.of(VehicleResult(member.vehicle, "", why=why)),
+            progress,
+            "vehicles",
+            lambda _member: WEIGHT,
+        )
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = shared_causes(records, labels)
     return Survey(what, records, shared, n_new, len(members) - n_new, _quantities(records, labels))
-
-
-def _given_up(member: Member, why: str) -> Kept:
-    return Kept.of(VehicleResult(member.vehicle, "", why=why))
 
 
 def _results(what: str, members: Sequence[Member]) -> list[Kept]:

@@ -37,7 +37,8 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
     late = world.latency_s * record.v_mps
     # no reading is from before the start
     late = np.minimum(late, np.hypot(record.x_m, record.y_m))
-    theta = record.theta_rad - np.where(record.v_mps > 0, late * _per(record.omega_radps, record.v_mps), 0.0)
+    curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
+    theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
     x = record.x_m - late * np.cos(record.theta_rad)
     y = record.y_m - late * np.sin(record.theta_rad)
     lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
@@ -47,10 +48,6 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
     turned = world.ref_yaw_rad + noise.start_heading_rad
     cos, sin = np.cos(turned), np.sin(turned)
     return np.stack([cos * x - sin * y, sin * x + cos * y, theta + noise.start_heading_rad])
-
-
-def _per(values: FloatArray, by: FloatArray) -> FloatArray:
-    return values / np.where(by > 1e-9, by, 1.0)
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:

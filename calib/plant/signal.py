@@ -213,7 +213,7 @@ def strengths(
     out = outputs(world, still, record).reshape(n_causes + 1, n_runs, 6)
     change = out[1:] - out[0]
     base_world = build_world(design, model)
-    first = _cut(record, n_runs)
+    first = Record(*(getattr(record, field.name)[..., :n_runs] for field in fields(record)))
     cov, absorbed = covariance(base_world, noise, first), recalibration(base_world, first)
     if not weigh:
         return Strength((), (), change, cov, absorbed)
@@ -231,11 +231,6 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
     """Return the signal of one cause; one that a recalibration takes up whole on this design counts as part of it."""
     whole, left = strength(change, cov, None), strength(change, cov, absorbed)
     return left if left > _ABSORBED * whole else whole
-
-
-def _cut(record: Record, n_runs: int) -> Record:
-    """Return the first `n_runs` runs of a record."""
-    return Record(*(getattr(record, field.name)[..., :n_runs] for field in fields(record)))
 
 
 def to_signal(

@@ -340,9 +340,8 @@ def widened(
     turned = series.correlated(fitted, found.rho)
     cross = fitted.T @ turned
     expected = n - float(np.trace(cross))
-    dof = expected**2 / max(
-        _square_of(series, found.rho) - 2.0 * float(np.sum(turned**2)) + float(np.sum(cross**2)), 1.0
-    )
+    square = float(series.correlated(np.ones((n, 1)), found.rho**2).sum())
+    dof = expected**2 / max(square - 2.0 * float(np.sum(turned**2)) + float(np.sum(cross**2)), 1.0)
     # variance of each coefficient over that of independent runs of the same residuals
     solve = np.linalg.pinv(columns)
     spread = solve @ series.correlated(np.ascontiguousarray(solve.T), found.rho)
@@ -360,8 +359,3 @@ def widened(
         ),
         replace(found, slope_ratio=float(factor[1])),
     )
-
-
-def _square_of(series: _Series, rho: float) -> float:
-    """Return the sum of the squared entries of the correlation matrix."""
-    return float(series.correlated(np.ones((len(series.residual), 1)), rho**2).sum())

@@ -107,7 +107,9 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
         figures = [plan, *figures]
         tools += [slider, _moment_slider(source)]
     if runs:
-        tools.append(_axis_choice(source, runs))
+        axes = list(panel_data.RUN_AXES)
+        choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
+        tools.append(_changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in runs]))
     figures += runs
     if verdict.causes:
         figures.append(_cause_panel(verdict))
@@ -238,13 +240,6 @@ def _along_panel(source: ColumnDataSource, name: str) -> figure:
     plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(panel_data.RUN_AXES)), name)
     _hover(plot, _lines(plot, "way", f"gap {name}", source, line_alpha=0.6))
     return plot
-
-
-def _axis_choice(source: ColumnDataSource, plots: list[figure]) -> Model:
-    """Return the choice of what the gap along the run is drawn against."""
-    axes = list(panel_data.RUN_AXES)
-    choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
-    return _changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in plots])
 
 
 def _cause_panel(verdict: Diagnosis) -> figure:

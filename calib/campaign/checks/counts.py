@@ -171,8 +171,9 @@ def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str
     columns = f"counts_left, counts_right, {column}"
     if against.sum() > max(1.0, MOST_OF_THE_RUNS * clear.sum()):
         text = (
-            f"in {int(against.sum())} of {int(clear.sum())} turning runs ({design.listed(campaign.runs.run_id[against])}) "
-            f"{what}; left and right look swapped throughout, or the reference counts clockwise"
+            f"in {int(against.sum())} of {int(clear.sum())} turning runs "
+            f"({design.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the "
+            "reference counts clockwise"
         )
         yield column_note(columns, text, "swapped_wheels")
         return
@@ -203,7 +204,8 @@ def clock(campaign: Campaign) -> Iterator[Note]:
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
         # while driving, a real gap holds as many counts as its time asks for
-        jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at] and _driving(moved, int(at))]
+        jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
+        jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
         gaps = [at for at in long if at not in jumped]
         if gaps:
             text = (
@@ -218,11 +220,6 @@ def clock(campaign: Campaign) -> Iterator[Note]:
                 "while the counts went on as in one sample; speeds of this log are not to be trusted"
             )
             yield cell_note(campaign, run, "log t_s", text, "clock_jump")
-
-
-def _driving(moved: FloatArray, at: int) -> bool:
-    """Return whether the wheels turned just before and just after a step."""
-    return bool(moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any())
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:

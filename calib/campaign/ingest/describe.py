@@ -204,13 +204,9 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
         for key in (*(("drive",) if section == "vehicle" else ()), *STATED[section]):
-            lines += [line or _usual_line(key) for line in others.get(key, ("",))]
+            [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
+            lines += [line or f"#{key} =   # {meaning}" for line in others.get(key, ("",))]
     return lines
-
-
-def _usual_line(key: str) -> str:
-    [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
-    return f"#{key} =   # {meaning}"
 
 
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:

@@ -90,7 +90,8 @@ def heading(
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
     if not layout.lab:
         units = _texts(rows[1]) if len(rows) > 1 else []
-        if not units or not _all_known(units):
+        named = list(filter(None, units))
+        if not named or not all(map(_is_unit, named)) or all(map(is_number, named)):
             return first, 1, found
         names, note = _with_units(first, units, shown)
         return names, 2, [*found, note]
@@ -109,8 +110,9 @@ def heading(
     block = [_texts(row) for number, row in enumerate(rows[:n_rows]) if number != units_at]
     if layout.header_row is not None:
         block = block[:1]
-    groups = [_texts(above), *block[:-1]] if _is_group(above) else block[:-1]
-    names = _joined(block[-1], groups)
+    over = filled_cells(above)
+    grouped = len(over) > 1 and not any(map(is_number, over))
+    names = _joined(block[-1], [_texts(above), *block[:-1]] if grouped else block[:-1])
     if units_at is None:
         return names, n_rows, found
     names, note = _with_units(names, _texts(rows[units_at]), shown)
@@ -150,18 +152,8 @@ def _is_other(word: str) -> bool:
     return bool(_OTHER_UNITS.fullmatch(word) or _CLOCK_FORM.fullmatch(word))
 
 
-def _all_known(units: Sequence[str]) -> bool:
-    filled = [unit for unit in units if unit]
-    return bool(filled) and all(map(_is_unit, filled)) and not all(map(is_number, filled))
-
-
 def _texts(row: Sequence[Any]) -> list[str]:
     return ["" if cell is None else " ".join(str(cell).split()) for cell in row]
-
-
-def _is_group(row: Sequence[Any]) -> bool:
-    filled = filled_cells(row)
-    return len(filled) > 1 and not any(map(is_number, filled))
 
 
 def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:

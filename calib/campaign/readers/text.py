@@ -139,11 +139,9 @@ def find_delimiter(lines: Sequence[str]) -> str:
     """
     filled = [line for line in lines if line.strip()][:HEADER_ROWS]
     # the first of equals is taken: commas as regular as semicolons are decimal
-    regular = {mark: _longest_stretch([len(row) for row in split_cells(filled, mark)]) for mark in (";", "\t", ",")}
+    regular = {}
+    for mark in (";", "\t", ","):
+        counts = itertools.groupby(len(row) for row in split_cells(filled, mark))
+        regular[mark] = max((len(list(stretch)) for count, stretch in counts if count > 1), default=0)
     best = max(regular, key=lambda mark: regular[mark])
     return best if regular[best] else ","
-
-
-def _longest_stretch(counts: Sequence[int]) -> int:
-    """Return the length of the longest stretch of equal counts above one."""
-    return max((len(list(stretch)) for count, stretch in itertools.groupby(counts) if count > 1), default=0)

@@ -366,7 +366,9 @@ def patched(
     for name, node in () if plugins is None else plugins(model):
         if name in PLUGIN_KEYS:
             text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))
-            notes += _lost_ratio(name, new)
+            if new.left_m != new.right_m and not any(word in name for word in ("left", "right", "eparation")):
+                lost = f"one radius for both wheels, their ratio {new.right_m / new.left_m:.6f} is lost"
+                notes.append(f"{name} of a plugin: {lost}")
     notes += _beyond(file, pair)
     comment = (
         f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right; coefficient file "
@@ -375,12 +377,6 @@ def patched(
         + "".join(f"; {line}" for line in accepted_lines(file))
     )
     return (Artifact(options.model.name, model.render(comment), tuple(dict.fromkeys(notes))),)
-
-
-def _lost_ratio(name: str, new: NewWheels) -> Iterator[str]:
-    """Yield a note where a parameter of a plugin has one radius for both wheels."""
-    if new.left_m != new.right_m and not any(word in name for word in ("left", "right", "eparation")):
-        yield f"{name} of a plugin: one radius for both wheels, their ratio {new.right_m / new.left_m:.6f} is lost"
 
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:

@@ -112,7 +112,9 @@ def _trace(
     else:
         along, turned = np.abs(log["range_m"] - log["range_m"][0]) - np.abs(x), np.full(len(x), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        stops = _stops(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])))
+        moving = np.flatnonzero(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])) > MOVING_MPS)
+    # a stop is a gap between two moving steps, and begins behind the first
+    stops = _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(step)))
     since_start = log["t_s"] - log["t_s"][0]
     return Trace(*labels, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
 
@@ -120,13 +122,6 @@ def _trace(
 def _summed(steps: FloatArray | IntArray) -> FloatArray:
     """Return the running sum of steps (n,) from zero on, shape (n + 1,)."""
     return np.append(0.0, np.cumsum(steps))
-
-
-def _stops(speed_mps: FloatArray) -> FloatArray:
-    """Return how many stops there were on the way at each sample, shape (n_steps + 1,); the ends do not count."""
-    moving = np.flatnonzero(speed_mps > MOVING_MPS)
-    # a stop is a gap between two moving steps, and begins behind the first
-    return _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(speed_mps)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

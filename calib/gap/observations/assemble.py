@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.settings import OdometryModel
 from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations, let_go, step_array
 from calib.gap.observations.observation import Observation, Setup
@@ -47,7 +46,9 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     campaign, model, stands_in = setup.campaign, setup.model, setup.stands_in
     remarks = list(notes)
     rolls = _gained(units, "left_rad"), _gained(units, "right_rad")
-    steps = _wheel_travel(units, rolls, model)
+    starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
+    travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
+    steps = WheelTravel(starts, *travel, model.track_m, _gained(units, "time_s"), _each(units, "from_log"))
     front, steer, turned = _front(units)
     path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
@@ -60,6 +61,8 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     numbers = _numbers(campaign, index, path, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
+    aside = [u.aside_m for u in units if u.aside_m is not None]
+    both_ways = bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
     return Observations(
         vehicle=campaign.vehicle,
         model=model,
@@ -93,13 +96,13 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
-        common_frame=_common_frame(campaign, setup.in_map),
+        common_frame=setup.in_map or (campaign.reference.frame is None and both_ways),
         guided=guided,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
         by_shaft=stands_in and campaign.odometry.source == "shaft",
-        aside_m=_aside(units),
+        aside_m=_end_to_end([np.diff(part) for part in aside]) if aside and len(aside) == len(units) else None,
     )
 
 
@@ -125,14 +128,6 @@ def _end_to_end(steps: Sequence[FloatArray]) -> FloatArray:
     return joined
 
 
-def _wheel_travel(
-    units: Sequence[Observation], rolls: tuple[FloatArray, FloatArray], model: OdometryModel
-) -> WheelTravel:
-    starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
-    travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
-    return WheelTravel(starts, *travel, model.track_m, _gained(units, "time_s"), _each(units, "from_log"))
-
-
 def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the front wheel's roll, mean steering angle and its change in each step, NaN where not logged."""
     roll, steer, change = [], [], []
@@ -142,12 +137,6 @@ def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatA
         steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
         change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
     return _end_to_end(roll), _end_to_end(steer), _end_to_end(change)
-
-
-def _aside(units: Sequence[Observation]) -> FloatArray | None:
-    """Return what the wheels roll to the left in each step; None for wheels that cannot."""
-    parts = [u.aside_m for u in units if u.aside_m is not None]
-    return _end_to_end([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
 
 
 def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
@@ -288,12 +277,6 @@ def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, 
     where = f"{int(bad.sum())} runs ({', '.join(dict.fromkeys(map(str, run_id[bad][:MOST_LISTED])))})"
     remarks.append(f"{name} is missing or absurd in {where}: the mean of the session stands for it")
     return filled
-
-
-def _common_frame(campaign: Campaign, in_map: bool) -> bool:
-    """Return whether places on the floor are the same for all runs: a map, or a corridor driven out and back."""
-    both_ways = bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
-    return in_map or (campaign.reference.frame is None and both_ways)
 
 
 def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:

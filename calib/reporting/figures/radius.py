@@ -161,7 +161,8 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
     for axis in (chart.xaxis, chart.yaxis):
         axis.set_minor_formatter(NullFormatter())
     chart.set_ylim(bottom=max(chart.get_ylim()[0], 0.5 * LEAST_EXCESS_PPM))
-    decades = np.arange(*_decades(chart.get_ylim()), 2)
+    bottom, top = np.log10(chart.get_ylim())
+    decades = np.arange(int(np.ceil(bottom)), int(np.floor(top)) + 1, 2)
     chart.set_yticks(10.0**decades, [f"{10.0**k:,.{max(-int(k), 0)}f}" for k in decades])
 
     order = np.arange(1, len(radii) + 1)
@@ -232,7 +233,3 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
     axis.margins(y=0.02)
     style.shared_legend(figure, *axis.get_legend_handles_labels())
     return figure
-
-
-def _decades(limits: tuple[float, float]) -> tuple[int, int]:
-    return int(np.ceil(np.log10(limits[0]))), int(np.floor(np.log10(limits[1]))) + 1

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Parameter
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.reporting.blocks import Block, Facts, Heading, Text, items, table
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
 #: below this (m or rad) a channel counts as unchanged: no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
+_SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
 
 
 def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
@@ -53,7 +53,14 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     if entry.signature is None:
         return (*blocks, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
-    rows = [(one.name.replace("_", " "), _signed(one), size_text(one.largest, one.unit)) for one in form.parameters]
+    rows = [
+        (
+            one.name.replace("_", " "),
+            _SIGNS[one.sign] + size_text(one.typical, one.unit),
+            size_text(one.largest, one.unit),
+        )
+        for one in form.parameters
+    ]
     label = f" ({form.label})" if form.label else ""
     sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
     return (*blocks, sizes, *_signature(entry, runs))
@@ -65,18 +72,11 @@ def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
     if not moved:
         return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
     heads = ("<Kind of run", *(f"{channel.label} (m{channel.unit})" for channel in moved))
-    rows = [(kind, *(_milli(float(rms[c])) for c in moved)) for kind, rms in entry.changes.items()]
+    rows = [
+        (kind, *("0" if rms[c] < UNCHANGED else three_digits(1e3 * float(rms[c])) for c in moved))
+        for kind, rms in entry.changes.items()
+    ]
     return (table(f"Signature: root mean square change at the typical size on {runs}.", heads, rows),)
-
-
-def _milli(value: float) -> str:
-    if not np.isfinite(value):
-        return MISSING
-    return "0" if value < UNCHANGED else three_digits(1e3 * value)
-
-
-def _signed(parameter: Parameter) -> str:
-    return {-1: "- ", 0: "± ", 1: ""}[parameter.sign] + size_text(parameter.typical, parameter.unit)
 
 
 def _typical(entry: Entry) -> str:

@@ -16,8 +16,8 @@ from calib.reporting.topics.law import law_table, radius_budget, regressions_pic
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
 
 if TYPE_CHECKING:
-    from calib.radius.comparison import Difference, ModelComparison
     from calib.radius.regression import Check
+    from calib.radius.result import Difference, ModelComparison
     from calib.reporting.source import Source
 
 #: names of the pictures of a fit, in the order of the report's pages

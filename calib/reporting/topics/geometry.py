@@ -69,14 +69,11 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
         if of.before:
             sizes = (of.before, of.after, of.held_out, of.expected)
-            before, after, held_out, noise = (f"{_milli(size)} m{unit}" for size in sizes)
+            before, after, held_out, noise = (
+                f"{1e3 * size:{'.3g' if size < 1.0 else '.0f'}} m{unit}" for size in sizes
+            )
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in geometry.why)]
-
-
-def _milli(value: float) -> str:
-    """Return a value in thousandths with three digits, never as a power of ten."""
-    return f"{1e3 * value:.3g}" if value < 1.0 else f"{1e3 * value:.0f}"
 
 
 def geometry_sentences(geometry: Geometry) -> list[str]:
