@@ -1,4 +1,4 @@
-"""Making a sealed set: first all truths, into one file apart whose hash is stored; then the campaigns."""
+"""Making a sealed set, first all truths, into one file apart whose hash is stored, then the campaigns; running it."""
 
 from __future__ import annotations
 

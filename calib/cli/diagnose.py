@@ -1,4 +1,4 @@
-"""`calib diagnose`: where the sim-to-real gap lies, which effect causes it, how far it shrinks."""
+"""`calib diagnose`, `effects`, `plan`: where the sim-to-real gap lies, what causes it, which runs show it."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def effects(
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}
     terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
-    from calib.reporting.topics.effects import effect_content, effects_content
+    from calib.reporting.topics.diagnosis import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
     if figures is not None:
@@ -275,8 +275,7 @@ def _judge(source: Path, figures: Path | None) -> int:
     from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.plan_file import read_plan
-    from calib.reporting.topics.diagnosis import promise_table
-    from calib.reporting.topics.effects import outlook_content
+    from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
     with terminal.progress("judging the plan") as tick:

@@ -1,4 +1,4 @@
-"""`calib fit`: the radius law of each wheel; `calib geometry`: radii and track, with the reference's sensor."""
+"""`calib fit`, `geometry`, `deviation`, `loads`: the radius law and what it rests on; radii, track and sensor."""
 
 from __future__ import annotations
 

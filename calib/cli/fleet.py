@@ -42,7 +42,7 @@ def run(
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
         else:
-            from calib.fleet.survey import survey_fleet
+            from calib.fleet.run import survey_fleet
 
             survey = survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))

@@ -15,8 +15,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain, to_json
-from calib.fleet.run import Fleet
-from calib.fleet.survey import Survey
+from calib.fleet.run import Fleet, Survey
 from calib.io import refuse_existing, write_files, write_json, write_text
 from calib.odometry.integrate import integrate, radii_under_load, travel_from_counts
 from calib.odometry.poses import Poses, write_tum

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.campaign.write import write_campaign
 from calib.fleet.comparison import VehicleResult
-from calib.fleet.survey import survey_fleet
+from calib.fleet.run import survey_fleet
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from calib.plant.world import Cause

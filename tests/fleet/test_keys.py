@@ -12,9 +12,8 @@ import pytest
 
 from calib.errors import BadInputError
 from calib.fleet import store
-from calib.fleet.run import fit_fleet
+from calib.fleet.run import fit_fleet, survey_fleet
 from calib.fleet.store import SUMS
-from calib.fleet.survey import survey_fleet
 from calib.io import sha256_file
 from calib.reporting.files import Heads, write_fleet
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.fleet.vehicle import WheelSums, widened
+from calib.fleet.vehicle import WheelSums, line_from_sums, widened
 from calib.radius.regression import fit_wheel
-from calib.radius.session_sums import line_from_sums
 from calib.types import FloatArray, StrArray
 
 LOADS_N = (0.0, 200.0, 400.0, 600.0, 800.0)

@@ -14,8 +14,8 @@ from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
 from calib.fleet import survey as survey_module
 from calib.fleet.comparison import VehicleResult, shared_causes
+from calib.fleet.run import survey_fleet
 from calib.fleet.store import Member
-from calib.fleet.survey import survey_fleet
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.fleet import make_posed_fleet
 from calib.reporting.files import Heads, write_survey

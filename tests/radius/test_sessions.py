@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.fleet.vehicle import SessionSums, line_from_sums
 from calib.radius.regression import independent_line, least_squares
-from calib.radius.session_sums import SessionSums, line_from_sums
 from calib.radius.sessions import groups_of, stratified_line
 
 #: sums of squares about a far origin lose about six of sixteen digits against sums about the mean

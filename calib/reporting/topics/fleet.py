@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 from calib.challenge.score import TARGETS, clopper_pearson, wilson
 from calib.fleet.comparison import shown_quantity
 from calib.fleet.population import Population
-from calib.fleet.run import Fleet
-from calib.fleet.survey import Survey
+from calib.fleet.run import Fleet, Survey
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
 from calib.reporting.formatting import MISSING
 
