@@ -21,6 +21,11 @@ Progress = Callable[[int, int, str], None]
 Item = TypeVar("Item")
 
 
+def floats(values: npt.ArrayLike) -> FloatArray:
+    """Return values as an array of doubles; one that is such an array is not copied."""
+    return np.asarray(values, dtype=np.float64)
+
+
 def silent(_done: int, _total: int, _stage: str) -> None:
     """Report nothing."""
 

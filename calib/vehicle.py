@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from calib.errors import BadInputError, RefusedError
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 from calib.units import GRAVITY_MPS2
 
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
@@ -80,11 +80,7 @@ def wheel_loads_N(
     line; any shapes that broadcast. A negative result means that a wheel would lift off. Returns `front_N`, `left_N`,
     `right_N`: wheel loads, of the broadcast shape.
     """
-    mass, x, y = np.broadcast_arrays(
-        np.asarray(payload_kg, dtype=np.float64),
-        np.asarray(payload_x_m, dtype=np.float64),
-        np.asarray(payload_y_m, dtype=np.float64),
-    )
+    mass, x, y = np.broadcast_arrays(floats(payload_kg), floats(payload_x_m), floats(payload_y_m))
     weight = (vehicle.mass_kg + mass) * GRAVITY_MPS2
     front = (vehicle.mass_kg * vehicle.cog_x_m + mass * x) * GRAVITY_MPS2 / vehicle.wheelbase_m
     roll = (vehicle.mass_kg * vehicle.cog_y_m + mass * y) * GRAVITY_MPS2 / vehicle.track_m
@@ -108,7 +104,7 @@ def check_wheel_loads(
         What causes the loads; begins the message.
     """
     for name, load in (("front", front_N), ("left", left_N), ("right", right_N)):
-        loads = np.atleast_1d(np.asarray(load, dtype=np.float64))
+        loads = np.atleast_1d(floats(load))
         if not loads.size:
             continue
         if not np.isfinite(loads).all():

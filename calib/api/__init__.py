@@ -11,23 +11,6 @@ from calib.odometry.simulation import Simulation
 from calib.radius.result import Fit
 
 __all__ = [
-    "Campaign",
-    "Description",
-    "Diagnosis",
-    "Fit",
-    "Geometry",
-    "Plan",
-    "Replay",
-    "Simulation",
-    "describe",
-    "diagnose",
-    "export",
-    "fit",
-    "geometry",
-    "ingest",
-    "plan",
-    "read",
-    "replay",
-    "report",
-    "simulate",
-]
+    "Campaign", "Description", "Diagnosis", "Fit", "Geometry", "Plan", "Replay", "Simulation", "describe",
+    "diagnose", "export", "fit", "geometry", "ingest", "plan", "read", "replay", "report", "simulate",
+]  # fmt: skip

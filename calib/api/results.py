@@ -287,12 +287,7 @@ def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
 
 
 def proposed(
-    campaign: Campaign,
-    *,
-    candidates: Sequence[PlannedRun] | None = None,
-    most: int,
-    seed: int,
-    progress: Progress = silent,
+    campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
 ) -> Plan:
     """Return the plan of `plan`.
 
@@ -300,7 +295,7 @@ def proposed(
     ----------
     campaign : Campaign
         What was driven so far.
-    candidates : sequence of PlannedRun, optional
+    among : sequence of PlannedRun, optional
         Runs to choose from, else the usual ones.
     most, seed : int
         See `plan`.
@@ -312,7 +307,7 @@ def proposed(
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
     ties = [group.effects for group in full.groups]
-    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=candidates, most=most)
+    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
     now = promised(campaign.included(), campaign)
     return Plan(campaign, full, tuple(runs), now, promised(with_next(campaign, runs), campaign) if runs else None)
 

@@ -185,7 +185,7 @@ CHECKS: Final[dict[str, Check]] = {
         design.few_loads,
         model_against_vehicle,
         implausible,
-    )
+    )  # fmt: skip
 }
 
 

@@ -28,22 +28,10 @@ from calib.types import BoolArray, FloatArray
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
 ONE_SIGN: Final = (
-    "lost_counts",
-    "beam_misalignment",
-    "floor_undulation",
-    "path_weave",
-    "load_creep",
-    "wear",
-    "reference_latency",
-    "steering_backlash",
-    "steering_delay",
-    "drive_slip",
-    "braking_skid",
-    "curve_scrub",
-    "side_slip",
-    "wheel_eccentricity",
-    "outside:hidden",
-)
+    "lost_counts", "beam_misalignment", "floor_undulation", "path_weave", "load_creep", "wear", "reference_latency",
+    "steering_backlash", "steering_delay", "drive_slip", "braking_skid", "curve_scrub", "side_slip",
+    "wheel_eccentricity", "outside:hidden",
+)  # fmt: skip
 _TRIES: Final = 6
 
 

@@ -12,7 +12,7 @@ from calib.campaign.settings import FrontModel
 from calib.gap.observations.arrays import Observations
 from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, floats
 
 #: with fewer units to draw from, the draws repeat one another: the next wider circle is taken
 ENOUGH: Final = 8
@@ -56,9 +56,9 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     group = circles[2] + circles[0].max() + circles[1].max() + 2
     for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
         group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
-    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    root = floats(np.linalg.cholesky(covariance))
     kept = np.where(observations.usable, left, 0.0)[:, :, None]
-    whitened = np.asarray(np.linalg.solve(root, kept)[:, :, 0], dtype=np.float64)
+    whitened = floats(np.linalg.solve(root, kept)[:, :, 0])
     size = np.bincount(circles[0])[circles[0]]
     for number in np.flatnonzero(np.bincount(circles[0]) > 1):
         members = circles[0] == number

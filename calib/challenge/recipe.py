@@ -29,23 +29,10 @@ _OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outsid
 _EMPTY_POOR: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 #: for pairs: effects that leave different things behind
 _PAIRED: Final = (
-    "load_radius",
-    "temperature_radius",
-    "speed_radius",
-    "travel_direction",
-    "curve_scrub",
-    "load_dependent_track",
-    "rangefinder_scale",
-    "reference_yaw",
-    "lost_counts",
-    "payload_position",
-    "rear_drag",
-    "wear",
-    "load_creep",
-    "reference_lever_arm",
-    "session_step",
-    "curve_load_transfer",
-)
+    "load_radius", "temperature_radius", "speed_radius", "travel_direction", "curve_scrub", "load_dependent_track",
+    "rangefinder_scale", "reference_yaw", "lost_counts", "payload_position", "rear_drag", "wear", "load_creep",
+    "reference_lever_arm", "session_step", "curve_load_transfer",
+)  # fmt: skip
 
 #: exact aliases: the truth, the design on which it cannot be told from the others, and the others
 _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (

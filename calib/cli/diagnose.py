@@ -166,8 +166,7 @@ DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 def effects(
     effect: Annotated[str | None, arg("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
-        Path | None,
-        opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too."),
+        Path | None, opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too.")
     ] = None,
     figures: terminal.Figures = None,
 ) -> None:
@@ -263,7 +262,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
-        plan = proposed(read, candidates=offered, most=most, seed=seed, progress=tick)
+        plan = proposed(read, among=offered, most=most, seed=seed, progress=tick)
     terminal.say(f"{plan.diagnosis.campaign}: {plan.diagnosis.sentence}")
     terminal.show(runs_and_promises(plan))
     terminal.then("plan" if plan.runs else "plan nothing", c=campaign)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 
 Loads = Annotated[
-    list[str] | None,
-    opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load"),
+    list[str] | None, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
 ]
 Controllers = Annotated[
     list[str] | None,
@@ -158,14 +157,8 @@ def report(
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
         given = opened(source, progress=tick)
-        report = report_of(
-            given,
-            issued=issued,
-            accept=accept_implausible.strip(),
-            seed=seed if diagnosis else None,
-            where=source,
-            progress=tick,
-        )
+        accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
+        report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
         target = place_of(report.name, into, force=terminal.forced())
         drawn = (
             [] if figures is None else write_figures(report.figures(), figures, force=terminal.forced(), progress=tick)

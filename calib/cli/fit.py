@@ -249,15 +249,8 @@ def loads(
     from calib.reporting.topics.simulation import loads_content, weighed_content
     from calib.vehicle import payload_from_wheel_loads
 
-    meant = vehicle_of(
-        vehicle,
-        mass_kg=mass,
-        cog_x_m=cog_x,
-        cog_y_m=cog_y,
-        track_m=track,
-        wheelbase_m=wheelbase,
-        max_wheel_load_N=max_load,
-    )
+    lengths = {"cog_x_m": cog_x, "cog_y_m": cog_y, "track_m": track, "wheelbase_m": wheelbase}
+    meant = vehicle_of(vehicle, mass_kg=mass, max_wheel_load_N=max_load, **lengths)
     if weighed is not None:
         front, left, right = terminal.numbers(weighed, 3, "--weighed")
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)

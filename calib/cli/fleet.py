@@ -66,8 +66,7 @@ def simulate(
     drifting: Annotated[int, opt(None, "Vehicles whose radius drifts.", min=0)] = 5,
     common: Annotated[int, opt(None, "Vehicles in hall B, whose floor shows.", min=0)] = 40,
     poses: Annotated[
-        bool,
-        opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses"),
+        bool, opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses")
     ] = False,
     seed: terminal.Seed = 0,
 ) -> None:

@@ -211,34 +211,25 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         yield lambda _done, _total, _stage: heed()
         heed()
         return
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        SpinnerColumn,
-        Task,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
     from rich.text import Text
 
-    class Left(TimeRemainingColumn):
+    class Left(bars.TimeRemainingColumn):
         """The time that is left, where the end is known."""
 
-        def render(self, task: Task) -> Text:
+        def render(self, task: bars.Task) -> Text:
             return Text("") if task.total is None else super().render(task).append(" left")
 
     columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=BAR),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
+        bars.SpinnerColumn(),
+        bars.TextColumn("{task.description}", markup=False),
+        bars.BarColumn(bar_width=BAR),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
         Left(compact=True),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         at: list[str] = [""]
 

@@ -21,7 +21,7 @@ from calib.coefficients.sections import Section, VehicleSection, WheelSection, W
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-coefficients/1"
@@ -231,7 +231,7 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
 
 
 def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
-    loads = np.asarray(load_N, dtype=np.float64)
+    loads = floats(load_N)
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
     if not np.isfinite(loads).all():
         raise BadInputError(f"{side} wheel load: found NaN or infinity; expected newtons; check the load sensor")

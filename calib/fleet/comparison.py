@@ -103,12 +103,11 @@ class Quantities:
     common: tuple[LabelDifference, ...]
 
 
+Columns = Mapping[str, FloatArray]
+
+
 def quantities_of(
-    vehicles: Sequence[str],
-    values: Mapping[str, FloatArray],
-    std: Mapping[str, FloatArray],
-    labels: Labels,
-    drifting: frozenset[str] = frozenset(),
+    vehicles: Sequence[str], values: Columns, std: Columns, labels: Labels, drifting: frozenset[str] = frozenset()
 ) -> Quantities:
     """Return what a fleet shows in its vehicles' quantities.
 
@@ -143,9 +142,7 @@ def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) ->
     return np.array([of_vehicle.get(vehicle, "") == value for vehicle in vehicles], dtype=np.bool_)
 
 
-def _differences(
-    vehicles: Sequence[str], values: Mapping[str, FloatArray], labels: Labels
-) -> tuple[LabelDifference, ...]:
+def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tuple[LabelDifference, ...]:
     candidates = []
     for label, of_vehicle in sorted(labels.items()):
         for value in sorted({of_vehicle.get(vehicle, "") for vehicle in vehicles} - {""}):
@@ -161,12 +158,7 @@ def _differences(
     return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
 
 
-def _apart(
-    vehicles: Sequence[str],
-    own: Mapping[str, FloatArray],
-    values: Mapping[str, FloatArray],
-    std: Mapping[str, FloatArray],
-) -> tuple[Outlier, ...]:
+def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
     names = list(own)
     z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
     for k, name in enumerate(names):

@@ -9,7 +9,7 @@ from warnings import catch_warnings
 
 import numpy as np
 
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, floats
 
 COVERAGE: Final = 0.95
 #: of those named, this share may be named wrongly (Benjamini and Hochberg); a vehicle named costs a visit, and at a
@@ -127,7 +127,7 @@ def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 def _standing(p_values: FloatArray, alpha: float, method: str) -> BoolArray:
     from statsmodels.stats.multitest import multipletests
 
-    p = np.asarray(p_values, dtype=np.float64)
+    p = floats(p_values)
     stands, known = np.zeros(p.shape, dtype=np.bool_), np.isfinite(p)
     if known.any():
         stands[known] = multipletests(p[known], alpha, method)[0]

@@ -20,16 +20,8 @@ from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import read_settings
 from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
-from calib.fleet.comparison import (
-    LabelDifference,
-    Labels,
-    Outlier,
-    Quantities,
-    SharedCause,
-    VehicleResult,
-    quantities_of,
-    shared_causes,
-)
+from calib.fleet import comparison
+from calib.fleet.comparison import Labels, Outlier, Quantities, SharedCause, VehicleResult, quantities_of, shared_causes
 from calib.fleet.population import Population, any_false
 from calib.fleet.store import SUMS, Kept, Keys, Member, Part, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
@@ -191,7 +183,7 @@ class FleetView:
     populations: dict[str, Population]
     outliers: tuple[Outlier, ...]
     drifting: tuple[DriftingVehicle, ...]
-    common: tuple[LabelDifference, ...]
+    common: tuple[comparison.LabelDifference, ...]
 
     def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values; an outlier's wheel and quantity stand apart."""

@@ -16,7 +16,7 @@ from calib.errors import BadInputError
 from calib.odometry.poses import Poses
 from calib.odometry.step_loops import HEADING_BEHIND, Flat, fill_arrays, is_installed, machine_code
 from calib.radius.law import RadiusLaw
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, floats
 
 #: ``end_point`` is Eq. 7 as printed: the heading at the end of the step
 SCHEMES: Final = tuple(HEADING_BEHIND)
@@ -26,11 +26,7 @@ MANY_STEPS: Final = 1_000_000
 
 
 def lay_flat(
-    travel_left_m: ArrayLike,
-    travel_right_m: ArrayLike,
-    track_m: ArrayLike,
-    offsets: ArrayLike | None,
-    start: ArrayLike,
+    travel_left_m: ArrayLike, travel_right_m: ArrayLike, track_m: ArrayLike, offsets: ArrayLike | None, start: ArrayLike
 ) -> Flat:
     """Check the input and lay it flat.
 
@@ -55,7 +51,7 @@ def lay_flat(
             f"travel: found shapes {shape} (left) and {right.shape} (right); expected the same, of one or two axes; "
             "give one value a step for each wheel"
         )
-    track = np.asarray(track_m, dtype=np.float64)
+    track = floats(track_m)
     if offsets is not None:
         edges = np.asarray(offsets, dtype=np.int64)
         if left.ndim != 1 or len(edges) < 1 or edges[0] != 0 or edges[-1] != len(left) or (np.diff(edges) < 0).any():
@@ -68,7 +64,7 @@ def lay_flat(
     else:
         edges = np.array([0, len(left)], dtype=np.int64)
     n_runs = len(edges) - 1
-    pose = np.asarray(start, dtype=np.float64)
+    pose = floats(start)
     if pose.shape not in {(3,), (n_runs, 3)}:
         raise BadInputError(f"start: found shape {pose.shape}; expected (3,) or ({n_runs}, 3); give x, y, theta")
     try:
@@ -226,10 +222,10 @@ def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayL
     ``offsets[i]:offsets[i + 1]``.
     """
     edges = np.asarray(offsets, dtype=np.int64)
-    carried = np.repeat(np.asarray(run_N, dtype=np.float64), np.diff(edges))
+    carried = np.repeat(floats(run_N), np.diff(edges))
     if logged_N is None:
         return carried
-    logged = np.asarray(logged_N, dtype=np.float64)
+    logged = floats(logged_N)
     own = np.arange(len(carried))
     first = np.repeat(edges[:-1], np.diff(edges))
     # the last sample before this one, of the same run, that has a load
@@ -249,7 +245,7 @@ def radii_of_model(
     model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
-    left_N, right_N = np.asarray(load_left_N, dtype=np.float64), np.asarray(load_right_N, dtype=np.float64)
+    left_N, right_N = floats(load_left_N), floats(load_right_N)
     return (
         np.asarray(model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)),
         np.asarray(model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)),
@@ -286,11 +282,11 @@ def travel_from_counts(
         (counts_left, encoder.counts_per_rev_left, radius_left_m),
         (counts_right, encoder.counts_per_rev_right, radius_right_m),
     ):
-        values = np.asarray(counts, dtype=np.float64)
+        values = floats(counts)
         travel = np.diff(values, prepend=values[:1])
         firsts = edges[:-1][np.diff(edges) > 0]
         travel[firsts] = 0.0
-        travel *= (2 * np.pi / per_rev) * _wide(np.asarray(radius, dtype=np.float64), edges, len(values))
+        travel *= (2 * np.pi / per_rev) * _wide(floats(radius), edges, len(values))
         travels.append(travel)
     return travels[0], travels[1]
 

@@ -20,7 +20,7 @@ from calib.odometry.pose_covariance import jacobian, steps
 from calib.odometry.poses import COMPONENTS, pose_errors, rows_of
 from calib.odometry.routes import Route
 from calib.radius.law import RadiusLaw
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 BANDS: Final = ("mean", "prediction")
@@ -48,7 +48,7 @@ def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
     """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
     from scipy.special import stdtrit
 
-    loads = np.asarray(loads_N, dtype=np.float64)
+    loads = floats(loads_N)
     columns = []
     for wheel in (law.left, law.right):
         factor = float(stdtrit(wheel.dof, 0.975))

@@ -15,7 +15,7 @@ from calib.errors import SIMULATED_POSES, BadInputError, refuse_more
 from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import Route, find_route
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 #: pieces of routes driven at once: keeps memory small where many vehicles drive long routes
 BLOCK: Final = 131_072
@@ -36,9 +36,7 @@ class Axle:
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
-        parts = tuple(
-            np.asarray(part, dtype=np.float64) for part in (self.radius_left_m, self.radius_right_m, self.track_m)
-        )
+        parts = tuple(floats(part) for part in (self.radius_left_m, self.radius_right_m, self.track_m))
         for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
             impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
             if part.ndim > 1 or impossible.any():

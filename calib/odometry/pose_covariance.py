@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from calib.odometry.poses import Poses, sinc
 from calib.radius.law import JOINT
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +53,8 @@ def steps(
     track_m, radius_left_m, radius_right_m : array_like of float
         Track, and the radii the travel was computed with; broadcast to the travel's shape.
     """
-    left, right = np.asarray(travel_left_m, dtype=np.float64), np.asarray(travel_right_m, dtype=np.float64)
-    track = np.asarray(track_m, dtype=np.float64)
+    left, right = floats(travel_left_m), floats(travel_right_m)
+    track = floats(track_m)
     path, turn = 0.5 * (left + right), (right - left) / track
     theta = np.cumsum(turn, axis=-1)
     half = 0.5 * turn
@@ -65,8 +65,8 @@ def steps(
     return PathSteps(
         left_m=left,
         right_m=right,
-        radius_left_m=np.asarray(radius_left_m, dtype=np.float64),
-        radius_right_m=np.asarray(radius_right_m, dtype=np.float64),
+        radius_left_m=floats(radius_left_m),
+        radius_right_m=floats(radius_right_m),
         track_m=track,
         dx_m=dx,
         dy_m=dy,
@@ -84,8 +84,8 @@ def jacobian(
     The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
-    offset_left = np.asarray(load_offset_left_N, dtype=np.float64)
-    offset_right = np.asarray(load_offset_right_N, dtype=np.float64)
+    offset_left = floats(load_offset_left_N)
+    offset_right = floats(load_offset_right_N)
     track = path.track_m
     # by radius and slope of either wheel, and by the track: along the path, and in heading
     parts = [
@@ -191,7 +191,7 @@ def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
 
     A coverage of 0.95 is 2.45 standard deviations in two dimensions.
     """
-    c = np.asarray(covariance, dtype=np.float64)
+    c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
     spread = np.hypot(half, c[..., 0, 1])
     k = np.sqrt(-2.0 * np.log1p(-coverage))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from calib.errors import BadFileError, BadInputError
 from calib.io import write_text
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 #: what a pose is made of
 POSE: Final = ("x_m", "y_m", "theta_rad")
@@ -49,7 +49,7 @@ class Poses:
     @staticmethod
     def from_stacked(stacked: ArrayLike) -> Poses:
         """Return the poses of an array whose last axis holds x, y, theta."""
-        values = np.asarray(stacked, dtype=np.float64)
+        values = floats(stacked)
         return Poses(values[..., 0], values[..., 1], values[..., 2])
 
     def from_origin(self) -> Poses:
@@ -87,12 +87,12 @@ class PoseErrors:
 
 def sinc(u: ArrayLike) -> FloatArray:
     """Return sin(u) / u, 1 at 0; any shape, u in rad: the ratio of chord to arc for a turn of 2 u."""
-    return np.asarray(np.sinc(np.asarray(u, dtype=np.float64) / np.pi))
+    return np.asarray(np.sinc(floats(u) / np.pi))
 
 
 def wrapped(angle_rad: ArrayLike) -> FloatArray:
     """Return angles in (-pi, pi], same shape."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
+    angle = floats(angle_rad)
     return np.asarray(angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi)))
 
 
@@ -119,7 +119,7 @@ FILE_LIMIT_BYTES = 2 << 30
 
 def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) -> Path:
     """Write poses at times in s, each (n,); numbers carry every digit, so that reading gives them back."""
-    times = np.asarray(t_s, dtype=np.float64)
+    times = floats(t_s)
     if times.shape != poses.shape or times.ndim != 1:
         raise BadInputError(f"trajectory: found {times.shape} times for {poses.shape} poses; expected one a pose")
     half = 0.5 * poses.theta_rad

@@ -15,7 +15,7 @@ from calib.campaign.settings_file import load_toml
 from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
 from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses, read_tum, sinc
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 Segment = tuple[float, float]
 
@@ -74,7 +74,7 @@ class Route:
 
     def cut(self, at_m: ArrayLike) -> Route:
         """Return the same route with a border between two segments at each of these distances along it."""
-        wanted = np.unique(np.asarray(at_m, dtype=np.float64))
+        wanted = np.unique(floats(at_m))
         edges = self.distance_m()
         pieces: list[Segment] = []
         for k, (length, turn) in enumerate(zip(self.length_m.tolist(), self.turn_rad.tolist(), strict=True)):

@@ -19,7 +19,7 @@ from calib.plant.drive import Record, drive
 from calib.plant.effects import ALL, find
 from calib.plant.make import apply_causes, reference_poses, simulated_poses, steering_readings
 from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 #: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
@@ -157,11 +157,11 @@ def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
     root = np.linalg.cholesky(np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0)))
     white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
     if absorbed is None:
-        return np.asarray(white, dtype=np.float64), None
+        return floats(white), None
     directions = np.linalg.solve(root, np.where(present[:, :, None], absorbed, 0.0)).reshape(len(white), -1)
     scale = np.linalg.norm(directions, axis=0)
     unit = directions / np.where(scale > 0, scale, 1.0)
-    return np.asarray(white, dtype=np.float64), np.asarray(unit, dtype=np.float64)
+    return floats(white), floats(unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +252,7 @@ def to_signal(
     targets
         Wanted signal of each; NaN leaves the cause as it is.
     """
-    wanted = np.asarray(targets, dtype=np.float64)
+    wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])
     typical = np.array([find(cause.effect, cause.form).typical for cause in causes])
     scaled = list(causes)

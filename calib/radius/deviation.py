@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign
 from calib.errors import BadInputError
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle
 
 #: below this u = (2 pi A / lambda)^2 subtractions lose digits that a series has: relative truncation 5 u^2 / 64
@@ -52,14 +52,14 @@ def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> Floa
     """
     from scipy.special import ellipe
 
-    u = (2 * np.pi * np.asarray(amplitude_m, dtype=np.float64) / np.asarray(wavelength_m, dtype=np.float64)) ** 2
+    u = (2 * np.pi * floats(amplitude_m) / floats(wavelength_m)) ** 2
     exact = 2 / np.pi * np.sqrt(1 + u) * ellipe(u / (1 + u)) - 1
     return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
 
 
 def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the small-amplitude form ``(pi A / lambda)^2`` of `whole_period_excess`."""
-    ratio = np.asarray(amplitude_m, dtype=np.float64) / np.asarray(wavelength_m, dtype=np.float64)
+    ratio = floats(amplitude_m) / floats(wavelength_m)
     return np.asarray((np.pi * ratio) ** 2)
 
 
@@ -88,7 +88,7 @@ def weave_excess(
     from scipy.special import ellipeinc
 
     amplitude, wavelength, distance, phase = np.broadcast_arrays(
-        *(np.asarray(values, dtype=np.float64) for values in (amplitude_m, wavelength_m, distance_m, phase_rad))
+        *(floats(values) for values in (amplitude_m, wavelength_m, distance_m, phase_rad))
     )
     k = 2 * np.pi / wavelength
     slope = k * amplitude
@@ -106,7 +106,7 @@ def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> Pat
     `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
     wheels' contact points. The arguments broadcast.
     """
-    yaw, distance = np.broadcast_arrays(np.asarray(yaw_rad, dtype=np.float64), np.asarray(distance_m, dtype=np.float64))
+    yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
     # np.sinc is sin(pi x) / (pi x) and is defined at 0
     return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
@@ -119,29 +119,24 @@ def arc_of_radii_rad(
     `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
     vehicle takes for equal; `track_m`: distance between the wheels' contact points. The turn is in rad, left positive.
     """
-    left, right = np.asarray(radius_left_m, dtype=np.float64), np.asarray(radius_right_m, dtype=np.float64)
-    return np.asarray(np.asarray(distance_m, dtype=np.float64) * 2 * (right - left) / ((right + left) * track_m))
+    left, right = floats(radius_left_m), floats(radius_right_m)
+    return np.asarray(floats(distance_m) * 2 * (right - left) / ((right + left) * track_m))
 
 
 def radius_error(excess: ArrayLike) -> FloatArray:
     """Return the relative error of an uncorrected radius whose wheel rolled ``1 + excess`` times S_O."""
-    e = np.asarray(excess, dtype=np.float64)
+    e = floats(excess)
     return np.asarray(-e / (1 + e))
 
 
 def excess_of_radius_error(error: ArrayLike) -> FloatArray:
     """Return the excess that makes a radius wrong by ``-error`` (relative, positive); inverse of `radius_error`."""
-    e = np.asarray(error, dtype=np.float64)
+    e = floats(error)
     return np.asarray(e / (1 - e))
 
 
 def allowed_amplitude_on_run_m(
-    tolerance: ArrayLike,
-    wavelength_m: ArrayLike,
-    distance_m: ArrayLike,
-    track_m: float,
-    *,
-    phase_rad: ArrayLike = 0.0,
+    tolerance: ArrayLike, wavelength_m: ArrayLike, distance_m: ArrayLike, track_m: float, *, phase_rad: ArrayLike = 0.0
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
@@ -211,7 +206,7 @@ def deviation_rows(
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():
-        values = np.atleast_1d(np.asarray(given, dtype=np.float64))
+        values = np.atleast_1d(floats(given))
         expected = "zero or more" if name == "amplitude" else "more than zero"
         bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (name != "amplitude"))
         if bad.any():

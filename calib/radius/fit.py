@@ -44,16 +44,9 @@ MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
 #: columns whose span tells the conditions of a campaign
 CONDITIONS: Final = (
-    "distance_m",
-    "speed_mps",
-    "temperature_C",
-    "payload_kg",
-    "payload_x_m",
-    "payload_y_m",
-    "minutes_under_load",
-    "load_left_N",
-    "load_right_N",
-)
+    "distance_m", "speed_mps", "temperature_C", "payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load",
+    "load_left_N", "load_right_N",
+)  # fmt: skip
 
 
 def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:

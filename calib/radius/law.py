@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.documents import plain_fields
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 #: order of the joint covariance of both wheels' laws and the track
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
@@ -67,12 +67,12 @@ class WheelLaw:
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
-        offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
+        offset = floats(load_N) - self.reference_load_N
         return np.asarray(self.radius_ref_m + self.slope_m_per_N * offset)
 
     def mean_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
-        offset = np.asarray(load_N, dtype=np.float64) - self.reference_load_N
+        offset = floats(load_N) - self.reference_load_N
         variance = self.covariance[0, 0] + 2 * offset * self.covariance[0, 1] + offset**2 * self.covariance[1, 1]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -177,17 +177,12 @@ class LineEstimate:
             return random
         from scipy.special import stdtrit
 
-        each = np.asarray(contrast, dtype=np.float64) @ self.systematic.T
+        each = floats(contrast) @ self.systematic.T
         factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), 0.5 + coverage / 2)
         return np.asarray(np.hypot(random, np.sqrt(np.sum((each * factor) ** 2, axis=-1))))
 
     def band(
-        self,
-        offset_N: ArrayLike,
-        reach_N: tuple[float, float],
-        *,
-        more_within: float = 0.0,
-        more_between: float = 0.0,
+        self, offset_N: ArrayLike, reach_N: tuple[float, float], *, more_within: float = 0.0, more_between: float = 0.0
     ) -> FloatArray:
         """Return the half width of the band about the law, 95 % at each load, shape (...).
 
@@ -200,7 +195,7 @@ class LineEstimate:
         def half(offset: FloatArray) -> FloatArray:
             return self.half_width(np.stack((np.ones_like(offset), offset), axis=-1), COVERAGE, **more)
 
-        offset = np.asarray(offset_N, dtype=np.float64)
+        offset = floats(offset_N)
         low, high = reach_N
         covariance = self.covariance
         if not (high > low and covariance[1, 1] > 0 and self.cov_between.any() and self.cov_within.any()):
@@ -230,7 +225,7 @@ class LineEstimate:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
         total, share = self._variance(contrast)
         if len(self.systematic):
-            each = np.asarray(contrast, dtype=np.float64) @ self.systematic.T
+            each = floats(contrast) @ self.systematic.T
             std = np.sqrt(total + np.sum(each**2, axis=-1))
             return equivalent_dof(self.half_width(contrast, coverage) / np.where(std > 0, std, 1.0), coverage)
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within, coverage), coverage)
@@ -241,7 +236,7 @@ class LineEstimate:
         self, contrast: ArrayLike, more_within: float = 0.0, more_between: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Return the random variance of ``contrast @ coefficients`` and the share of sessions in it, shape (...)."""
-        c = np.asarray(contrast, dtype=np.float64)
+        c = floats(contrast)
         within, between = (
             np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) + more
             for part, more in ((self.cov_within, more_within), (self.cov_between, more_between))
@@ -290,7 +285,7 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
     variance = share * q_between + (1 - share) * q_within
     observed = share * q_between / variance
     spread = np.sqrt(variance)
-    ends = np.asarray(stdtrit([dof_within, dof_between], 0.5 + coverage / 2), dtype=np.float64)
+    ends = floats(stdtrit([dof_within, dof_between], 0.5 + coverage / 2))
     pooled_t = float(stdtrit(dof_within + dof_between, 0.5 + coverage / 2))
     curve = np.asarray(ends[0] + (ends[1] - ends[0]) * SHARES)
     for _ in range(WELCH_ITERATIONS):
@@ -316,7 +311,7 @@ def critical_value(share: ArrayLike, dof_between: float, dof_within: float, cove
     """
     from scipy.special import stdtrit
 
-    observed = np.asarray(share, dtype=np.float64)
+    observed = floats(share)
     within = stdtrit(dof_within, 0.5 + coverage / 2) if dof_within > 0 else np.nan
     between = stdtrit(dof_between, 0.5 + coverage / 2) if dof_between > 0 else np.nan
     # the pure cases exactly, without a curve
@@ -331,7 +326,7 @@ def equivalent_dof(critical: ArrayLike, coverage: float) -> FloatArray:
     """Return the degrees of freedom whose Student's t is `critical`, 1 to 1e6; `coverage`: that of the interval."""
     from scipy.special import stdtridf
 
-    dof = stdtridf(0.5 + coverage / 2, np.asarray(critical, dtype=np.float64))
+    dof = stdtridf(0.5 + coverage / 2, floats(critical))
     return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 

@@ -16,7 +16,7 @@ from calib.errors import RefusedError
 from calib.radius import sessions
 from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, floats
 
 if TYPE_CHECKING:
     from statsmodels.regression.linear_model import RegressionResults
@@ -29,19 +29,9 @@ SAME_LOAD: Final = 0.02
 RUN_ARRAYS: Final = ("load_N", "radius_m", "residual_m", "leverage", "cook")
 #: of `WheelFit`, written as they are
 _DOCUMENT: Final = (
-    "reference_load_N",
-    "intercept_m",
-    "radius_ref_ci95_m",
-    "slope_ci95_m_per_N",
-    "r_squared",
-    "residual_std_m",
-    "dof_radius_ref",
-    "model",
-    "design",
-    "run_std_m",
-    "session_std_m",
-    "checks",
-)
+    "reference_load_N", "intercept_m", "radius_ref_ci95_m", "slope_ci95_m_per_N", "r_squared", "residual_std_m",
+    "dof_radius_ref", "model", "design", "run_std_m", "session_std_m", "checks",
+)  # fmt: skip
 #: levels of a check: the result can be used; it can be used with a caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
@@ -179,7 +169,7 @@ class WheelFit:
         return self._band(load_N, self.estimate.run_variance, self.estimate.session_variance)
 
     def _band(self, load_N: ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
-        load = np.asarray(load_N, dtype=np.float64)
+        load = floats(load_N)
         reach = (self.law.load_min_N - self.reference_load_N, self.law.load_max_N - self.reference_load_N)
         half = self.estimate.band(
             load - self.reference_load_N, reach, more_within=more_within, more_between=more_between
@@ -266,7 +256,7 @@ def t_quantile(dof: ArrayLike) -> FloatArray:
     """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
     from scipy.special import stdtrit
 
-    return np.asarray(stdtrit(np.asarray(dof, dtype=np.float64), 0.5 + COVERAGE / 2))
+    return np.asarray(stdtrit(floats(dof), 0.5 + COVERAGE / 2))
 
 
 def distinct_loads(load_N: FloatArray) -> int:
@@ -306,7 +296,7 @@ def fit_wheel(
     reference_load_N
         Load on which the coefficients are centred.
     """
-    load, radius = np.asarray(load_N, dtype=np.float64), np.asarray(radius_m, dtype=np.float64)
+    load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:
         raise RefusedError(
             f"{wheel} wheel: found {len(load)} usable runs; expected three or more; drive more corridor runs, "

@@ -114,12 +114,8 @@ class Fit(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
-        document: dict[str, object] = {
-            "format": FORMAT,
-            "campaign": self.name,
-            "wheels": self.wheels,
-            "runs": _rows(self),
-        }
+        document: dict[str, object] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels}
+        document["runs"] = _rows(self)
         document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
         document |= {name: getattr(self, name) for name in _WRITTEN}
         written = plain(document)

@@ -14,14 +14,6 @@ from .effects import Effects, Motion, Run  # noqa: TID252
 from .odometer import Odometer, OdometerFault, Pose, Status  # noqa: TID252
 
 __all__ = [
-    "CoefficientError",
-    "Coefficients",
-    "Effects",
-    "Motion",
-    "Odometer",
-    "OdometerFault",
-    "Pose",
-    "Run",
-    "Status",
+    "CoefficientError", "Coefficients", "Effects", "Motion", "Odometer", "OdometerFault", "Pose", "Run", "Status",
     "WheelCoefficients",
-]
+]  # fmt: skip

@@ -14,7 +14,7 @@ from calib.campaign.model import Border
 from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, floats
 
 #: blocks of the jackknife that gives a lag's interval
 _JACKKNIFE_BLOCKS: Final = 12
@@ -107,7 +107,7 @@ def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
     index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
     steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
     total = np.concatenate(([0.0], np.cumsum(steps)))
-    return np.asarray(np.interp(np.arange(len(positions)), index, total), dtype=np.float64)
+    return floats(np.interp(np.arange(len(positions)), index, total))
 
 
 def estimate_lag(
@@ -144,7 +144,7 @@ def estimate_lag(
     def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
         """Return the mean speed over the window around each time."""
         late, early = (np.interp(at + sign * half_window, times, distance) for sign in (1.0, -1.0))
-        return np.asarray((late - early) / (2 * half_window), dtype=np.float64)
+        return floats((late - early) / (2 * half_window))
 
     own = speed(grid, time_s, travelled)
     if not np.std(own) > _LEAST_SPEED_CHANGE * np.mean(np.abs(own)):

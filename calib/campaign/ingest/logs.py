@@ -21,7 +21,7 @@ from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Encoder, converted, recognise
 from calib.errors import BadFileError
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 #: name under which the column that tells the runs is kept
 CUT_COLUMN: Final = "cut"
@@ -213,7 +213,7 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
             continue
         time_column = line.column if name == "t_s" else time_column
         if name == CUT_COLUMN or (name == "t_s" and line.column in raw.epochs):
-            columns[name] = np.asarray(cells, dtype=np.float64)
+            columns[name] = floats(cells)
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)

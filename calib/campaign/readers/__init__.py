@@ -14,15 +14,8 @@ if TYPE_CHECKING:
     from calib.campaign.readers.recording import Recording
 
 __all__ = [
-    "READERS",
-    "Layout",
-    "RawTable",
-    "Wanted",
-    "holds_recording",
-    "is_bag_folder",
-    "read_recording",
-    "read_table",
-]
+    "READERS", "Layout", "RawTable", "Wanted", "holds_recording", "is_bag_folder", "read_recording", "read_table",
+]  # fmt: skip
 
 #: suffix -> module of this package, imported when first needed. It holds ``read(path, shown, wanted, layout)``, which
 #: returns a `RawTable`, or ``record(path, shown, wanted)``, which returns a `Recording`. `shown` is the file's name in

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
 from calib.errors import MATLAB_UNPACKED_BYTES, BadFileError, damage_named
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 _NUMERIC: Final = frozenset(
     {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
@@ -99,7 +99,7 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
 
 def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
     """Return an array of one or two dimensions as columns, ``name`` or ``name[0]``, ``name[1]``, ..."""
-    matrix = np.asarray(values, dtype=np.float64)
+    matrix = floats(values)
     if matrix.ndim == 1 or (matrix.ndim == 2 and 1 in matrix.shape):
         return {name: matrix.ravel()}
     if matrix.ndim != 2:

@@ -14,7 +14,7 @@ from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import NS_PER_S
 from calib.errors import damage_named, missing_reader
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, floats
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel
@@ -73,7 +73,7 @@ def _quiet() -> Iterator[None]:
 def _moments_ns(stamps: Any) -> IntArray:
     """Return nanoseconds since 1970 of time stamps kept as seconds since 1904 and 2^-64 of a second, rounded."""
     seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
-    fractions = np.rint(np.asarray(stamps.second_fractions, dtype=np.float64) * (NS_PER_S / 2.0**64)).astype(np.int64)
+    fractions = np.rint(floats(stamps.second_fractions) * (NS_PER_S / 2.0**64)).astype(np.int64)
     return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)
 
 

@@ -32,13 +32,9 @@ from calib.types import FloatArray
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 _MECANUM: Final = "mecanum_drive_controller"
 CONTROLLERS: Final = (
-    "diff_drive_controller",
-    "tricycle_controller",
-    "tricycle_steering_controller",
-    _MECANUM,
-    "bicycle_steering_controller",
-    "ackermann_steering_controller",
-)
+    "diff_drive_controller", "tricycle_controller", "tricycle_steering_controller", _MECANUM,
+    "bicycle_steering_controller", "ackermann_steering_controller",
+)  # fmt: skip
 #: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; which of the two
 #: tricycle controllers applies depends on which wheels have the motors
 OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {

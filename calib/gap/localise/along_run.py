@@ -89,15 +89,11 @@ def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
 
 
 def _trace(
-    log: Mapping[str, FloatArray],
-    left_m: FloatArray,
-    right_m: FloatArray,
-    track_m: float,
-    labels: tuple[str, str, bool],
+    log: Mapping[str, FloatArray], left_m: FloatArray, right_m: FloatArray, track_m: float, label: tuple[str, str, bool]
 ) -> Trace:
     """Return the trace of a log with its reference.
 
-    `labels`: name and kind of the run, and whether it was driven back along a corridor.
+    `label`: name and kind of the run, and whether it was driven back along a corridor.
     """
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m
@@ -116,7 +112,7 @@ def _trace(
     # a stop is a gap between two moving steps, and begins behind the first
     stops = _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(step)))
     since_start = log["t_s"] - log["t_s"][0]
-    return Trace(*labels, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
+    return Trace(*label, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
 
 
 def _summed(steps: FloatArray | IntArray) -> FloatArray:

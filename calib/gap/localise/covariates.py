@@ -14,7 +14,7 @@ from calib.gap.inference.noise import Noise
 from calib.gap.localise.result import CovariateResult
 from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 #: with fewer known values nothing is asked of a covariate
 MIN_RUNS: Final = 6
@@ -129,7 +129,7 @@ class _Dependence:
     def of(values: FloatArray | StrArray, y: FloatArray) -> _Dependence | None:
         if values.dtype.kind == "f":
             on = np.isfinite(y) & np.isfinite(values)
-            x = np.asarray(values[on], dtype=np.float64)
+            x = floats(values[on])
             if on.sum() < MIN_RUNS or np.ptp(x) <= 1e-9 * max(float(np.abs(x).max()), 1e-9):
                 return None
             return _Dependence(on, y[on], (x - x.mean()) / np.std(x), None)

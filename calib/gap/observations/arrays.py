@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.campaign.settings import OdometryModel
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
@@ -254,7 +254,7 @@ class Observations:
 
     def total(self, steps: ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each observation, shape (n_obs,)."""
-        summed: FloatArray = np.add.reduceat(np.asarray(steps, dtype=np.float64), self.starts[:-1])
+        summed: FloatArray = np.add.reduceat(floats(steps), self.starts[:-1])
         return summed
 
     def cumulative(self, steps: FloatArray) -> FloatArray:

@@ -42,12 +42,8 @@ FRAME: Final = "start"
 PATHS: Final = ("measured", "simulated", "corrected")
 NUMBERS: Final = ("gap", "gap_corrected", "noise")
 INFO: Final = 20
-PATH_TYPE, POSE_TYPE, NUMBER_TYPE, LOG_TYPE = (
-    "nav_msgs/msg/Path",
-    "geometry_msgs/msg/PoseStamped",
-    "std_msgs/msg/Float64",
-    "rcl_interfaces/msg/Log",
-)
+PATH_TYPE, POSE_TYPE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+NUMBER_TYPE, LOG_TYPE = "std_msgs/msg/Float64", "rcl_interfaces/msg/Log"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

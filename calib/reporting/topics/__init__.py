@@ -13,23 +13,11 @@ __all__ = ["PAGES", "sections_of"]
 
 #: ``module:function`` of this folder, in the order of the report; each function is ``(source) -> Section | None``
 PAGES: Final = (
-    "fit:result_section",
-    "conditions:item_section",
-    "conditions:method_section",
-    "conditions:conditions_section",
-    "conditions:preparation_section",
-    "runs:runs_section",
-    "law:regression_section",
-    "runs:deviation_section",
-    "fit:residuals_section",
-    "law:coefficients_section",
-    "law:budget_section",
-    "fit:diagnosis_section",
-    "fit:decision_section",
-    "conditions:limits_section",
-    "conditions:files_section",
-    "conditions:missing_section",
-)
+    "fit:result_section", "conditions:item_section", "conditions:method_section", "conditions:conditions_section",
+    "conditions:preparation_section", "runs:runs_section", "law:regression_section", "runs:deviation_section",
+    "fit:residuals_section", "law:coefficients_section", "law:budget_section", "fit:diagnosis_section",
+    "fit:decision_section", "conditions:limits_section", "conditions:files_section", "conditions:missing_section",
+)  # fmt: skip
 
 
 def sections_of(source: Source) -> tuple[Section, ...]:

@@ -12,20 +12,7 @@ from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.reporting import blocks
-from calib.reporting.blocks import (
-    Block,
-    Facts,
-    Heading,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    items,
-    picture,
-    simulated_notice,
-    table,
-)
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.gap import (
@@ -36,7 +23,7 @@ from calib.reporting.topics.gap import (
     limit_blocks,
     where_blocks,
 )
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 if TYPE_CHECKING:
     from calib.gap.plan.identifiability import Outlook
@@ -193,7 +180,7 @@ def before_after_picture(gap: GapArrays | None) -> list[Picture]:
 
 
 def _known(values: FloatArray) -> FloatArray:
-    return np.asarray(values[np.isfinite(values)], dtype=np.float64)
+    return floats(values[np.isfinite(values)])
 
 
 def diagnosis_brief(diagnosis: Diagnosis) -> tuple[Block, ...]:
@@ -288,10 +275,10 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
     )
     silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
     elsewhere = items(f"{entry.effect.id}: from {entry.origin}" for entry in entries if entry.origin != LIBRARY)
-    blocks: list[Block] = [catalogue]
-    blocks += [Text(f"Without a form on {runs}:"), *silent] if silent else []
-    blocks += [Text("Not from the library:"), *elsewhere] if elsewhere else []
-    return tuple(blocks)
+    content: list[Block] = [catalogue]
+    content += [Text(f"Without a form on {runs}:"), *silent] if silent else []
+    content += [Text("Not from the library:"), *elsewhere] if elsewhere else []
+    return tuple(content)
 
 
 def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
@@ -305,11 +292,11 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
         "Beyond plausible, suspect": effect.implausible,
         "Shifts": ", ".join(effect.shifts),
     }
-    known = Facts(tuple((name, value) for name, value in facts.items() if value))
+    known = blocks.Facts(tuple((name, value) for name, value in facts.items() if value))
     doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
-    blocks: list[Block] = [Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
+    content: list[Block] = [blocks.Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
     if entry.signature is None:
-        return (*blocks, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
+        return (*content, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
     rows = [
         (
@@ -321,7 +308,7 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     ]
     label = f" ({form.label})" if form.label else ""
     sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
-    return (*blocks, sizes, *_signature(entry, runs))
+    return (*content, sizes, *_signature(entry, runs))
 
 
 def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:

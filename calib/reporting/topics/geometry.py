@@ -14,16 +14,10 @@ from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table
 from calib.reporting.formatting import capital, places, plural, prose
 
 _ROUTE: Final = (
-    "<route",
-    "n",
-    "before | position (mm)",
-    "before | heading (mrad)",
-    "after | position (mm)",
-    "after | heading (mrad)",
-    "mean residual | along (mm)",
-    "mean residual | across (mm)",
+    "<route", "n", "before | position (mm)", "before | heading (mrad)", "after | position (mm)",
+    "after | heading (mrad)", "mean residual | along (mm)", "mean residual | across (mm)",
     "mean residual | heading (mrad)",
-)
+)  # fmt: skip
 
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
@@ -108,14 +102,8 @@ def _cells(estimate: Estimate) -> tuple[str, ...]:
     digits = places(estimate.std)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
-    return (
-        estimate.name,
-        f"{estimate.nominal:.6g}",
-        f"{estimate.value:.{digits}f}",
-        f"{estimate.std:.2g}",
-        f"{low} to {high}",
-        change,
-    )
+    value = f"{estimate.value:.{digits}f}"
+    return (estimate.name, f"{estimate.nominal:.6g}", value, f"{estimate.std:.2g}", f"{low} to {high}", change)
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
-from calib.types import FloatArray
+from calib.types import FloatArray, floats
 
 if TYPE_CHECKING:
     from calib.reporting.source import Source
@@ -146,7 +146,7 @@ def _round_loads(low: float, high: float) -> FloatArray:
     for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
         first, last = np.ceil(low / step), np.floor(high / step)
         if 3 <= last - first + 1 <= 9:
-            return np.asarray(step * np.arange(first, last + 1), dtype=np.float64)
+            return floats(step * np.arange(first, last + 1))
     return np.unique(np.array([low, 0.5 * (low + high), high]))
 
 

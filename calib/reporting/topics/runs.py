@@ -11,19 +11,7 @@ import numpy as np
 from calib.campaign.checks.design import listed
 from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
-from calib.reporting.blocks import (
-    Block,
-    Facts,
-    Heading,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    items,
-    picture,
-    table,
-)
+from calib.reporting.blocks import Block, Facts, Heading, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
@@ -125,13 +113,13 @@ def runs_section(source: Source) -> Section:
     """Return the runs used, and those not used with the reason."""
     fit, radii = source.fit, source.fit.radii
     sessions = plural(len(set(radii.session.tolist())), "session")
-    blocks = (
+    content = (
         Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
         runs_picture(fit),
         runs_table(fit) if len(radii) <= MOST_ROWS else sessions_table(fit),
         left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
     )
-    return Section("Runs", (*blocks, *([static_table(fit)] if fit.static else [])))
+    return Section("Runs", (*content, *([static_table(fit)] if fit.static else [])))
 
 
 def runs_picture(fit: Fit) -> Picture:
@@ -168,7 +156,7 @@ def deviation_section(source: Source) -> Section:
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     paths = np.array((radii.path_left, radii.path_right))
     worst = 1e6 * float(np.abs(paths).max())
-    blocks: list[Block] = [
+    content: list[Block] = [
         Text(
             "The rangefinder sees the straight distance, the wheels roll along the path. A weave of amplitude A and "
             "wavelength λ makes the path longer by about (πA/λ)², a turn makes one wheel's path longer and the other's "
@@ -189,7 +177,7 @@ def deviation_section(source: Source) -> Section:
                 *(fixed(float(value), 0) for value in 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))),
             )
         )
-    blocks.append(
+    content.append(
         table(
             "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections.",
             ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)"),
@@ -200,14 +188,14 @@ def deviation_section(source: Source) -> Section:
         off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
         wavelength = _median(radii.wavelength_m[known])
         allowed = 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength))
-        blocks.append(
+        content.append(
             Text(
                 f"Without the correction, {plural(off, 'run') if off else 'no run'} would show a radius more than "
                 f"{1e6 * TOLERANCE:.0f} ppm off. A weave of the median wavelength of {wavelength:.1f} m stays within "
                 f"that up to an amplitude of {allowed:.0f} mm."
             )
         )
-    return Section("Path deviation", tuple(blocks))
+    return Section("Path deviation", tuple(content))
 
 
 def _median(values: FloatArray) -> float:
@@ -239,14 +227,14 @@ MAX_SIMILAR: Final = 8
 
 def check_content(report: CheckReport) -> tuple[Block, ...]:
     """Return the findings of a check, and its verdict."""
-    blocks: list[Block] = [
+    content: list[Block] = [
         Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
         Facts(tuple(_facts(report))),
     ]
     for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
-            blocks += [Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
-    return (*blocks, _verdict(report))
+            content += [Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
+    return (*content, _verdict(report))
 
 
 def _facts(report: CheckReport) -> list[tuple[str, str]]:
