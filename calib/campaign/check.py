@@ -147,46 +147,19 @@ _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature
 #: Looks at a campaign and yields what it finds.
 Check = Callable[[Campaign], Iterator[Note]]
 
+_IN_ORDER: Final[tuple[Check, ...]] = (
+    design.assumed_values, measurements.missing_values, measurements.distance_span,
+    measurements.distance_against_log, poses.distance_against_pose, counts.reversed_wheels, counts.count_scale,
+    counts.counts_against_log, settings.late_logs, settings.counts_per_revolution, settings.log_clock,
+    settings.heading_turns, settings.pose_resolution, settings.rounded_values, settings.shifted_sessions,
+    counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps, counts.log_speed,
+    design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
+    measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
+    poses.stated_uncertainties, poses.track_against_bows, design.load_and_session, design.few_loads,
+    model_against_vehicle, implausible,
+)  # fmt: skip
 #: name of a check -> function, in the order of the report
-CHECKS: Final[dict[str, Check]] = {
-    check.__name__: check
-    for check in (
-        design.assumed_values,
-        measurements.missing_values,
-        measurements.distance_span,
-        measurements.distance_against_log,
-        poses.distance_against_pose,
-        counts.reversed_wheels,
-        counts.count_scale,
-        counts.counts_against_log,
-        settings.late_logs,
-        settings.counts_per_revolution,
-        settings.log_clock,
-        settings.heading_turns,
-        settings.pose_resolution,
-        settings.rounded_values,
-        settings.shifted_sessions,
-        counts.swapped_wheels,
-        counts.turn_direction,
-        counts.clock,
-        counts.count_jumps,
-        counts.log_speed,
-        design.far_from_repeats,
-        design.pasted_rows,
-        measurements.wheel_loads,
-        measurements.loads_against_payload,
-        measurements.reference_load,
-        poses.mirrored_ends,
-        poses.turned_frame,
-        poses.bearing_of_ends,
-        poses.stated_uncertainties,
-        poses.track_against_bows,
-        design.load_and_session,
-        design.few_loads,
-        model_against_vehicle,
-        implausible,
-    )  # fmt: skip
-}
+CHECKS: Final[dict[str, Check]] = {check.__name__: check for check in _IN_ORDER}
 
 
 @dataclass(frozen=True, slots=True)

@@ -241,9 +241,7 @@ def _words(name: str) -> tuple[str, ...]:
     """Return the words of a column name without its unit, in any order, long and in lower case."""
     stem, _ = split_suffix(re.sub(r"[\s\-.]+", "_", name.strip()))
     words = re.split(r"_+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem).lower())
-    return tuple(
-        sorted(_WORDS.get(word, word) for word in words if word and word not in _BESIDE and word not in SUFFIXES)
-    )
+    return tuple(sorted(_WORDS.get(one, one) for one in words if one and one not in _BESIDE and one not in SUFFIXES))
 
 
 def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:

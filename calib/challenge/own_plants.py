@@ -279,39 +279,35 @@ def signal_of(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | N
 
 
 def _sized(
-    candidate: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
+    given: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
 ) -> tuple[list[Plant], str]:
-    """Return a candidate at each size, and why it is at none."""
-    level = candidate.effect not in (*CALIBRATION, *STEERED)
+    """Return a given at each size, and why it is at none."""
+    level = given.effect not in (*CALIBRATION, *STEERED)
     free = absorbed if level else None
 
     def change(size: float) -> FloatArray:
-        return replay.change(lambda world: candidate.act(world, size), level=level)
+        return replay.change(lambda world: given.act(world, size), level=level)
 
-    small = change(candidate.typical)
+    small = change(given.typical)
     whole, left = signal_of(diagnosis, small, None), signal_of(diagnosis, small, free)
     if not left > ABSORBED * whole:
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
     for size in sizes:
         # an outside cause has no unit of its own that a size could be in
-        if candidate.outside and size.scale != "s":
+        if given.outside and size.scale != "s":
             continue
-        value = {"s": candidate.typical * size.value / left, "x": candidate.typical * size.value}.get(
-            size.scale, size.value
-        )
+        value = {"s": given.typical * size.value / left, "x": given.typical * size.value}.get(size.scale, size.value)
         for _ in range(3 if size.scale == "s" else 0):
             reached = signal_of(diagnosis, change(value), free)
-            square = candidate.effect == "beam_misalignment"
+            square = given.effect == "beam_misalignment"
             value *= (size.value / max(reached, 1e-9)) ** (0.5 if square else 1.0)
         value = float(f"{value:.4g}")
-        signs = (1.0,) if candidate.effect in ONE_SIGN else (1.0, -1.0)
+        signs = (1.0,) if given.effect in ONE_SIGN else (1.0, -1.0)
         changes = tuple(change(sign * value) for sign in signs)
         moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
         if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
         reached = signal_of(diagnosis, changes[0], free)
-        plants.append(
-            Plant(candidate.effect, candidate.form, candidate.outside, value, candidate.unit, reached, changes)
-        )
+        plants.append(Plant(given.effect, given.form, given.outside, value, given.unit, reached, changes))
     return plants, "" if plants else "a size that shows would have to be out of all proportion"

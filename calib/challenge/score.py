@@ -191,9 +191,7 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         "both of a pair": share([case.right for case in _of(cases, "pair")]),
         "both of a pair, or its group": share([case.in_group for case in _of(cases, "pair")]),
         "crowded: effects at signal >= 20 named": share([hit for case in cases for hit in case.strong]),
-        "crowded: named causes that are true": share(
-            [true for case in _of(cases, "crowded") for _, true in case.statements]
-        ),
+        "crowded: named causes that are true": share([true for c in _of(cases, "crowded") for _, true in c.statements]),
         "exact aliases named": share([case.right for case in _of(cases, "alias")]),
         "wrong fixes": share([case.wrong_fix for case in cases]),
         "fixes that made the fresh campaign worse": share([bool(case.harmful) for case in tried]),
@@ -278,9 +276,7 @@ def _summary(cases: list[Judged]) -> dict[str, object]:
     hits: dict[str, list[bool]] = {}
     for name, truth, low, high in intervals:
         hits.setdefault(name, []).append(low <= truth <= high)
-    both = [
-        (case.predicted, case.achieved) for case in cases if case.predicted is not None and case.achieved is not None
-    ]
+    both = [(one.predicted, one.achieved) for one in cases if one.predicted is not None and one.achieved is not None]
     explained = [case.predicted for case in cases if case.verdict == "explained" and case.predicted is not None]
     crowded = [statement for case in _of(cases, "crowded") for statement in case.statements]
     stated_minus_true = float(np.mean([p - hit for p, hit in crowded])) if crowded else None

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Place, arg, opt
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -35,8 +35,8 @@ def ingest(
     sources: Annotated[
         list[Path], arg(None, "Run table first, where there is one; then logs, recordings or folders of them.")
     ],
-    into: Annotated[Path | None, opt("CAMPAIGN", "Campaign folder to make.")] = None,
-    mapping: Annotated[Path | None, opt("FILE", "TOML that names the columns.")] = None,
+    into: Annotated[Place, opt("CAMPAIGN", "Campaign folder to make.")] = None,
+    mapping: Annotated[Place, opt("FILE", "TOML that names the columns.")] = None,
     describe: Annotated[bool, opt(None, "Describe the files and propose a mapping, as TOML.", "--describe")] = False,
     dry_run: Annotated[bool, opt(None, "Do everything but write.", "--dry-run")] = False,
 ) -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Place, arg, opt
 from calib.documents import plain
 from calib.errors import BadInputError
 
 Folder = Annotated[Path, arg("DIR", "A set made by 'calib challenge make'.")]
 Cases = Annotated[int | None, opt("N", "Only so many cases.", "--cases", min=1)]
-Truth = Annotated[Path | None, opt("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
+Truth = Annotated[Place, opt("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
 
 
 def make(
@@ -62,7 +62,7 @@ def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed
 def score(
     folder: Folder,
     truth: Truth = None,
-    plot: Annotated[Path | None, opt("FILE", "PNG, SVG or PDF; the confusion matrix goes beside it.")] = None,
+    plot: Annotated[Place, opt("FILE", "PNG, SVG or PDF; the confusion matrix goes beside it.")] = None,
 ) -> int:
     """Open the truth once, check its hash, and score the verdicts. Exit status 1 where a target is missed.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Place, Texts, arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -19,24 +19,20 @@ if TYPE_CHECKING:
 
 
 RESULT_FILE = "diagnosis.json"
-Simulator = Annotated[
-    Path | None, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
-]
+Simulator = Annotated[Place, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")]
 Workers = Annotated[int, opt("N", "Runs of the simulator at once.", "--workers", min=1)]
 
 
 def run(
     campaign: terminal.CampaignOrRecording,
-    model: Annotated[Path | None, opt("FILE", "Coefficient file that the simulator believes.")] = None,
-    exclude: Annotated[list[str] | None, opt("EFFECT", "Leave an effect out of the library; again for more.")] = None,
+    model: Annotated[Place, opt("FILE", "Coefficient file that the simulator believes.")] = None,
+    exclude: Annotated[Texts, opt("EFFECT", "Leave an effect out of the library; again for more.")] = None,
     seed: terminal.Seed = 0,
-    apply: Annotated[
-        Path | None, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")
-    ] = None,
+    apply: Annotated[Place, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")] = None,
     figures: terminal.Figures = None,
-    html: Annotated[Path | None, opt("FILE", "Write one page to look into, with linked panels.")] = None,
-    into: Annotated[Path | None, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
-    journeys: Annotated[Path | None, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
+    html: Annotated[Place, opt("FILE", "Write one page to look into, with linked panels.")] = None,
+    into: Annotated[Place, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
+    journeys: Annotated[Place, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
     simulator: Simulator = None,
     workers: Workers = 1,
     mapping: terminal.MappingOption = None,
@@ -166,7 +162,7 @@ DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 def effects(
     effect: Annotated[str | None, arg("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
-        Path | None, opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too.")
+        Place, opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too.")
     ] = None,
     figures: terminal.Figures = None,
 ) -> None:
@@ -221,15 +217,11 @@ MATRIX = "plan-matrix"
 
 def plan(
     campaign: Annotated[Path | None, arg("[CAMPAIGN]", "Campaign that was driven.")] = None,
-    source: Annotated[
-        Path | None, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")
-    ] = None,
-    candidates: Annotated[
-        Path | None, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")
-    ] = None,
+    source: Annotated[Place, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")] = None,
+    candidates: Annotated[Place, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")] = None,
     most: Annotated[int, opt(None, "How many runs to name.", min=1, max=50)] = 5,
     seed: terminal.Seed = 0,
-    figures: Annotated[Path | None, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
+    figures: Annotated[Place, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
 ) -> int:
     """List the runs to drive next, best first, with what each tells apart.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Place, Texts, arg, opt
 from calib.coefficients.formats import FORMATS
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 Loads = Annotated[
-    list[str] | None, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
+    Texts, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
 ]
 Controllers = Annotated[
     list[str] | None,
@@ -34,10 +34,10 @@ VelocityFeedback = Annotated[
 OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
 Output = Annotated[
-    Path | None, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
+    Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
 Outside = Annotated[str | None, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
-Model = Annotated[Path | None, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
+Model = Annotated[Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
 Left = Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
 Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
 
@@ -125,13 +125,11 @@ def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[st
 def report(
     source: Annotated[Path, arg("CAMPAIGN|RESULT", "Campaign folder, or result folder of calib fit, or its fit.json.")],
     into: Annotated[
-        Path | None, opt("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
+        Place, opt("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
     ] = None,
     date: terminal.Date = None,
     figures: terminal.Figures = None,
-    html: Annotated[
-        Path | None, opt("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")
-    ] = None,
+    html: Annotated[Place, opt("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")] = None,
     diagnosis: Annotated[
         bool, opt(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
     ] = False,

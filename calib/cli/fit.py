@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Number, Place, Texts, arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def fit(
     campaign: terminal.CampaignOrRecording,
-    into: Annotated[Path | None, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
+    into: Annotated[Place, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
     reference_load: Annotated[
         float | None,
         opt("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
@@ -102,10 +102,10 @@ RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
 def geometry(
     campaign: terminal.CampaignOrRecording,
     using: Annotated[str | None, opt("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
-    kind: Annotated[list[str] | None, opt("KIND", "Use runs of this kind alone; may be given again.")] = None,
+    kind: Annotated[Texts, opt("KIND", "Use runs of this kind alone; may be given again.")] = None,
     leave_out: Annotated[str | None, opt("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
-    into: Annotated[Path | None, opt("FOLDER", "Write the result there (geometry.json).")] = None,
-    output: Annotated[Path | None, opt("COEFFICIENTS", "Write a coefficient file.")] = None,
+    into: Annotated[Place, opt("FOLDER", "Write the result there (geometry.json).")] = None,
+    output: Annotated[Place, opt("COEFFICIENTS", "Write a coefficient file.")] = None,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
     accept_implausible: terminal.AcceptImplausible = "",
@@ -170,11 +170,9 @@ def deviation(
     wavelength: Annotated[
         list[float] | None, opt("M", "Wavelength of the weave in the table; may be given again.")
     ] = None,
-    distance: Annotated[float | None, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
-    track: Annotated[float | None, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
-    radius_ratio: Annotated[
-        float | None, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")
-    ] = None,
+    distance: Annotated[Number, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
+    track: Annotated[Number, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
+    radius_ratio: Annotated[Number, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")] = None,
 ) -> int:
     """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
 
@@ -221,20 +219,20 @@ def loads(
     x: Annotated[float, opt("M", "Its centre of mass ahead of the rear axle.")] = 0.0,
     y: Annotated[float, opt("M", "Its centre of mass left of the centre line.")] = 0.0,
     sweep: Annotated[str | None, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
-    first: Annotated[float | None, opt(None, "First value of the sweep.", "--from")] = None,
-    last: Annotated[float | None, opt(None, "Last value of the sweep.", "--to")] = None,
+    first: Annotated[Number, opt(None, "First value of the sweep.", "--from")] = None,
+    last: Annotated[Number, opt(None, "Last value of the sweep.", "--to")] = None,
     steps: Annotated[int, opt(None, "Values of the sweep.")] = 21,
     weighed: Annotated[
         str | None, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
     ] = None,
     sigma: Annotated[float, opt("N", "Standard uncertainty of each weighing.")] = 0.0,
-    vehicle: Annotated[Path | None, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
-    mass: Annotated[float | None, opt("KG", "Mass of the vehicle.")] = None,
-    cog_x: Annotated[float | None, opt("M", "Its centre of mass, ahead of the axle.")] = None,
-    cog_y: Annotated[float | None, opt("M", "Its centre of mass, left positive.")] = None,
-    track: Annotated[float | None, opt("M", "Track.")] = None,
-    wheelbase: Annotated[float | None, opt("M", "Wheelbase.")] = None,
-    max_load: Annotated[float | None, opt("N", "Permissible wheel load.")] = None,
+    vehicle: Annotated[Place, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
+    mass: Annotated[Number, opt("KG", "Mass of the vehicle.")] = None,
+    cog_x: Annotated[Number, opt("M", "Its centre of mass, ahead of the axle.")] = None,
+    cog_y: Annotated[Number, opt("M", "Its centre of mass, left positive.")] = None,
+    track: Annotated[Number, opt("M", "Track.")] = None,
+    wheelbase: Annotated[Number, opt("M", "Wheelbase.")] = None,
+    max_load: Annotated[Number, opt("N", "Permissible wheel load.")] = None,
     figures: terminal.Figures = None,
 ) -> None:
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.

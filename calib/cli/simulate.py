@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import arg, opt
+from calib.cli.terminal import Number, Place, Texts, arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -25,13 +25,11 @@ Routes = Annotated[
         "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
     ),
 ]
-Law = Annotated[
-    Path | None, opt("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")
-]
-Track = Annotated[float | None, opt("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
+Law = Annotated[Place, opt("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")]
+Track = Annotated[Number, opt("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
 Draws = Annotated[int, opt(None, "Draws of the Monte Carlo.", "--draws")]
-Output = Annotated[Path | None, opt("FOLDER", "Write figures and tables there.", "--output")]
-Tum = Annotated[Path | None, opt("FOLDER", "Write trajectories there, TUM format.", "--tum")]
+Output = Annotated[Place, opt("FOLDER", "Write figures and tables there.", "--output")]
+Tum = Annotated[Place, opt("FOLDER", "Write trajectories there, TUM format.", "--tum")]
 Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--speed")]
 
 
@@ -86,7 +84,7 @@ def route(
     ratio: Annotated[str | None, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
     which: Annotated[str, opt(None, "Which wheel --ratio sets off: right, left, both, equal.", "--wheel")] = "right",
     track: Track = None,
-    real_track: Annotated[float | None, opt("M", "Real track, if another.")] = None,
+    real_track: Annotated[Number, opt("M", "Real track, if another.")] = None,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
@@ -140,10 +138,8 @@ def journey(
         ),
     ],
     route: Routes = None,
-    load: Annotated[list[str] | None, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
-    payload: Annotated[
-        list[str] | None, opt("KG,X,Y", "The same from a payload and its place; again for more.")
-    ] = None,
+    load: Annotated[Texts, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
+    payload: Annotated[Texts, opt("KG,X,Y", "The same from a payload and its place; again for more.")] = None,
     payload_at: Annotated[
         list[str] | None,
         opt(
@@ -192,8 +188,8 @@ def journey(
 def study(
     name: Annotated[str, arg("STUDY", "symmetric, asymmetric or corrected.")],
     law: Law = None,
-    load: Annotated[list[str] | None, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
-    route: Annotated[list[str] | None, opt(None, "Another route than the study's; again for more.")] = None,
+    load: Annotated[Texts, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
+    route: Annotated[Texts, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,

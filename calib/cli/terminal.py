@@ -281,6 +281,12 @@ def _write(stream: Any, text: str) -> None:
         stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")
 
 
+#: of options that may be left away
+Place = Path | None
+Number = float | None
+Texts = list[str] | None
+
+
 def opt(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
     """Return an option: how its value is called in the help, the help, and its names where its parameter says no other.
 
@@ -295,11 +301,9 @@ def arg(metavar: str | None, text: str) -> Any:
 
 
 JsonTarget = Annotated[str | None, opt("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")]
-MappingOption = Annotated[
-    Path | None, opt("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")
-]
+MappingOption = Annotated[Place, opt("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")]
 CampaignOrRecording = Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml and runs.csv, or a recording.")]
-Figures = Annotated[Path | None, opt("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
+Figures = Annotated[Place, opt("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
 Date = Annotated[
     str | None, opt("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")
 ]

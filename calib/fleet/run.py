@@ -255,9 +255,7 @@ class Survey:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
-        vehicles = [
-            {"id": record.name, "status": record.status, **record.values, "why": record.why} for record in self.records
-        ]
+        vehicles = [{"id": one.name, "status": one.status, **one.values, "why": one.why} for one in self.records]
         failed = sum(record.status == "failed" for record in self.records)
         fleet = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
         fleet |= {} if self.quantities is None else plain(self.quantities)

@@ -154,11 +154,7 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
     ids = [str(cell) for cell in columns.pop("vehicle")]
     known = {member.vehicle for member in members}
     return {
-        name: {
-            vehicle: str(cell)
-            for vehicle, cell in zip(ids, cells, strict=True)
-            if vehicle in known and cell not in (None, "")
-        }
+        name: {one: str(cell) for one, cell in zip(ids, cells, strict=True) if one in known and cell not in (None, "")}
         for name, cells in columns.items()
     }
 

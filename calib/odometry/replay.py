@@ -166,9 +166,7 @@ def replay(
         errors=errors,
         in_range=in_range,
         rms_m=rms,
-        rms_heading_rad={
-            method: float(np.sqrt(np.mean(errors[method].heading_rad[in_range] ** 2))) for method in METHODS
-        },
+        rms_heading_rad={by: float(np.sqrt(np.mean(errors[by].heading_rad[in_range] ** 2))) for by in METHODS},
         ratio=rms["constant"] / rms["corrected"],
         ratio_ci95=(float(low), float(high)),
         runtime=NOT_FED if by_geometry else runtime_check(chosen, coefficients, runs=runtime_runs),

@@ -63,10 +63,8 @@ class Route:
         """
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
-        pieces = np.ceil(
-            np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0)) - 1e-9
-        )
-        pieces = np.maximum(pieces, 1.0)
+        pieces = np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0))
+        pieces = np.maximum(np.ceil(pieces - 1e-9), 1.0)
         what = f"points along {self.name}, {self.total_m:.4g} m at {spacing_m:g} m each"
         refuse_more(what, float(pieces.sum()), ROUTE_POINTS, "drive a shorter route, or a part of it")
         count = pieces.astype(np.int64)

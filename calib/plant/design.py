@@ -221,7 +221,5 @@ def lacks(design: Design, needs: Iterable[str]) -> list[str]:
         "no_logs": design.log_period_s == 0.0,
     }
     return sorted(
-        need
-        for need in needs
-        if not (need.partition(":")[2] in design.columns if need.startswith("column:") else has[need])
+        one for one in needs if not (one.partition(":")[2] in design.columns if one.startswith("column:") else has[one])
     )

@@ -127,10 +127,8 @@ def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> t
     expected = float(np.mean((noise**2 + known)[measured]))
     observed = float(np.mean((surplus**2)[measured]))
     arcs = observed - expected if observed > expected * (1 + 3 * np.sqrt(2 / measured.sum())) else 0.0
-    unknown_rad2 = arcs + known
-    reliability = np.where(
-        measured & (unknown_rad2 > 0), unknown_rad2 / np.maximum(unknown_rad2 + noise**2, 1e-300), 0.0
-    )
+    unknown = arcs + known
+    reliability = np.where(measured & (unknown > 0), unknown / np.maximum(unknown + noise**2, 1e-300), 0.0)
     return reliability * surplus, reliability
 
 

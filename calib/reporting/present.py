@@ -84,9 +84,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Drawings:
     from calib.reporting.figures.gap import gap_figures
 
     figures = gap_figures(diagnosis)
-    return {
-        name: partial(figures.__getitem__, name) for name in sorted(figures, key=lambda name: name != "before-after")
-    }
+    return {name: partial(figures.__getitem__, name) for name in sorted(figures, key=lambda one: one != "before-after")}
 
 
 def _plan(plan: Plan) -> Drawings:
@@ -188,9 +186,7 @@ def next_step(step: str, **names: str | Path | Iterable[Path]) -> str:
     """
     campaign = Path(str(names.get("c", "")))
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
-    quoted = {
-        name: shlex.join(map(str, [value] if isinstance(value, str | Path) else value)) for name, value in names.items()
-    }
+    quoted = {name: shlex.join(map(str, [one] if isinstance(one, str | Path) else one)) for name, one in names.items()}
     return "Next: " + STEPS[step].format(**quoted)
 
 

@@ -151,9 +151,7 @@ def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
         document = json.loads(file.read_text(encoding="utf-8"))
         if document["campaign"] != name:
             return None
-        doubt = doubtful_causes(
-            (str(cause["effect"]), float(cause["probability"])) for cause in document.get("causes", ())
-        )
+        doubt = doubtful_causes((str(one["effect"]), float(one["probability"])) for one in document.get("causes", ()))
         return VerdictKind(document["verdict"]), f"{document['sentence']} {doubt}".strip()
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadFileError(file, f"{type(error).__name__}", "what calib diagnose --into wrote", "remove it") from error

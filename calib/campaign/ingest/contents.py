@@ -153,9 +153,7 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
         layout, raw = _as_read(path, shown, layout)
     evidence = comma_evidence(list(raw.columns.values()))
     columns = tuple(_column_contents(name, raw, shown, evidence) for name in raw.columns)
-    remarks = [
-        note.text if note.where == shown else f"{note.where.partition(', ')[2]}: {note.text}" for note in raw.notes
-    ]
+    remarks = [one.text if one.where == shown else f"{one.where.partition(', ')[2]}: {one.text}" for one in raw.notes]
     turned = layout.runs_in_columns
     if turned:
         remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")

@@ -176,9 +176,7 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
     """Undo overflows of the counters that are not in the wheels' stream, before they are interpolated."""
-    counters = {
-        line.column for name, line in lines.items() if name.startswith("counts_") and line.wheel_unit == "counts"
-    }
+    counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:
         columns = dict(stream.columns)

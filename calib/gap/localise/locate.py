@@ -134,9 +134,7 @@ def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
     stands = np.maximum.accumulate(stepped) <= FALSE_FINDING_PROBABILITY
-    return tuple(
-        replace(line, significant=bool(significant)) for line, significant in zip(ordered, stands, strict=True)
-    )
+    return tuple(replace(one, significant=bool(significant)) for one, significant in zip(ordered, stands, strict=True))
 
 
 def find_places(

@@ -102,9 +102,7 @@ def _reliability(axes: Axes, score: Score) -> None:
 
 def _closure(axes: Axes, score: Score) -> None:
     pairs = [
-        (case.predicted, case.achieved)
-        for case in score.cases
-        if case.predicted is not None and case.achieved is not None
+        (one.predicted, one.achieved) for one in score.cases if one.predicted is not None and one.achieved is not None
     ]
     axes.set_title("Closure")
     if pairs:

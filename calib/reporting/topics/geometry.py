@@ -63,9 +63,7 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
         if of.before:
             sizes = (of.before, of.after, of.held_out, of.expected)
-            before, after, held_out, noise = (
-                f"{1e3 * size:{'.3g' if size < 1.0 else '.0f'}} m{unit}" for size in sizes
-            )
+            before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in geometry.why)]
 

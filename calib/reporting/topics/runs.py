@@ -368,7 +368,5 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
     ]
     mark = " SIMULATED DATA." if simulated else ""
     notes = [*judged.notes, *(f"Not used: {run.run_id} {run.reason}" for run in judged.left_out)]
-    errors = table(
-        f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows
-    )
-    return (errors, *items(map(prose, notes)), Text(prose(judged.summary)))
+    found = table(f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows)
+    return (found, *items(map(prose, notes)), Text(prose(judged.summary)))
