@@ -329,8 +329,7 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
     if replay.observations.windowed:
         # a window begins in motion: its start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
-        x_late = x_late + world.latency_s * v
-        theta_late = theta_late + world.latency_s * omega
+        x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
     lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
     cos, sin = np.cos(theta_late), np.sin(theta_late)
     seen_x = x_late + cos * lever_x - sin * lever_y - lever_x

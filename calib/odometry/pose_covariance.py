@@ -84,8 +84,7 @@ def jacobian(
     The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
-    offset_left = floats(load_offset_left_N)
-    offset_right = floats(load_offset_right_N)
+    offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
     track = path.track_m
     # by radius and slope of either wheel, and by the track: along the path, and in heading
     parts = [

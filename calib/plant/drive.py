@@ -269,8 +269,7 @@ class _Runs:
         rolled = 0.5 * (rolled_left + rolled_right)
         step = rolled - self.rolled_m
         middle = 0.5 * (self.odo_theta + theta)
-        self.odo_x = self.odo_x + step * np.cos(middle)
-        self.odo_y = self.odo_y + step * np.sin(middle)
+        self.odo_x, self.odo_y = self.odo_x + step * np.cos(middle), self.odo_y + step * np.sin(middle)
         self.odo_s = self.odo_s + step
         self.progress_m += step * self.ahead / self.bend
         self.rolled_m, self.odo_theta = rolled, theta

@@ -125,8 +125,7 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
 def recalibration(world: World, record: Record) -> FloatArray:
     """Return what changes of the two radii and of the track do to `outputs`, shape (n_runs, 6, 3)."""
     levers, track = _levers(record), world.model.track_m
-    left = levers.way - 0.5 * track * levers.turned
-    right = levers.way + 0.5 * track * levers.turned
+    left, right = levers.way - 0.5 * track * levers.turned, levers.way + 0.5 * track * levers.turned
 
     def to(path: FloatArray, turn: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn))

@@ -243,8 +243,7 @@ class World:
         x_m, y_m = design.payload_x_m + self.payload_dx_m, design.payload_y_m + self.payload_dy_m
         self.load_left_N, self.load_right_N = wheel_loads(design.vehicle, payload_kg, x_m, y_m)
         left_after, right_after = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
-        self.left = self.left * left_after / left_before
-        self.right = self.right * right_after / right_before
+        self.left, self.right = self.left * left_after / left_before, self.right * right_after / right_before
 
 
 def standardised(values: FloatArray) -> FloatArray:

@@ -33,8 +33,7 @@ def render(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...
     sides = {"left": file.law.left, "right": file.law.right}
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]
     if not pairs:
-        low = min(law.load_min_N for law in sides.values())
-        high = max(law.load_max_N for law in sides.values())
+        low, high = min(law.load_min_N for law in sides.values()), max(law.load_max_N for law in sides.values())
         # the ends as they are valid, rounded between them
         between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]

@@ -253,8 +253,7 @@ def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, Int
         if not np.allclose(bend, np.abs(turned - turned[0]), atol=0.1):
             trend.append(bend)
     basis, _ = np.linalg.qr(np.stack(trend, axis=1))
-    ramp = ramp - (ramp @ basis) @ basis.T
-    gaps = gaps - (gaps @ basis) @ basis.T
+    ramp, gaps = ramp - (ramp @ basis) @ basis.T, gaps - (gaps @ basis) @ basis.T
     norm = (ramp**2).sum(axis=1)
     ok = norm > MIN_STRETCH_NORM * len(grid)
     return gaps @ ramp[ok].T / norm[ok], norm[ok], starts[ok], ends[ok]
