@@ -182,13 +182,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         recommended=recommended,
         wrong_fix=recommended and bool(sure or not effects),
         harmful=bool(after > before) if recommended and before is not None and after is not None else None,
-        statements=()
-        if recipe.group == "alias"
-        else tuple(
-            (float(c["probability"]), str(c.get("effect", "")) in effects)
-            for c in causes
-            if c.get("probability") is not None
-        ),
+        statements=() if recipe.group == "alias" else _stated(causes, effects),
         intervals=tuple(compare(truth, given)),
         predicted=(given.get("closure") or {}).get("fraction"),
         achieved=tried.get("fraction"),
@@ -199,6 +193,12 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         ceiling=truth.ceiling,
         own_ceiling=truth.own_ceiling,
     )
+
+
+def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tuple[tuple[float, bool], ...]:
+    """Return the probability of each cause that has one, and whether it is at work."""
+    stated = [cause for cause in causes if cause.get("probability") is not None]
+    return tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated)
 
 
 def _family(effect: str) -> str:
