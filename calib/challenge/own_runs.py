@@ -264,9 +264,8 @@ def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
     readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
     # the logs are in the observations already; without them a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
-    return _Bench(
-        light, observations, readings, own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
-    )
+    noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
+    return _Bench(light, observations, readings, noise)
 
 
 def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_units: int) -> Iterator[_Job]:

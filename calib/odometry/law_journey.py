@@ -294,9 +294,8 @@ def sweep_loads(
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):
-        raise BadInputError(
-            f"sweep: found {swept!r} in {steps} steps; expected {', '.join(SWEPT)} in 2 to {SWEEP_VALUES} steps"
-        )
+        expected = f"{', '.join(SWEPT)} in 2 to {SWEEP_VALUES} steps"
+        raise BadInputError(f"sweep: found {swept!r} in {steps} steps; expected {expected}")
     count = steps if swept else 1
     columns = {name: np.full(count, value) for name, value in values.items()}
     if swept:

@@ -133,9 +133,8 @@ def simulate(
     if known is None and study != CUSTOM:
         raise BadInputError(f"study: found {study!r}; expected {', '.join(STUDIES)} or {CUSTOM}; choose one of them")
     names = tuple(routes) or (known.routes if known else ("paper_route",))
-    chosen = tuple(cases) or (
-        tuple(Case.off(which, ratio) for which in known.which for ratio in known.ratios) if known else ()
-    )
+    usual = [Case.off(which, ratio) for which in known.which for ratio in known.ratios] if known else []
+    chosen = tuple(cases) or tuple(usual)
     if not chosen and under is None:
         raise BadInputError("custom study: found no radii; expected cases or a law; give one of them")
     figures = known.figures if known and not routes else tuple(f"route{k + 1}" for k in range(len(names)))

@@ -130,9 +130,8 @@ def recalibration(world: World, record: Record) -> FloatArray:
     def to(path: FloatArray, turn: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn))
 
-    return np.stack(
-        [to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -levers.turned)], axis=-1
-    )
+    parts = (to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -levers.turned))
+    return np.stack(parts, axis=-1)
 
 
 def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:

@@ -245,14 +245,12 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
         columns = [np.ones((n, m)), u, gain * co, gain * si]
         if number:
             columns.append(gain * 2 * np.pi * x * (wave[1, :, None] * co - wave[0, :, None] * si))
-        step = _solve(
-            np.stack(columns, axis=-1), heading_rad - line[0, :, None] - line[1, :, None] * u - np.arctan(slope)
-        )
+        wanted = heading_rad - line[0, :, None] - line[1, :, None] * u - np.arctan(slope)
+        step = _solve(np.stack(columns, axis=-1), wanted)
         line, wave = line + step[:2], wave + step[2:4]
         if number:
-            periods = np.clip(
-                periods + np.clip(step[4], -MAX_PERIOD_CHANGE, MAX_PERIOD_CHANGE), MIN_PERIODS / 2, 2 * MAX_PERIODS
-            )
+            changed = periods + np.clip(step[4], -MAX_PERIOD_CHANGE, MAX_PERIOD_CHANGE)
+            periods = np.clip(changed, MIN_PERIODS / 2, 2 * MAX_PERIODS)
         weave = np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
         # the wave keeps its number of periods over the run while the axis it is counted along is refined
         before, x = x[:, -1], _progress(weave)

@@ -171,9 +171,8 @@ class WheelFit:
     def _band(self, load_N: ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
         load = floats(load_N)
         reach = (self.law.load_min_N - self.reference_load_N, self.law.load_max_N - self.reference_load_N)
-        half = self.estimate.band(
-            load - self.reference_load_N, reach, more_within=more_within, more_between=more_between
-        )
+        more = {"more_within": more_within, "more_between": more_between}
+        half = self.estimate.band(load - self.reference_load_N, reach, **more)
         centre = self.law.radius_m(load)
         return centre - half, centre + half
 

@@ -247,8 +247,8 @@ def _cause_panel(verdict: Diagnosis) -> figure:
     causes = verdict.causes[::-1]
     # in words, so that a small share can be read too
     labels = [
-        f"{_with_aliases(cause.effect, verdict)}\n{percent(cause.share)}, probability {percent(cause.probability)}"
-        for cause in causes
+        f"{_with_aliases(one.effect, verdict)}\n{percent(one.share)}, probability {percent(one.probability)}"
+        for one in causes
     ]
     plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))
     plot.hbar(y=labels, right=[cause.share for cause in causes], height=0.4, color=COLOURS[0], alpha=0.7)

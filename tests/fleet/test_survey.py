@@ -12,7 +12,7 @@ from markupsafe import escape
 
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
-from calib.fleet import survey as survey_module
+from calib.fleet import run as survey_module
 from calib.fleet.comparison import VehicleResult, shared_causes
 from calib.fleet.run import survey_fleet
 from calib.fleet.store import Member

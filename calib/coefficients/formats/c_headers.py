@@ -174,9 +174,7 @@ def effects_header(file: CoefficientFile, options: ExportOptions) -> tuple[Artif
         column = section.effect.partition(":")[2]
         at = covariates.index(column) if column else -1
         effects.append(_Effect(section.effect, section.form, section.settings, sizes, reference_N, at))
-    accepted = formats.accepted_lines(file)
-    data = rendered(
-        "c_effects.h.j2", file=file, acting=effects, others=others, accepted=accepted, covariates=covariates
-    )
+    values = {"acting": effects, "others": others, "accepted": formats.accepted_lines(file), "covariates": covariates}
+    data = rendered("c_effects.h.j2", file=file, **values)
     notes = (f"not in the header: {', '.join(others)}",) if others else ()
     return (Artifact(EFFECTS_NAME, data, notes),)

@@ -127,9 +127,8 @@ def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: fl
     vehicle = campaign.vehicle
     route = route_of(run.kind, corridor_m).divided(ROUTE_SPACING_M)
     along_m = route.distance_m()
-    time, driven_m = stop_and_go(
-        np.linspace(0.0, along_m[-1], run.stops + 2), run.speed_mps, read_rolling=run.read_rolling
-    )
+    stops_m = np.linspace(0.0, along_m[-1], run.stops + 2)
+    time, driven_m = stop_and_go(stops_m, run.speed_mps, read_rolling=run.read_rolling)
     poses = route.poses()
     length_m = np.interp(driven_m, along_m, np.append(0.0, np.cumsum(route.length_m)))
     x, y, heading = (np.interp(driven_m, along_m, part) for part in (poses.x_m, poses.y_m, poses.theta_rad))

@@ -13,7 +13,7 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.plan.drive import DEFAULT_CORRIDOR_M, Measured, drive, route_of
-from calib.gap.plan.planned_runs import PlannedRun
+from calib.gap.plan.planned_runs import BENDS, CORRIDORS, SQUARES, PlannedRun
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-plan/1"
@@ -158,14 +158,7 @@ def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileErro
 
 
 #: route and direction of six runs, driven in three sessions under changing conditions
-ROUTES: Final = (
-    ("corridor", "out"),
-    ("corridor", "back"),
-    ("square_cw", ""),
-    ("square_ccw", ""),
-    ("route_left", ""),
-    ("route_right", ""),
-)
+ROUTES: Final = (*CORRIDORS, *SQUARES, *BENDS)
 SESSIONS: Final = ("mon", "tue", "wed")
 #: payload, its place ahead of the axle and left of the middle
 PAYLOADS: Final = ((0.0, 0.0, 0.0), (100.0, 0.3, -0.1), (200.0, 0.2, 0.0), (100.0, 0.3, 0.1))

@@ -17,6 +17,9 @@ from calib.types import FloatArray
 #: numbers that say something at zero too; no stop and a place over the axle's middle need no word
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
 #: routes that end where they begin, heading as they did
+CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
+SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
+BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
 
 
@@ -73,8 +76,7 @@ def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = 
     ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
     payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0)]
     payloads += [(0.5 * most_kg, ahead, aside), (0.5 * most_kg, ahead, -aside)]
-    routes = [("corridor", "out"), ("corridor", "back"), ("square_cw", ""), ("square_ccw", ""), ("figure8", "")]
-    routes += [("route_left", ""), ("route_right", "")]
+    routes = (*CORRIDORS, *SQUARES, ("figure8", ""), *BENDS)
     candidates = [
         PlannedRun(
             kind,

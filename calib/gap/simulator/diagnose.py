@@ -79,14 +79,9 @@ def diagnose_simulator(
         )
     measured = observations_of(campaign, whole_runs=True)
     _check_excluded(exclude, measured, settings, campaign)
-    runner = SimulatorRunner(
-        settings,
-        FilePath(campaign.root).resolve(),
-        [str(run) for run in dict.fromkeys(measured.labels["run_id"])],
-        run_cache(settings, campaign.hashes),
-        workers,
-        progress,
-    )
+    place, run_ids = FilePath(campaign.root).resolve(), [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
+    cache = run_cache(settings, campaign.hashes)
+    runner = SimulatorRunner(settings, place, run_ids, cache, workers, progress)
     stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
     differences = differences_of(runner, np.array([values.min() for values in stated]))
     observations = simulated_observations(measured, differences, differences.nominal)

@@ -133,9 +133,7 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
         scatter = np.zeros(4)
     means = [averaged(tables) for tables in sets]
     size = {each.name: step for each, step in zip(settings.parameters, steps, strict=True)}
-    change = {
-        name: difference(table, means[0]) / step for (name, step), table in zip(size.items(), means[1:], strict=True)
-    }
+    change = {name: difference(one, means[0]) / step for (name, step), one in zip(size.items(), means[1:], strict=True)}
     return Differences(tuple(runner.run_ids), means[0], change, size, scatter, repeats, _distance_axis(means))
 
 

@@ -139,12 +139,11 @@ def iterated(
     that leads further from what was measured is halved. `start`: a fix that it was run with; by default the first run
     is where the diagnosis puts the parameters.
     """
-    sizes = {
-        form.effect: float(theta[0]) for form, theta in zip(diagnosis.fitted.forms, diagnosis.fitted.theta, strict=True)
-    }
+    fitted = diagnosis.fitted
+    sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
     named = named_parameters(diagnosis, runner)
     trial = None if start is not None else np.array([sizes[effect] for effect in named])
-    return _followed(diagnosis, diagnosis.fitted, runner, differences, named, start, trial)
+    return _followed(diagnosis, fitted, runner, differences, named, start, trial)
 
 
 def alone(
