@@ -61,8 +61,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     numbers = _numbers(campaign, index, path, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
-    aside = [u.aside_m for u in units if u.aside_m is not None]
-    both_ways = bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
     return Observations(
         vehicle=campaign.vehicle,
         model=model,
@@ -96,14 +94,25 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
-        common_frame=setup.in_map or (campaign.reference.frame is None and both_ways),
+        common_frame=setup.in_map or (campaign.reference.frame is None and _both_ways(campaign)),
         guided=guided,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
         by_shaft=stands_in and campaign.odometry.source == "shaft",
-        aside_m=_end_to_end([np.diff(part) for part in aside]) if aside and len(aside) == len(units) else None,
+        aside_m=_aside(units),
     )
+
+
+def _both_ways(campaign: Campaign) -> bool:
+    """Return whether any run says that it was driven out or back."""
+    return bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
+
+
+def _aside(units: Sequence[Observation]) -> FloatArray | None:
+    """Return the step to the side in each step, shape (n_steps,), where every observation has it."""
+    parts = [u.aside_m for u in units if u.aside_m is not None]
+    return _end_to_end([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
 
 
 def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
