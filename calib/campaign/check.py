@@ -222,10 +222,8 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     if len(kept.runs):
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
-    levels = {
-        level: tuple(dict.fromkeys(note for note in notes if note.level == level))
-        for level in ("wrong", "suspicious", "info")
-    }
+    names = ("wrong", "suspicious", "info")
+    levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
     return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
 
 

@@ -122,10 +122,7 @@ def _settings(campaign: Campaign) -> dict[str, object]:
         "name": campaign.name,
         "simulated": bool(campaign.simulated),
         **({"assumed": list(campaign.assumed)} if campaign.assumed else {}),
-        **{
-            name: _plain(getattr(campaign, name))
-            for name in ("vehicle", "encoder", "model", "rangefinder", "reference")
-        },
+        **{key: _plain(getattr(campaign, key)) for key in ("vehicle", "encoder", "model", "rangefinder", "reference")},
         "encoder": _encoder_keys(campaign.encoder),
     }
     if campaign.odometry.source is not None:
@@ -151,10 +148,8 @@ def _plain(section: Any) -> dict[str, float | str]:
 
 def _encoder_keys(encoder: Encoder) -> dict[str, float | str]:
     """Return the keys of an encoder, whole numbers as such, one key for both wheels where they count alike."""
-    values = {
-        name: int(value) if isinstance(value, float) and value.is_integer() else value
-        for name, value in _plain(encoder).items()
-    }
+    given = _plain(encoder)
+    values = {key: int(x) if isinstance(x, float) and x.is_integer() else x for key, x in given.items()}
     if values["counts_per_rev_left"] == values["counts_per_rev_right"]:
         values = {"counts_per_rev": values.pop("counts_per_rev_left")} | values
         del values["counts_per_rev_right"]

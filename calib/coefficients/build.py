@@ -178,11 +178,9 @@ def _max_step_m(law: RadiusLaw, encoder: Encoder) -> float:
     """Return the longest step between two samples, a quarter of the counter's range: its wrap stays unambiguous."""
     if encoder.wrap_bits is None:
         return MAX_STEP_M
-    per_count_m = (
-        law.left.radius_ref_m / encoder.counts_per_rev_left,
-        law.right.radius_ref_m / encoder.counts_per_rev_right,
-    )
-    return min(MAX_STEP_M, 0.25 * 2.0**encoder.wrap_bits * 2.0 * math.pi * min(per_count_m))
+    left, right = law.left.radius_ref_m, law.right.radius_ref_m
+    per_count_m = min(left / encoder.counts_per_rev_left, right / encoder.counts_per_rev_right)
+    return min(MAX_STEP_M, 0.25 * 2.0**encoder.wrap_bits * 2.0 * math.pi * per_count_m)
 
 
 def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:

@@ -24,15 +24,9 @@ SectionT = TypeVar("SectionT", bound="Section")
 ROUNDING: Final = 1e-9
 #: unit in the file -> suffix of the same number's name in Python
 SUFFIXES: Final = {
-    "m": "_m",
-    "N": "_N",
-    "kg": "_kg",
-    "s": "_s",
-    "m/N": "_m_per_N",
-    "m/s^2": "_mps2",
-    "m/m^0.5": "_m_per_sqrt_m",
-    "rad/m^0.5": "_rad_per_sqrt_m",
-}
+    "m": "_m", "N": "_N", "kg": "_kg", "s": "_s", "m/N": "_m_per_N", "m/s^2": "_mps2",
+    "m/m^0.5": "_m_per_sqrt_m", "rad/m^0.5": "_rad_per_sqrt_m",
+}  # fmt: skip
 
 
 class Section(BaseModel):

@@ -252,11 +252,8 @@ def law_path(
             radius_left_m=real[0],
             radius_right_m=real[1],
         )
-        slopes = jacobian(
-            path,
-            load_offset_left_N=loads[0] - law.left.reference_load_N,
-            load_offset_right_N=loads[1] - law.right.reference_load_N,
-        )
+        above = [load - wheel.reference_load_N for load, wheel in zip(loads, (law.left, law.right), strict=True)]
+        slopes = jacobian(path, load_offset_left_N=above[0], load_offset_right_N=above[1])
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
         random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
         poses = path.poses.from_origin()

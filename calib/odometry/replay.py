@@ -84,10 +84,8 @@ class Replay(Result):
 
         The differences of the runtime are null where no sample could be compared.
         """
-        columns = {
-            name: getattr(self, name)
-            for name in ("run_id", "kind", "load_left_N", "load_right_N", "in_range", "distance_m")
-        }
+        names = ("run_id", "kind", "load_left_N", "load_right_N", "in_range", "distance_m")
+        columns = {name: getattr(self, name) for name in names}
         for method in METHODS:
             for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
                 columns[f"{method}_{name}"] = getattr(self.errors[method], name)
@@ -261,10 +259,8 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
     runs = campaign.runs
     if any(np.isfinite(runs.number(name)).any() for name in ("load_left_N", "load_right_N")):
         return campaign, ()
-    loads = {
-        f"load_{side}_N": np.full(len(runs), wheel.reference_load_N)
-        for side, wheel in (("left", law.left), ("right", law.right))
-    }
+    wheels = {"left": law.left, "right": law.right}
+    loads = {f"load_{side}_N": np.full(len(runs), wheel.reference_load_N) for side, wheel in wheels.items()}
     campaign = replace(campaign, runs=replace(runs, numbers={**runs.numbers, **loads}))
     if without_rear_wheels(campaign):
         return campaign, ()
@@ -273,11 +269,8 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
 
 def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return the loads of the left and the right wheel in each step, shape (n_samples,); see `loads_in_steps`."""
-    logs = campaign.logs
-    left, right = (
-        loads_in_steps(campaign.runs.number(name), logs.columns.get(name), logs.offsets)
-        for name in ("load_left_N", "load_right_N")
-    )
+    runs, logs, names = campaign.runs, campaign.logs, ("load_left_N", "load_right_N")
+    left, right = (loads_in_steps(runs.number(name), logs.columns.get(name), logs.offsets) for name in names)
     return left, right
 
 
@@ -303,10 +296,8 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     aside[offsets[:-1]] = 0.0
     half = 0.5 * (right - left) / model.track_m
     chord = aside * np.sinc(half / np.pi)
-    x, y = (
-        since_start(part, offsets)
-        for part in (-chord * np.sin(poses.theta_rad - half), chord * np.cos(poses.theta_rad - half))
-    )
+    heading = poses.theta_rad - half
+    x, y = since_start(-chord * np.sin(heading), offsets), since_start(chord * np.cos(heading), offsets)
     return Poses(poses.x_m + x, poses.y_m + y, poses.theta_rad), np.hypot(ahead, aside)
 
 

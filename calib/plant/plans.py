@@ -207,9 +207,8 @@ def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) 
 
 def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, Any]) -> Design:
     whole = good_design(rng, n_runs=3 * n_runs, **settings)
-    first = np.unique(
-        np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_)), return_index=True
-    )[1]
+    what = np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_))
+    first = np.unique(what, return_index=True)[1]
     return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))
 
 

@@ -57,10 +57,8 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     runs.
     """
     wheels = {}
-    for wheel, load, radius in (
-        ("left", radii.load_left_N, radii.radius_left_m),
-        ("right", radii.load_right_N, radii.radius_right_m),
-    ):
+    driven = {"left": (radii.load_left_N, radii.radius_left_m), "right": (radii.load_right_N, radii.radius_right_m)}
+    for wheel, (load, radius) in driven.items():
         unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
         wheels[wheel] = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
@@ -126,10 +124,8 @@ def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
     loads = np.append(radii.load_left_N, radii.load_right_N)
     largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
     if reference_load_N > MAX_REFERENCE_RATIO * largest:
-        raise BadInputError(
-            f"reference load: found {reference_load_N:g} N; expected a load near those driven, up to {largest:g} N; "
-            "correct it"
-        )
+        expected = f"a load near those driven, up to {largest:g} N"
+        raise BadInputError(f"reference load: found {reference_load_N:g} N; expected {expected}; correct it")
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
@@ -327,10 +323,8 @@ def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray)
 def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
     """Return the type A lines of the budget: scatter of the runs beyond that of the instruments."""
     instruments = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
-    unexplained = [
-        float(np.sqrt(max(wheel.run_std_m**2 - known**2, 0.0)))
-        for wheel, known in zip((left, right), instruments, strict=True)
-    ]
+    scatter = zip((left.run_std_m, right.run_std_m), instruments, strict=True)
+    unexplained = [float(np.sqrt(max(observed**2 - known**2, 0.0))) for observed, known in scatter]
     what = "scatter of runs within a session beyond the above"
     lines = [Component("other_run_to_run", "A", "t", what, unexplained[0], unexplained[1], left.estimate.dof_within)]
     if left.estimate.dof_between > 0:

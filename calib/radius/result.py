@@ -171,10 +171,8 @@ def _rows(fit: Fit) -> list[Row]:
 
 def _columns(rows: Any) -> dict[str, Any]:
     """Return the arrays of the runs that `_rows` wrote."""
-    return {
-        name: np.array([row[name] for row in rows], dtype=np.str_ if name in _TEXTS else np.float64)
-        for name in _RUN_COLUMNS
-    }
+    types = {name: np.str_ if name in _TEXTS else np.float64 for name in _RUN_COLUMNS}
+    return {name: np.array([row[name] for row in rows], dtype=kind) for name, kind in types.items()}
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:

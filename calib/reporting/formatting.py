@@ -269,11 +269,8 @@ def table_lines(table: Table, width: int) -> list[Line]:
     Where the table is wider than `width` its columns are dealt out to several tables below each other, the first
     column in each.
     """
-    fitted = [
-        _fit(column, [plain(row[number]) for row in table.rows])
-        for number, column in enumerate(table.columns)
-        if not column.detail
-    ]
+    shown = [(number, column) for number, column in enumerate(table.columns) if not column.detail]
+    fitted = [_fit(column, [plain(row[number]) for row in table.rows]) for number, column in shown]
     lines: list[str] = []
     for part in _parts(_with_room_for_groups(fitted), width):
         lines += ["", *_drawn(part, _widths(part, width))]
@@ -341,10 +338,8 @@ def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
 
 def _drawn(part: Sequence[_Fitted], widths: Sequence[int]) -> list[str]:
     groups = [column.head.group for column in part]
-    heads = [
-        textwrap.wrap(column.head.title, width, break_long_words=False)
-        for column, width in zip(part, widths, strict=True)
-    ]
+    titles = [column.head.title for column in part]
+    heads = [textwrap.wrap(title, n, break_long_words=False) for title, n in zip(titles, widths, strict=True)]
     height = max(map(len, heads))
     rows = list(zip(*([""] * (height - len(head)) + head for head in heads), strict=True))
     if any(column.head.unit for column in part):

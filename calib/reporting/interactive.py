@@ -23,23 +23,10 @@ from calib.reporting.panel_data import LABELS, channel_units, covariate_titles, 
 from calib.types import FloatArray
 
 try:
+    from bokeh import models
     from bokeh.embed import components
     from bokeh.layouts import column, row
-    from bokeh.models import (
-        BoxAnnotation,
-        ColumnDataSource,
-        CustomJS,
-        Div,
-        HoverTool,
-        InlineStyleSheet,
-        Label,
-        Model,
-        MultiChoice,
-        Select,
-        Slider,
-        Slope,
-        Whisker,
-    )
+    from bokeh.models import ColumnDataSource, Label, Model, MultiChoice, Select, Slider, Slope, Whisker
     from bokeh.plotting import figure
     from bokeh.resources import Resources
 except ImportError as error:
@@ -118,13 +105,13 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
 
 def _changed(control: Any, script: str, **arguments: Any) -> Any:
     """Return a control that runs a script of the page when its value changes."""
-    control.js_on_change("value", CustomJS(args=arguments, code=_script(script)))
+    control.js_on_change("value", models.CustomJS(args=arguments, code=_script(script)))
     return control
 
 
 def _wrapped(children: list[Any]) -> Model:
     """Return models side by side, in as many rows as the page's width asks for."""
-    sheet = InlineStyleSheet(css=":host { flex-wrap: wrap; gap: 0.6rem; }")
+    sheet = models.InlineStyleSheet(css=":host { flex-wrap: wrap; gap: 0.6rem; }")
     return row(*children, sizing_mode="stretch_width", stylesheets=[sheet])
 
 
@@ -149,7 +136,7 @@ def _figure(title: str, x: str, y: str, **further: Any) -> figure:
 
 def _hover(plot: figure, renderer: Model) -> None:
 
-    plot.add_tools(HoverTool(renderers=[renderer], tooltips=[(name, f"@{name}") for name in LABELS]))
+    plot.add_tools(models.HoverTool(renderers=[renderer], tooltips=[(name, f"@{name}") for name in LABELS]))
 
 
 def _lines(plot: figure, x: str, y: str, source: ColumnDataSource, **style: Any) -> Model:
@@ -225,7 +212,7 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     plot = _figure(
         "Before and after the correction, on held-out runs", f"{first} before ({unit})", f"{first} after ({unit})"
     )
-    band = BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
+    band = models.BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
     # inside the frame: what stands below it shortens every panel
     corner = {"x": 6, "y": 6, "x_units": "screen", "y_units": "screen", "text_font_size": "11px"}
@@ -275,7 +262,7 @@ def _legend(gap: GapArrays) -> Model:
         for number, name in enumerate(names[:LEGEND_NAMES])
     ]
     more = [f"and {len(names) - LEGEND_NAMES} more"] if len(names) > LEGEND_NAMES else []
-    return Div(name="legend", text=f"kind: {' &emsp; '.join(marks + more)}", sizing_mode="stretch_width")
+    return models.Div(name="legend", text=f"kind: {' &emsp; '.join(marks + more)}", sizing_mode="stretch_width")
 
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:

@@ -126,10 +126,8 @@ class Coefficients:
         table = {}
         for index, point in enumerate(_parts(document, "load_table")):
             at = f"load_table.{index}"
-            table[str(point.get("name"))] = (
-                _number(point, "load_left", "N", at, low=0.0),
-                _number(point, "load_right", "N", at, low=0.0),
-            )
+            left, right = (_number(point, f"load_{side}", "N", at, low=0.0) for side in ("left", "right"))
+            table[str(point.get("name"))] = (left, right)
         vehicle, noise, limits = (_part(document, key) for key in ("vehicle", "noise", "limits"))
         coefficients = cls(
             name=str(document.get("name", "")),

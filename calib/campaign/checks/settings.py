@@ -183,10 +183,8 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
     """Find session labels that are a row off: moved, each session has one load or temperature, and now it has not."""
     session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
-    for name, values in (
-        ("load", design.load_label(campaign)),
-        ("temperature_C", campaign.runs.number("temperature_C")),
-    ):
+    asked = {"load": design.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
+    for name, values in asked.items():
         group = np.unique(values, return_inverse=True)[1]
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
             continue

@@ -69,8 +69,7 @@ def _wheel(law: WheelLaw, loads: FloatArray, side: str, *, clamp: bool) -> dict[
     shown = (used == loads) | clamp
     return {
         name.format(side): [
-            f"{float(value):.{digits}g}" if keep and np.isfinite(value) else ""
-            for value, keep in zip(column, shown, strict=True)
+            f"{float(x):.{digits}g}" if keep and np.isfinite(x) else "" for x, keep in zip(column, shown, strict=True)
         ]
         for name, column, digits in zip(COLUMNS, numbers, DIGITS, strict=True)
     }

@@ -141,9 +141,8 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     at_load[2, 4] = 1.0
     left, right = 1.0 / radius
     # change of path per metre, of heading per metre, and of heading per radian, by radii and track
-    rates = np.array(
-        [[0.5 * left, 0.5 * right, 0.0], [-left / track, right / track, 0.0], [0.5 * left, 0.5 * right, -1.0 / track]]
-    )
+    path = [0.5 * left, 0.5 * right]
+    rates = np.array([[*path, 0.0], [-left / track, right / track, 0.0], [*path, -1.0 / track]])
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = _Reading(path=0.25 * float(count.sum()), heading=float(count.sum()) / track**2)

@@ -231,10 +231,8 @@ class Observations:
 
     def _part(self, units: slice) -> Observations:
         first, behind = int(self.starts[units.start]), int(self.starts[units.stop])
-        changes: dict[str, Any] = {
-            "starts": self.starts[units.start : units.stop + 1] - first,
-            "first_unit": self.first_unit + units.start,
-        }
+        starts = self.starts[units.start : units.stop + 1] - first
+        changes: dict[str, Any] = {"starts": starts, "first_unit": self.first_unit + units.start}
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in _OF_STEPS:

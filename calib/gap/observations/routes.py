@@ -129,8 +129,7 @@ def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, F
     share = np.arange(1, ROUTE_KNOTS + 1) / ROUTE_KNOTS
     at = sums[0][starts[:-1], None] + share * length[:, None]
     heading, way = (
-        np.interp(at.ravel(), sums[0], column).reshape(n, ROUTE_KNOTS) - column[starts[:-1], None]
-        for column in sums[1:]
+        np.interp(at.ravel(), sums[0], total).reshape(n, ROUTE_KNOTS) - total[starts[:-1], None] for total in sums[1:]
     )
     heading = heading + np.nan_to_num(heading_rad - heading[:, -1])[:, None] * share
     turning = driven.total(np.abs(driven.turn_rad))

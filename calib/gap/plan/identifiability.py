@@ -241,8 +241,7 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
         signal=signal,
         distance=distances,
         smallest={
-            effect.id: limits.of(effect, signatures.offered[effect.id])[1]
-            for effect in stepped(effects, progress, "effects")
+            one.id: limits.of(one, signatures.offered[one.id])[1] for one in stepped(effects, progress, "effects")
         },
     )
 

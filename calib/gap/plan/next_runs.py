@@ -211,10 +211,8 @@ def _measured(campaign: Campaign) -> Measured:
     front = logs.columns.get("counts_front")
     # what a closed loop measures, a mark on the floor does
     open_path = runs.label("loop") != CLOSED
-    position, heading = (
-        bool((np.isfinite(runs.number(name)) & open_path).any() or name in logs.columns)
-        for name in ("ref_x_m", "ref_theta_rad")
-    )
+    poses = ("ref_x_m", "ref_theta_rad")
+    position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
     return Measured(
         distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
         position=position,

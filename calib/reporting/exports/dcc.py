@@ -139,10 +139,8 @@ def certificate_of(section: Any, where: str) -> Certificate:
             ) from error
         place, fault = places[0]
         found = repr(fault.get("input"))[:80]
-        raise BadInputError(
-            f"{where}, certificate.{place}: found {found}; expected {fault['msg'].removeprefix('Value error, ')}; "
-            "correct it"
-        ) from error
+        expected = fault["msg"].removeprefix("Value error, ")
+        raise BadInputError(f"{where}, certificate.{place}: found {found}; expected {expected}; correct it") from error
 
 
 def _required(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
@@ -244,9 +242,9 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
         texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
     untraced = [equipment.name for equipment in stated.equipment if equipment.certificate is None]
     if untraced:
+        listed = ", ".join(untraced)
         texts.append(
-            f"No calibration certificate is stated of: {', '.join(untraced)}. Traceability to the SI is not shown for "
-            "these."
+            f"No calibration certificate is stated of: {listed}. Traceability to the SI is not shown for these."
         )
     return texts
 

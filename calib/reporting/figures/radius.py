@@ -102,11 +102,9 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
         centre = law.radius_m(load)
         upper, lower = axes[0, column], axes[1, column]
         for axis, scale, zero in ((upper, MM, np.zeros_like(load)), (lower, UM, centre)):
-            for band, alpha, label in (
-                (fit.prediction_band_m(load), 0.13, "prediction band"),
-                (fit.mean_band_m(load), 0.38, "band of the mean"),
-            ):
-                low, high = (scale * (end - zero) for end in band)
+            bands = {"prediction band": (0.13, fit.prediction_band_m), "band of the mean": (0.38, fit.mean_band_m)}
+            for label, (alpha, band) in bands.items():
+                low, high = (scale * (end - zero) for end in band(load))
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=style.INK, lw=1.0, label="law")
         sessions.draw(upper, fit.load_N, MM * fit.radius_m, ms=3.2)

@@ -40,10 +40,7 @@ def where_blocks(where: GapLocation) -> list[Block]:
 
 
 def _channels(where: GapLocation) -> Table:
-    rows = [
-        (gap.channel.label, *_sizes(gap.channel.unit, gap.rms, gap.floor), fixed(gap.ratio, 1))
-        for gap in where.channels
-    ]
+    rows = [(c.channel.label, *_sizes(c.channel.unit, c.rms, c.floor), fixed(c.ratio, 1)) for c in where.channels]
     caption = "Where: the gap by channel, root mean square, against its noise level."
     return table(caption, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
 

@@ -82,10 +82,8 @@ def quality_text(wheel: WheelFit) -> str:
         # more digits only where the line explains nearly everything
         text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
     if wheel.session_std_m > 0:
-        text += (
-            f", scatter of runs {two_digits(UM * wheel.run_std_m)} µm and of sessions "
-            f"{two_digits(UM * wheel.session_std_m)} µm"
-        )
+        of_runs, of_sessions = two_digits(UM * wheel.run_std_m), two_digits(UM * wheel.session_std_m)
+        text += f", scatter of runs {of_runs} µm and of sessions {of_sessions} µm"
     return text + "."
 
 

@@ -75,10 +75,8 @@ def _counts(fit: Fit, encoder: Encoder) -> dict[str, FloatArray]:
         "left": (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
         "right": (radii.path_right, radii.radius_right_m, encoder.counts_per_rev_right),
     }
-    return {
-        side: radii.distance_m * (1 + path) / (2 * np.pi * radius) * per_rev
-        for side, (path, radius, per_rev) in wheels.items()
-    }
+    m = radii.distance_m
+    return {side: m * (1 + path) / (2 * np.pi * radius) * per_rev for side, (path, radius, per_rev) in wheels.items()}
 
 
 def sessions_table(fit: Fit) -> Table:
