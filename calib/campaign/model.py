@@ -162,12 +162,9 @@ class RunTable:
     def select(self, keep: ArrayLike) -> RunTable:
         """Return the rows that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
-        return RunTable(
-            labels={name: column[index] for name, column in self.labels.items()},
-            numbers={name: column[index] for name, column in self.numbers.items()},
-            excluded=self.excluded[index],
-            line=self.line[index],
-        )
+        labels = {name: column[index] for name, column in self.labels.items()}
+        numbers = {name: column[index] for name, column in self.numbers.items()}
+        return RunTable(labels=labels, numbers=numbers, excluded=self.excluded[index], line=self.line[index])
 
 
 #: columns that come to more are kept in a temporary file
@@ -264,11 +261,9 @@ class Logs:
             return self
         offsets = np.concatenate(([0], np.cumsum(self.lengths[index]))).astype(np.int64)
         # runs that stand together are copied together
-        stretches = [
-            slice(int(self.offsets[runs[0]]), int(self.offsets[runs[-1] + 1]))
-            for runs in np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)
-            if len(runs)
-        ]
+        parts = np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)
+        ends = [(runs[0], runs[-1] + 1) for runs in parts if len(runs)]
+        stretches = [slice(int(self.offsets[first]), int(self.offsets[end])) for first, end in ends]
         columns = LogColumns(int(offsets[-1]), len(self.columns))
         for name, column in self.columns.items():
             columns.add(name, np.concatenate([column[:0], *(column[stretch] for stretch in stretches)]))

@@ -55,9 +55,8 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):
         raise BadFileError(shown, found="no rows", expected="one row a run", remedy="add the runs")
-    labels: dict[str, StrArray] = {
-        name: _texts(raw.columns[matched[name].found], name, shown, line) for name in LABEL_COLUMNS if name in matched
-    }
+    known = {name: raw.columns[matched[name].found] for name in LABEL_COLUMNS if name in matched}
+    labels: dict[str, StrArray] = {name: _texts(column, name, shown, line) for name, column in known.items()}
     _check_run_ids(labels["run_id"], line, shown, border)
     for name, (allowed, remedy) in _CHOICES.items():
         if name in labels:

@@ -76,12 +76,8 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
         part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
     vehicle: Vehicle = part.checked("vehicle")
     encoder = part.checked("encoder", _counts(part, vehicle))
-    nominal = {
-        "radius_left_m": vehicle.wheel_radius_m,
-        "radius_right_m": vehicle.wheel_radius_m,
-        "track_m": vehicle.track_m,
-        "reference_load_N": vehicle.unladen_load_N,
-    }
+    radii = dict.fromkeys(("radius_left_m", "radius_right_m"), vehicle.wheel_radius_m)
+    nominal = {**radii, "track_m": vehicle.track_m, "reference_load_N": vehicle.unladen_load_N}
     settings = Campaign(
         root=None,
         name=head.name,

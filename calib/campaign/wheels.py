@@ -112,13 +112,9 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     columns = {**logs.columns, **counts, **({ASIDE: aside} if np.any(aside[np.isfinite(aside)] != 0.0) else {})}
     last = np.maximum(logs.offsets[1:] - 1, 0)
     ends = {name: np.where(logs.present, column[last], np.nan) for name, column in counts.items()} if n else {}
-    return replace(
-        campaign,
-        encoder=encoder,
-        odometry=Odometry(source),
-        runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **ends}),
-        logs=replace(logs, columns=columns),
-    )
+    counted = replace(campaign.runs, numbers={**campaign.runs.numbers, **ends})
+    logs = replace(logs, columns=columns)
+    return replace(campaign, encoder=encoder, odometry=Odometry(source), runs=counted, logs=logs)
 
 
 def _motion(

@@ -82,12 +82,8 @@ def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -
     else:
         fit, inputs = fit_campaign(given), given.hashes
     master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
-    notes = tuple(
-        f"{name} wheel, check {check.name} failed: {check.sentence}"
-        for name, wheel in fit.wheels.items()
-        for check in wheel.checks
-        if not check.passed
-    )
+    failed = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks if not check.passed]
+    notes = tuple(f"{name} wheel, check {check.name} failed: {check.sentence}" for name, check in failed)
     return Source(master, notes)
 
 

@@ -206,9 +206,8 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
         values[slope] = np.array([line.slope_m_per_N for line in lines])
         std[radius] = np.array([line.radius_std_m for line in lines])
         std[slope] = np.array([line.slope_std_m_per_N for line in lines])
-    found = quantities_of(
-        [record.vehicle for record in fitted], values, std, labels or {}, frozenset(one.vehicle for one in drifting)
-    )
+    names, drift = [record.vehicle for record in fitted], frozenset(one.vehicle for one in drifting)
+    found = quantities_of(names, values, std, labels or {}, drift)
     return FleetView(
         n_vehicles=len(records),
         n_fitted=len(fitted),

@@ -174,10 +174,8 @@ def integrate(
     middle = len(halves[0].left)
     x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))
     with ThreadPoolExecutor(2) as pool:
-        waiting = [
-            pool.submit(fill, half, x[where], y[where], theta[where])
-            for half, where in zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
-        ]
+        places = zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
+        waiting = [pool.submit(fill, half, x[where], y[where], theta[where]) for half, where in places]
         for half in waiting:
             half.result()
     return out

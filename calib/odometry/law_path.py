@@ -245,13 +245,8 @@ def law_path(
     half = 0.5 * axle.track_m * fine.turn_rad
     driven = []
     for believed in (kept, real):
-        path = steps(
-            real[0] / believed[0] * (fine.length_m - half),
-            real[1] / believed[1] * (fine.length_m + half),
-            axle.track_m,
-            radius_left_m=real[0],
-            radius_right_m=real[1],
-        )
+        left, right = real[0] / believed[0] * (fine.length_m - half), real[1] / believed[1] * (fine.length_m + half)
+        path = steps(left, right, axle.track_m, radius_left_m=real[0], radius_right_m=real[1])
         above = [load - wheel.reference_load_N for load, wheel in zip(loads, (law.left, law.right), strict=True)]
         slopes = jacobian(path, load_offset_left_N=above[0], load_offset_right_N=above[1])
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
@@ -280,13 +275,9 @@ def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
     """Return the standard uncertainty of each component of the error."""
     cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    squares = (
-        cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy,
-        sine * sine * xx - 2 * cosine * sine * xy + cosine * cosine * yy,
-        covariance[:, 2, 2],
-        xx,
-        yy,
-    )
+    along = cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy
+    across = sine * sine * xx - 2 * cosine * sine * xy + cosine * cosine * yy
+    squares = (along, across, covariance[:, 2, 2], xx, yy)
     return {name: np.sqrt(np.maximum(part, 0.0)) for name, part in zip(COMPONENTS, squares, strict=True)}
 
 

@@ -52,9 +52,8 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
     real_left, real_right, real_track = real.arrays()
     ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
     half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
-    parts = np.broadcast_arrays(
-        ratio_left * (route.length_m - half), ratio_right * (route.length_m + half), np.atleast_1d(real_track)[:, None]
-    )
+    travel = ratio_left * (route.length_m - half), ratio_right * (route.length_m + half)
+    parts = np.broadcast_arrays(*travel, np.atleast_1d(real_track)[:, None])
     return parts[0], parts[1], parts[2][:, :1]
 
 
@@ -217,11 +216,8 @@ def run_sweep(
     way = find_route(route) if isinstance(route, str) else route
     vehicles = tuple(cases)
     believed = Axle(1.0, 1.0, track_m)
-    real = Axle(
-        np.array([case.left for case in vehicles]),
-        np.array([case.right for case in vehicles]),
-        track_m if real_track_m is None else real_track_m,
-    )
+    left, right = np.array([case.left for case in vehicles]), np.array([case.right for case in vehicles])
+    real = Axle(left, right, track_m if real_track_m is None else real_track_m)
     fine = way.divided(SPACING_M)
     what = f"poses of {len(vehicles)} vehicles along {way.name}"
     refuse_more(what, len(vehicles) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")

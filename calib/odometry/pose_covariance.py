@@ -162,14 +162,9 @@ class RandomWalk:
             # at the end: moves and turns the pose where it stands; at the start: turns all that follows, too
             end = np.stack([0.5 * size * np.cos(theta), 0.5 * size * np.sin(theta), turn], axis=-1)
             first, turned = size[..., :1], turn[..., :1]
-            begin = np.stack(
-                np.broadcast_arrays(
-                    0.5 * first * np.cos(start) - path.poses.y_m * turned,
-                    0.5 * first * np.sin(start) + path.poses.x_m * turned,
-                    turned,
-                ),
-                axis=-1,
-            )
+            along = 0.5 * first * np.cos(start) - path.poses.y_m * turned
+            across = 0.5 * first * np.sin(start) + path.poses.x_m * turned
+            begin = np.stack(np.broadcast_arrays(along, across, turned), axis=-1)
             covariance += end[..., :, None] * end[..., None, :] + begin[..., :, None] * begin[..., None, :]
         return covariance
 

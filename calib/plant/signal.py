@@ -78,12 +78,9 @@ def _levers(record: Record) -> _Levers:
     across, along = -(end_y - 0.5 * (y[1:] + y[:-1])), end_x - 0.5 * (x[1:] + x[:-1])
     one, zero = np.ones_like(middle), np.zeros_like(middle)
     cos, sin = np.cos(middle), np.sin(middle)
-    return _Levers(
-        path=np.stack([cos, cos, sin, zero, one, zero], axis=-1),
-        turn=np.stack([across, across, along, one, zero, one], axis=-1),
-        way=way,
-        turned=turned,
-    )
+    path = np.stack([cos, cos, sin, zero, one, zero], axis=-1)
+    turn = np.stack([across, across, along, one, zero, one], axis=-1)
+    return _Levers(path=path, turn=turn, way=way, turned=turned)
 
 
 def covariance(world: World, noise: Noise, record: Record) -> FloatArray:

@@ -187,10 +187,8 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     path = correct_paths(campaign)
     notes = [*notes, *path.notes]
     sides = {}
-    for side, per_rev, excess in (
-        ("left", encoder.counts_per_rev_left, path.left),
-        ("right", encoder.counts_per_rev_right, path.right),
-    ):
+    wheels = {"left": (encoder.counts_per_rev_left, path.left), "right": (encoder.counts_per_rev_right, path.right)}
+    for side, (per_rev, excess) in wheels.items():
         counts = np.abs(runs.number(f"counts_{side}"))
         radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
         parts = {

@@ -237,10 +237,9 @@ class LineEstimate:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the random variance of ``contrast @ coefficients`` and the share of sessions in it, shape (...)."""
         c = floats(contrast)
-        within, between = (
-            np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) + more
-            for part, more in ((self.cov_within, more_within), (self.cov_between, more_between))
-        )
+        parts = (self.cov_within, self.cov_between)
+        variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
+        within, between = variances[0] + more_within, variances[1] + more_between
         total = np.asarray(within + between)
         return total, np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
 

@@ -223,14 +223,8 @@ class WheelFit:
             line_of_runs = np.array([float(naive["radius_ref_m"]), float(naive["slope_m_per_N"])])
             covariance, variance = _covariance(naive["covariance"]), written["residual_std_m"] ** 2
             naive = LineEstimate.one_stratum("single", line_of_runs, covariance, float(naive["dof"]), variance)
-        return WheelFit(
-            wheel=wheel,
-            design=str(value["design"]),
-            estimate=estimate,
-            naive=naive,
-            checks=tuple(from_plain(Check, check) for check in value["checks"]),
-            **written,
-        )
+        checks = tuple(from_plain(Check, check) for check in value["checks"])
+        return WheelFit(wheel, design=str(value["design"]), estimate=estimate, naive=naive, checks=checks, **written)
 
 
 def _covariance(rows: Any) -> FloatArray:

@@ -350,11 +350,6 @@ def widened(
         # of the runs' stratum the slope alone is taken; sessions stand for the mean
         scale = np.full(2, scale[1])
     factor = np.maximum(scale, 1.0)
-    return (
-        replace(
-            estimate,
-            cov_within=estimate.cov_within * np.outer(factor, factor),
-            dof_within=min(estimate.dof_within, max(dof, 1.0)),
-        ),
-        replace(found, slope_ratio=float(factor[1])),
-    )
+    wider = estimate.cov_within * np.outer(factor, factor)
+    estimate = replace(estimate, cov_within=wider, dof_within=min(estimate.dof_within, max(dof, 1.0)))
+    return estimate, replace(found, slope_ratio=float(factor[1]))

@@ -84,11 +84,9 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     legend = _legend(gap)
     figures = [by_covariate, after]
     tools = [_session_choice(gap, source), _colour_choice(gap, source, legend), *tools]
-    runs = [
-        _along_panel(source, name)
-        for name, place in panel_data.ALONG.items()
-        if any(np.isfinite(path[:, place]).any() for path in along)
-    ]
+    places = panel_data.ALONG.items()
+    shown = [name for name, place in places if any(np.isfinite(path[:, place]).any() for path in along)]
+    runs = [_along_panel(source, name) for name in shown]
     if gap.offset_m is not None:
         plan, slider = _map_panel(gap, source)
         figures = [plan, *figures]
@@ -233,10 +231,8 @@ def _cause_panel(verdict: Diagnosis) -> figure:
     """Draw each named cause's share of the gap with its 95 % interval, and its probability."""
     causes = verdict.causes[::-1]
     # in words, so that a small share can be read too
-    labels = [
-        f"{_with_aliases(one.effect, verdict)}\n{percent(one.share)}, probability {percent(one.probability)}"
-        for one in causes
-    ]
+    sizes = [f"{percent(cause.share)}, probability {percent(cause.probability)}" for cause in causes]
+    labels = [f"{_with_aliases(cause.effect, verdict)}\n{size}" for cause, size in zip(causes, sizes, strict=True)]
     plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))
     plot.hbar(y=labels, right=[cause.share for cause in causes], height=0.4, color=COLOURS[0], alpha=0.7)
     known = [(label, *cause.share_ci95) for label, cause in zip(labels, causes, strict=True) if cause.share_ci95]

@@ -103,10 +103,8 @@ def panel_columns(
     """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
     names = natural(gap.labels["kind"])
     columns: dict[str, object] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
-    columns |= {
-        "colour": [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]],
-        "by order driven": np.arange(1.0, len(gap.before) + 1),
-    }
+    columns["colour"] = [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]]
+    columns["by order driven"] = np.arange(1.0, len(gap.before) + 1)
     columns |= {f"by {name}": values for name, values in gap.covariates.items()}
     for channel, (name, _) in enumerate(gap.channels):
         columns[f"before {name}"] = 1e3 * gap.before[:, channel]

@@ -68,13 +68,8 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
     shown, border
         The recording's name in messages, and what takes the notes.
     """
-    wheels = [
-        base.columns[line.column]
-        for name, line in lines.items()
-        if name.startswith("counts_")
-        and line.column in base.columns
-        and COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}
-    ]
+    counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
+    wheels = [base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}]
     if not wheels or base.time_ns is None:
         return {}
     origin = int(base.time_ns[0])

@@ -57,9 +57,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
-        names, n_rows, recognised = heading(
-            split_cells(first, delimiter), range(skipped + 1, skipped + 1 + len(first)), layout, shown, above
-        )
+        numbers = range(skipped + 1, skipped + 1 + len(first))
+        names, n_rows, recognised = heading(split_cells(first, delimiter), numbers, layout, shown, above)
         _check_names(names, shown, skipped + 1)
         fast = _read_numeric(data[_after(data, start, n_rows) :], names, delimiter, wanted)
         if fast is not None:

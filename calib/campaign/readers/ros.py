@@ -61,11 +61,8 @@ class _Buffer:
         self.arrival, self.stamp, self.numbers = array("q"), array("q"), array("d")
         self.unstamped = 0
         yaw = wanted is not None and wanted(f"{name}:yaw")
-        kept = [
-            index
-            for index, column in enumerate(names)
-            if wanted is None or wanted(f"{name}:{column}") or (yaw and column in POSE[3:])
-        ]
+        asked = [wanted is None or wanted(f"{name}:{column}") or (yaw and column in POSE[3:]) for column in names]
+        kept = [index for index, taken in enumerate(asked) if taken]
         self.names = [names[index] for index in kept]
         #: places of the wanted numbers; None where all are
         self.kept = kept if len(kept) < len(names) else None

@@ -62,9 +62,8 @@ def locate(
         The same runs with their logs: without it, no places inside runs.
     """
     lines = wheel_tests(nominal, noise, gap, rng)
-    weights = rng.multinomial(
-        len(observations), np.full(len(observations), 1.0 / len(observations)), BOOTSTRAP_DRAWS
-    ).astype(np.float64)
+    n = len(observations)
+    weights = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAP_DRAWS).astype(np.float64)
     scaled = np.where(observations.usable, gap / noise.floor, np.nan)
     for name, values in covariate_values(observations).items():
         line = covariate_test(name, values, scaled, weights, max(noise.dof, 3.0))
@@ -75,13 +74,8 @@ def locate(
     if campaign is not None:
         places, notes = find_places(campaign, observations, rng)
     shown = noise.floor if floor is None else floor
-    return GapLocation(
-        channels=_by_channel(observations, shown, gap),
-        covariates=holm_corrected(lines),
-        runs=_by_run(observations, shown, gap),
-        places=places,
-        notes=notes,
-    )
+    channels, runs = _by_channel(observations, shown, gap), _by_run(observations, shown, gap)
+    return GapLocation(channels=channels, covariates=holm_corrected(lines), runs=runs, places=places, notes=notes)
 
 
 def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[ChannelGap, ...]:

@@ -257,8 +257,7 @@ def _with_gyro(unit: Observation, setup: Setup) -> Observation:
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
     """Return what the wheels rolled before the first and after the last of some samples, at most."""
-    rolled = [
-        np.diff(log[name][[rows[0], inside[0], inside[-1], rows[-1]]])[::2] / scale
-        for name, scale in (("counts_left", setup.per_rad.left), ("counts_right", setup.per_rad.right))
-    ]
+    ends = [rows[0], inside[0], inside[-1], rows[-1]]
+    scales = {"counts_left": setup.per_rad.left, "counts_right": setup.per_rad.right}
+    rolled = [np.diff(log[name][ends])[::2] / scale for name, scale in scales.items()]
     return float(np.abs(rolled).max() * setup.campaign.vehicle.wheel_radius_m)

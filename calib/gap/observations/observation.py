@@ -141,15 +141,9 @@ def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> 
     left, right = float(runs.number("counts_left")[run]), float(runs.number("counts_right")[run])
     if not (np.isfinite(left) and np.isfinite(right)):
         return None
-    share = np.linspace(0.0, 1.0, STEPS_WITHOUT_LOG + 1)
-    return Observation(
-        run=run,
-        window=0,
-        time_s=_nan(STEPS_WITHOUT_LOG + 1),
-        left_rad=share * left / per_rad.left,
-        right_rad=share * right / per_rad.right,
-        from_log=False,
-    )
+    share, time_s = np.linspace(0.0, 1.0, STEPS_WITHOUT_LOG + 1), _nan(STEPS_WITHOUT_LOG + 1)
+    left_rad, right_rad = share * left / per_rad.left, share * right / per_rad.right
+    return Observation(run=run, window=0, time_s=time_s, left_rad=left_rad, right_rad=right_rad, from_log=False)
 
 
 #: a log needs so many poses for a reference of its own

@@ -52,10 +52,8 @@ class Differences:
         }
         if len(self.met) > 1:
             # what wheels carry is no sum: together they would miss the run that the changes meet
-            pushes = [
-                Perturbation(left=one.left * size, right=one.right * size, track=one.track * size)
-                for one, size in ((carried[name], size) for name, size in self.met.items())
-            ]
+            met = [(carried[name], size) for name, size in self.met.items()]
+            pushes = [Perturbation(left=m.left * size, right=m.right * size, track=m.track * size) for m, size in met]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
             whole = sum(self.change[name][rows] * size for name, size in self.met.items())
             known = sum(carried[name].reading * size for name, size in self.met.items())

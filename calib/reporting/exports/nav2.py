@@ -136,9 +136,8 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
             "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
         )
     residuals, kinds = diagnosis.held_out.after[units][:, POSE], observations.labels["kind"][units]
-    models = amcl, walk, constant = tuple(
-        pose_spread.spread_of(diagnosis.correction.path, units, model) for model in pose_spread.MODELS
-    )
+    path = diagnosis.correction.path
+    models = amcl, walk, constant = tuple(pose_spread.spread_of(path, units, model) for model in pose_spread.MODELS)
     found, form = pose_spread.fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
     unknown = undetermined(amcl, found.sizes)
     alphas = dict(zip(ALPHAS, map(float, found.sizes), strict=True))

@@ -92,14 +92,9 @@ def amcl_components(poses: FloatArray) -> FloatArray:
     turns = [np.minimum(np.abs(turn), np.abs(_wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
     before, after = _levers(knots[:-1], end), _levers(knots[1:], end)
     along = _directions(np.where(way < SHORTEST_WAY_M, knots[:-1, 2], course), end)
-    return np.stack(
-        (
-            _outer(before, turns[0]) + _outer(after, turns[1]),
-            _outer(before, way**2) + _outer(after, way**2),
-            _outer(along, way**2),
-            _outer(along, turns[0] + turns[1]),
-        )
-    )
+    by_turns = _outer(before, turns[0]) + _outer(after, turns[1])
+    by_way = _outer(before, way**2) + _outer(after, way**2)
+    return np.stack((by_turns, by_way, _outer(along, way**2), _outer(along, turns[0] + turns[1])))
 
 
 def walk_components(poses: FloatArray) -> FloatArray:

@@ -52,12 +52,8 @@ def load_figure(sweep: LoadSweep) -> Figure:
     figure = canvas(8.0, 11.0)
     axes = figure.add_subplot()
     along = getattr(sweep, sweep.swept or "payload_kg")
-    for name, load, tint, dash in (
-        ("left wheel", sweep.left_N, BLUE, "-"),
-        ("right wheel", sweep.right_N, ORANGE, "--"),
-        ("front wheel", sweep.front_N, GREY, ":"),
-    ):
-        axes.plot(along, load, dash, color=tint, label=name, linewidth=1.6)
+    for side, tint, dash in (("left", BLUE, "-"), ("right", ORANGE, "--"), ("front", GREY, ":")):
+        axes.plot(along, getattr(sweep, f"{side}_N"), dash, color=tint, label=f"{side} wheel", linewidth=1.6)
     axes.set(xlabel=_SWEEP_LABELS[sweep.swept], ylabel="wheel load (N)")
     axes.set_ylim(bottom=0.0)
     axes.legend()
@@ -240,11 +236,8 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
         graph.fill_between(path.distance_m, -half, half, color=tint, alpha=0.4, linewidth=0, label=name)
     graph.axhline(0.0, color=INK, linewidth=0.8)
     _mark_changes(graph, path)
-    graph.set(
-        xlabel="distance along the route (m)",
-        ylabel=f"error {_AXES['lateral_m'][0]}",
-        title="lateral error with radii that follow the load",
-    )
+    graph.set(xlabel="distance along the route (m)", ylabel=f"error {_AXES['lateral_m'][0]}")
+    graph.set_title("lateral error with radii that follow the load")
     handles, names = (a + b for a, b in zip(*(x.get_legend_handles_labels() for x in (plan, graph)), strict=True))
     figure.legend(handles, names, loc="outside lower center", ncols=3)
     figure_title(figure, title)

@@ -299,12 +299,8 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
         return (*content, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
     rows = [
-        (
-            one.name.replace("_", " "),
-            _SIGNS[one.sign] + size_text(one.typical, one.unit),
-            size_text(one.largest, one.unit),
-        )
-        for one in form.parameters
+        (p.name.replace("_", " "), _SIGNS[p.sign] + size_text(p.typical, p.unit), size_text(p.largest, p.unit))
+        for p in form.parameters
     ]
     label = f" ({form.label})" if form.label else ""
     sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)

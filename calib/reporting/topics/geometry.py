@@ -106,11 +106,8 @@ def _cells(estimate: Estimate) -> tuple[str, ...]:
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
     """Return the cells of a route's row, in mm and mrad."""
-    errors = [
-        f"{1e3 * size:.1f}"
-        for along, across, heading in (route.before_rms, route.after_rms)
-        for size in (math.hypot(along, across), heading)
-    ]
+    sizes = [(math.hypot(along, across), turn) for along, across, turn in (route.before_rms, route.after_rms)]
+    errors = [f"{1e3 * size:.1f}" for pair in sizes for size in pair]
     means = (f"{1e3 * mean:+.1f}" for mean in route.after_mean)
     return (route.kind or "(none)", str(route.n), *errors, *means)
 

@@ -270,14 +270,11 @@ def law_budget(fit: Fit) -> Table:
         rows.append((name, "radius at F₀", "µm", *(two_digits(1e6 * float(value)) for value in std[:, 0])))
         if wheel.model == "line":
             rows.append(("", "slope", "nm/N", *(two_digits(1e9 * float(value)) for value in std[:, 1])))
+    heads = ("<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions")
     return table(
         "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
         + (" Systematic parts do not become smaller with more runs." if systematic else ""),
-        (
-            *("<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions"),
-            *(["Systematic"] if systematic else []),
-            "Combined",
-        ),
+        (*heads, *(["Systematic"] if systematic else []), "Combined"),
         aligned(rows, *range(3, 7 if systematic else 6)),
     )
 

@@ -312,17 +312,13 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
         "Error of the radius | left (%)": ("radius_error_left", 4),
         "Error of the radius | right (%)": ("radius_error_right", 4),
     }
+    sizes = [[f"{row['amplitude_m']:g}", f"{row['wavelength_m']:g}"] for row in rows]
+    shares = [[fixed(100 * row[key], places) for key, places in heads.values()] for row in rows]
     excess = table(
         f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
         "does to a radius.",
         ("A (m)", "λ (m)", *heads),
-        [
-            [
-                *(f"{row[key]:g}" for key in ("amplitude_m", "wavelength_m")),
-                *(fixed(100 * row[key], decimals) for key, decimals in heads.values()),
-            ]
-            for row in rows
-        ],
+        [size + share for size, share in zip(sizes, shares, strict=True)],
     )
     sentences = (
         f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude of "

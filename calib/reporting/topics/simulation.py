@@ -176,13 +176,9 @@ def loads_content(vehicle: Vehicle, sweep: LoadSweep) -> tuple[Block, ...]:
     """Return the wheel loads of a payload or a sweep."""
     payload = ("Payload | mass (kg)", "Payload | x (m)", "Payload | y (m)")
     loads = (f"Wheel load | {wheel} (N)" for wheel in ("front", "left", "right", "sum"))
+    places = {"payload_x_m": 4, "payload_y_m": 4} | dict.fromkeys(("front_N", "left_N", "right_N", "total_N"), 2)
     rows = [
-        (
-            f"{row['payload_kg']:.4g}",
-            *(fixed(row[key], 4) for key in ("payload_x_m", "payload_y_m")),
-            *(fixed(row[key], 2) for key in ("front_N", "left_N", "right_N", "total_N")),
-        )
-        for row in sweep.rows()
+        (f"{row['payload_kg']:.4g}", *(fixed(row[key], most) for key, most in places.items())) for row in sweep.rows()
     ]
     built = f"track {vehicle.track_m:g} m, wheelbase {vehicle.wheelbase_m:g} m, mass {vehicle.mass_kg:g} kg"
     return (table(f"Wheel loads ({built}).", (*payload, *loads), rows),)
