@@ -87,9 +87,8 @@ def weave_excess(
     """
     from scipy.special import ellipeinc
 
-    amplitude, wavelength, distance, phase = np.broadcast_arrays(
-        *(floats(values) for values in (amplitude_m, wavelength_m, distance_m, phase_rad))
-    )
+    given = map(floats, (amplitude_m, wavelength_m, distance_m, phase_rad))
+    amplitude, wavelength, distance, phase = np.broadcast_arrays(*given)
     k = 2 * np.pi / wavelength
     slope = k * amplitude
     u = slope**2

@@ -82,9 +82,8 @@ class Stream:
 
     def contents(self) -> StreamContents:
         """Return what the stream holds, with span, rate and gaps of its clock."""
-        found = StreamContents(
-            self.name, self.kind, len(self), self.clock, tuple(self.columns), behind_arrival_s=self.behind_arrival_s
-        )
+        names, behind_s = tuple(self.columns), self.behind_arrival_s
+        found = StreamContents(self.name, self.kind, len(self), self.clock, names, behind_arrival_s=behind_s)
         if self.time_ns is not None and len(self.time_ns):
             steps_s = np.diff(self.time_ns) / NS_PER_S
             usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0

@@ -1,4 +1,4 @@
-"""Export formats, one file each, and what they share; a new format is one file and one line here."""
+"""Export formats and what they share; a new format is one function in a file of this folder, and one line here."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 FORMATS: Final = {
     "json": "",
     "ros2": "ros2.render",
-    "c": "c_headers.coefficients_header",
-    "c_effects": "c_headers.effects_header",
-    "csv": "csv_table.render",
+    "c": "c_and_csv.coefficients_header",
+    "c_effects": "c_and_csv.effects_header",
+    "csv": "c_and_csv.radius_table",
     "mjcf": "simulator_models.mjcf",
     "urdf": "simulator_models.urdf",
     "sdf": "simulator_models.sdf",
