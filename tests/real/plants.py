@@ -65,6 +65,8 @@ class Outcome:
     stated : tuple of (float, bool)
         Probability of each named cause that the recording does not have of its own, and whether it is the planted one
         or tied with it.
+    beside_own : bool
+        As `found`, causes that the recording has of its own set aside: these are true, and may be larger.
     """
 
     recording: str
@@ -78,6 +80,7 @@ class Outcome:
     intervals: tuple[tuple[str, float, float, float], ...]
     outside: bool = False
     stated: tuple[tuple[float, bool], ...] = ()
+    beside_own: bool = False
 
 
 def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray]:
@@ -122,6 +125,9 @@ def outcome_of(
         tied = any(effect in group and group & truth for group in groups)
         return effect in truth or _family(effect) in families or tied
 
+    own_causes = {cause["effect"] for cause in own["causes"]} | {*own["beside"]} | OWN.get(recording, frozenset())
+    others = [effect for effect in named if effect in truth or effect not in own_causes]
+    beside_own = bool(others) and right(others[0]) and not manipulation.both
     if not truth:
         found = verdict["verdict"] in ("unknown", "partly_explained", "ambiguous")
         wrong = bool(verdict["recommended"])
@@ -137,7 +143,6 @@ def outcome_of(
             given = cause["parameters"].get(parameter, {}).get("ci95") if cause["effect"] == effect else None
             if given and None not in given:
                 intervals.append((key, value, float(given[0]), float(given[1])))
-    own_causes = {cause["effect"] for cause in own["causes"]} | {*own["beside"]} | OWN.get(recording, frozenset())
     stated = tuple(
         (float(cause["probability"]), right(cause["effect"]))
         for cause in causes
@@ -146,7 +151,7 @@ def outcome_of(
     signal = _signal(base, struck, covariance, free=not truth & set(CALIBRATION))
     return Outcome(
         recording, manipulation.name, signal, verdict["verdict"], named, bool(verdict["recommended"]), found, wrong,
-        tuple(intervals), not truth, stated,
+        tuple(intervals), not truth, stated, found or beside_own,
     )  # fmt: skip
 
 
@@ -195,6 +200,7 @@ def totals(outcomes: Sequence[Outcome]) -> dict[str, tuple[int, int]]:
     intervals = [interval for each in outcomes for interval in each.intervals]
     return {
         "first or in its family": (sum(each.found for each in outcomes), len(outcomes)),
+        "the same, the recording's own causes set aside": (sum(each.beside_own for each in outcomes), len(outcomes)),
         "wrong": (sum(each.wrong for each in outcomes), len(outcomes)),
         "recommended where right": (sum(each.recommended for each in found), len(found)),
         "recommended where wrong": (sum(each.recommended for each in outcomes if each.wrong), len(outcomes)),
