@@ -152,7 +152,7 @@ def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatA
     run : array of int, shape (n,)
         Run of each stretch.
     """
-    if not len(run) or float(np.ptp(steer_rad)) > STILL_RAD:
+    if not len(run) or not float(np.ptp(steer_rad)) <= STILL_RAD:
         return ""
     left_rad = turned_rad - rolled * float(rolled @ turned_rad) / max(float(rolled @ rolled), 1e-12)
     first = np.flatnonzero(np.diff(run, prepend=-1))
