@@ -282,7 +282,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
         now.curvature_per_m = route.curvature_per_m[step]
         now.angle_left_rad, now.angle_right_rad = route.angle_left_rad[step], route.angle_right_rad[step]
         if world.during:
-            now.clear()
+            now.added.fill(0.0)
             for effect in world.during:
                 effect(now)
         left = route.roll_left_rad[step] * left_m * (1.0 + now.left) / (1.0 - now.lost_left)

@@ -56,13 +56,8 @@ class RouteTables:
     first: np.ndarray  #: shape (n_runs,): grid index at which the route of a run starts
     last: np.ndarray  #: shape (n_runs,): grid index of its last point, run-out included
     end_m: FloatArray  #: shape (n_runs,): length of the route
-    #: x_m, y_m, cos, sin, theta_rad, curvature_per_m: shape (n_grid,): planned pose and curvature
-    x_m: FloatArray
-    y_m: FloatArray
-    cos: FloatArray
-    sin: FloatArray
-    theta_rad: FloatArray
-    curvature_per_m: FloatArray
+    #: shape (6, n_grid): planned x and y in m, cosine and sine of the heading, heading in rad, curvature in 1/m
+    plan: FloatArray
 
 
 def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[FloatArray, float]:
@@ -97,7 +92,7 @@ def tabulate(
         Weave about the line; amplitude 0 is none.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
-    parts: list[tuple[FloatArray, ...]] = []
+    parts: list[FloatArray] = []
     filled = 0
     keys = list(zip(kinds, weaves, strict=True))
     for key in dict.fromkeys(keys):
@@ -108,11 +103,11 @@ def tabulate(
         middle = 0.5 * (theta[1:] + theta[:-1])
         x = np.concatenate(([0.0], np.cumsum(np.cos(middle) * PITCH_M)))
         y = np.concatenate(([0.0], np.cumsum(np.sin(middle) * PITCH_M)))
-        parts.append((x, y, np.cos(theta), np.sin(theta), theta, kappa))
+        parts.append(np.stack([x, y, np.cos(theta), np.sin(theta), theta, kappa]))
         start[key] = (filled, filled + len(kappa) - 1, end_m)
         filled += len(kappa)
     first, last, ends_m = (np.array(column) for column in zip(*(start[key] for key in keys), strict=True))
-    return RouteTables(first, last, ends_m, *map(np.concatenate, zip(*parts, strict=True)))
+    return RouteTables(first, last, ends_m, np.concatenate(parts, axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -156,17 +156,14 @@ class Moment:
     lateral_mps: FloatArray  #: shape (n_runs,): true lateral speed of the rear axle's middle
     yaw_radps: FloatArray  #: shape (n_runs,): true yaw that no wheel sees
     drive: FloatArray  #: shape (n_runs,): slip of the driven front wheel
+    added: FloatArray  #: shape (8, n_runs): what the effects add, `left` to `drive` being its rows
+    turned_rad: FloatArray  #: shape (2, n_runs): `angle_left_rad` and `angle_right_rad`
 
     @staticmethod
     def at_rest(n_runs: int) -> Moment:
         """Return the moment before the start."""
-        zero = np.zeros(n_runs)
-        return Moment(0.0, *(zero.copy() for _ in range(16)))
-
-    def clear(self) -> None:
-        """Forget what the effects added."""
-        for name in ("left", "right", "track", "lost_left", "lost_right", "lateral_mps", "yaw_radps", "drive"):
-            getattr(self, name).fill(0.0)
+        added, turned_rad = np.zeros((8, n_runs)), np.zeros((2, n_runs))
+        return Moment(0.0, *np.zeros((6, n_runs)), *turned_rad, *added, added, turned_rad)
 
     def roll_more(self, left: FloatArray, right: FloatArray | None = None) -> None:
         """Add shares to the rolling radii; the same to both where only one is given."""
