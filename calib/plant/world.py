@@ -163,7 +163,8 @@ class Moment:
     def at_rest(n_runs: int) -> Moment:
         """Return the moment before the start."""
         added, turned_rad = np.zeros((8, n_runs)), np.zeros((2, n_runs))
-        return Moment(0.0, *np.zeros((6, n_runs)), *turned_rad, *added, added, turned_rad)
+        rows = (*np.zeros((6, n_runs)), *turned_rad, *added, added, turned_rad)
+        return Moment(0.0, *rows)
 
     def roll_more(self, left: FloatArray, right: FloatArray | None = None) -> None:
         """Add shares to the rolling radii; the same to both where only one is given."""
