@@ -48,8 +48,8 @@ SAME_WAY_RAD: Final = 0.3
 TRIAL_ROUNDS: Final = 6
 #: of these, those that estimate the noise: it only weighs position against heading, and costs most of a trial
 TRIAL_NOISE_ROUNDS: Final = 1
-#: and to this, relative
-TRIAL_STEADY: Final = 0.2
+#: and up to a step that gains less log likelihood
+TRIAL_STEADY: Final = 0.1
 #: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration

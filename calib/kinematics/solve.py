@@ -89,17 +89,20 @@ def covariances(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> Floa
     return total
 
 
-def update_scales(kernel: FloatArray, scales: FloatArray, inverse: FloatArray, whitened: FloatArray) -> FloatArray:
-    """Return better variances of the components: one step that never lowers the likelihood (Zhou et al. 2019).
+def update_scales(
+    kernel: FloatArray, scales: FloatArray, least: FloatArray, inverse: FloatArray, whitened: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return better variances, by a step that does not lower the likelihood (Zhou et al. 2019), and what it gains.
 
-    `kernel` (shape (4, n, 3, 3)); `scales` (shape (4,)): variances now; `inverse` (shape (n, 3, 3)): inverse
+    `kernel` (shape (4, n, 3, 3)); `scales`, `least` (shape (4,)): variances now, and at least; `inverse` (shape (n, 3, 3)): inverse
     covariances at `scales`; `whitened` (shape (n, 3)): inverse covariances times residuals, times the square root of
-    the robust weights.
+    the robust weights. The gain is that of the log likelihood by the component that gains most.
     """
     outer = (whitened[:, :, None] * whitened[:, None, :]).ravel()
     flat = kernel.reshape(len(kernel), -1)
     size, trace = flat @ outer, flat @ inverse.ravel()
-    return np.asarray(scales * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER)
+    better = np.maximum(scales * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER, least)
+    return better, float(np.max(0.5 * np.abs(scales * (size - trace) * np.log(better / scales))))
 
 
 #: degrees of freedom of the Student t
@@ -114,8 +117,9 @@ NOISE_STRETCHES: Final = 500
 CLOSE: Final = 1e-3
 #: a change within a step below this part of it ends the steps within: the next linearisation corrects far more
 INEXACT: Final = 1e-2
-#: a change of the noise's variances below this ends the inner steps, relative
-STEADY: Final = 1e-2
+#: a step of the noise's variances that gains less log likelihood than this is the last: a component that adds nothing
+#: to the covariance may go on falling for ever
+STEADY: Final = 1e-3
 #: strength of the pull to the nominal values, in parts of the information there is; only for solvability
 RIDGE: Final = 1e-10
 #: longest step, in spreads of what is possible
@@ -178,7 +182,7 @@ def solve(
     rounds, noise_rounds
         Linearisations at most, and those in which the noise is estimated too.
     steady
-        A change of the noise's variances below this ends their estimation, relative.
+        A step of the noise's variances that gains less log likelihood ends their estimation.
     """
     values, least = start.copy(), LEAST * scales
     free, prior = parameters.free, parameters.prior_std
@@ -262,10 +266,8 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
         step = _weighted((whitener @ problem.jacobian).reshape(-1, len(step)), residuals, weights)
         rest = problem.residuals - problem.jacobian @ step
         pulled = np.einsum("nij,nj->ni", inverse, rest) * np.sqrt(_weights(whitener, rest, problem.size)[0])[:, None]
-        better = np.maximum(update_scales(kernel, scales, inverse, pulled), least)
-        change = float(np.max(np.abs(np.log(better / scales))))
-        scales = better
-        if change < steady:
+        scales, gain = update_scales(kernel, scales, least, inverse, pulled)
+        if gain < steady:
             break
     return scales
 
