@@ -120,6 +120,8 @@ class Form:
     #: observations alone (`Observations.here` selects from arrays of all). Else it is given the whole path, and arrays
     #: per step are held for all observations at once: too much for a large campaign.
     by_parts: bool = False
+    #: effects without one of which it does nothing, by id; empty where it acts by itself
+    acts_through: tuple[str, ...] = ()
 
     def centred_at(self, centre: Centre | None) -> Form:
         """Return the form with the effect zero at a centre, itself where it has none or none is given."""

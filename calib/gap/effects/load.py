@@ -15,12 +15,6 @@ from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import wheel_loads_N
 
-#: relative slope where neither the model nor the hypothesis has any
-NOMINAL_PER_N: Final = 1e-5
-#: a slope below this share of the nominal one says nothing: a fit of the law beside others ends at chance values there
-SMALLEST_SLOPE: Final = 0.1
-
-
 def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter, ...]:
     """Return slopes of a radius against load in m/N, as an effect's parameters of these names.
 
@@ -30,23 +24,21 @@ def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter
     return tuple(Parameter(name, "m/N", typical=1e-5 * soft_m, largest=6e-5 * soft_m) for name in names)
 
 
-def _model_slopes(path: Path) -> FloatArray:
+def _model_slopes(observations: Observations) -> FloatArray:
     """Return the slopes of the left and right radius against load by the model, shape (2,)."""
-    return np.array([path.s.model.slope_left_m_per_N, path.s.model.slope_right_m_per_N])
+    return np.array([observations.model.slope_left_m_per_N, observations.model.slope_right_m_per_N])
 
 
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
     """Return the slopes of the left and right radius against load, shape (2,).
 
-    Those of the model; where it has none, the hypothesis' `own`, shape (2,); where that has none either,
-    `NOMINAL_PER_N` times the radius (more on lighter vehicles). With a nominal slope only the product of slope and
-    misreported load means anything.
+    Those of the model; where it has none, the hypothesis' `own`, shape (2,), if it has a load law. Radii that follow no
+    load make nothing of a payload: a slope assumed for it would let one misreported payload stand for the law itself.
     """
-    slopes, model = _model_slopes(path), path.s.model
-    if slopes.any():
+    slopes = _model_slopes(path.s)
+    if slopes.any() or path.perturbation.law_slopes is None:
         return slopes
-    nominal = NOMINAL_PER_N * softness(path.s) * np.array([model.radius_left_m, model.radius_right_m])
-    return np.where(np.abs(own) > SMALLEST_SLOPE * nominal, own, nominal)
+    return own
 
 
 def _shown_by(path: Path, others: BoolArray) -> FloatArray:
@@ -212,6 +204,8 @@ def _load_before_N(load: FloatArray, other: FloatArray, first: float) -> FloatAr
 
 
 MAX_PAYLOADS: Final = 6
+#: effects that give the radii a slope, by id
+LOAD_LAWS: Final = (LoadRadius.id, LoadRadiusNonlinear.id)
 
 
 class _OfPayload(Effect):
@@ -225,9 +219,9 @@ class _OfPayload(Effect):
 class PayloadMass(_OfPayload):
     """The payload of one label, or of all, is wrong by a share, and with it the loads: dr_i = c_i share dF_i.
 
-    The slopes c_i are the model's, else those of the hypothesis as the other payloads show them, else a nominal 1 % per
-    kN (then the share is only as good as that slope). All labels at once (a scale that reads too low) are asked of only
-    where the model has slopes: in a model without them no payload does anything, and slopes that are off look alike.
+    The slopes c_i are the model's, else those of the hypothesis' load law as the other payloads show them; without
+    either it is not considered. All labels at once (a scale that reads too low) are asked of only where the model has
+    slopes: slopes that are off look alike.
     """
 
     id = "payload_mass"
@@ -242,8 +236,7 @@ class PayloadMass(_OfPayload):
         values, counts = np.unique(np.round(payload[payload > 5e-4], 3), return_counts=True)
         values = np.sort(values[np.argsort(-counts, kind="stable")[:MAX_PAYLOADS]])
         added_left, added_right = payload_load_N(observations)
-        model = observations.model
-        has_slopes = model.slope_left_m_per_N != 0.0 or model.slope_right_m_per_N != 0.0
+        has_slopes = bool(_model_slopes(observations).any())
         together = len(values) > 1 and has_slopes
 
         def form(label: str, mine: BoolArray, parameter: Parameter, settings: dict[str, float]) -> Form:
@@ -256,7 +249,9 @@ class PayloadMass(_OfPayload):
                     )
                 ]
 
-            return Form(self.id, label, (parameter,), perturbations, settings, tries=len(values) + int(together))
+            through = () if has_slopes else LOAD_LAWS
+            tries = len(values) + int(together)
+            return Form(self.id, label, (parameter,), perturbations, settings, tries, acts_through=through)
 
         share = Parameter("share", "1", typical=0.15, largest=0.5)
         forms = [
@@ -289,6 +284,7 @@ class PayloadPosition(_OfPayload):
         if not (weight_N > 0.0).any():
             return []
         wheelbase, track = observations.vehicle.wheelbase_m, observations.model.track_m
+        has_slopes = bool(_model_slopes(observations).any())
         roll = np.nan_to_num(observations.front_roll_rad)
         rolled = np.nan_to_num(observations.total(roll * observations.steer_cos))
         turned = observations.total(roll * observations.steer_sin) / wheelbase
@@ -299,7 +295,7 @@ class PayloadPosition(_OfPayload):
         def changed_m(path: Path, lever_m: float) -> tuple[FloatArray, FloatArray]:
             law = path.perturbation.law_slopes
             slopes = _slopes_m_per_N(path, np.zeros(2) if law is None else law[0])
-            if not _model_slopes(path).any():
+            if not has_slopes:
                 # a slope of its own for each wheel would follow what the place is to explain
                 slopes = np.full(2, slopes.mean())
             return slopes[0] * weight_N / lever_m, slopes[1] * weight_N / lever_m
@@ -320,6 +316,7 @@ class PayloadPosition(_OfPayload):
         def form(label: str, name: str, perturbations: Perturbations) -> Form:
             size = reach(observations)
             parameter = Parameter(name, "m", typical=3e-2 * size, largest=2.5e-1 * size)
-            return Form(self.id, label, (parameter,), perturbations, tries=2)
+            through = () if has_slopes else LOAD_LAWS
+            return Form(self.id, label, (parameter,), perturbations, tries=2, acts_through=through)
 
         return [form("sideways", "further_left", sideways), form("lengthways", "further_ahead", ahead)]

@@ -109,8 +109,15 @@ class LocalSearch:
         return tuple(self.columns.forms[k] for k in model)
 
     def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
-        """Return the log weights of models, shape (n_scales, n_models)."""
-        return log_weights(sums or self.sums, self.columns, models)
+        """Return the log weights of models, shape (n_scales, n_models); minus infinity for what nothing lets act."""
+        weight = log_weights(sums or self.sums, self.columns, models)
+        weight[:, [not self._acts(model) for model in models]] = -np.inf
+        return weight
+
+    def _acts(self, model: Model) -> bool:
+        """Return whether each form of a model has beside it what it acts through."""
+        forms = [self.columns.forms[k] for k in model]
+        return all(any(o.effect in f.acts_through for o in forms) for f in forms if f.acts_through)
 
     @property
     def is_noise(self) -> BoolArray:
