@@ -54,6 +54,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     reference.ReferenceLatency,
     floor.RearDrag,
     floor.TravelDirection,
+    turning.WheelSlip,
     turning.SideSlip,
     turning.CurveScrub,
     steering.SteeringZero,

@@ -15,6 +15,7 @@ from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import wheel_loads_N
 
+
 def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter, ...]:
     """Return slopes of a radius against load in m/N, as an effect's parameters of these names.
 

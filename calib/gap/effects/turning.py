@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +24,10 @@ from calib.gap.observations.arrays import POSE
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
+
+
+#: runs whose square of the speed gains less, halved, say nothing of slip: a tenth of a millimetre at the typical size
+LEAST_SLIP_M2PS2: Final = 1e-2
 
 
 class CurveLoadTransfer(Effect):
@@ -186,6 +192,49 @@ def stops(observations: Observations) -> BoolArray:
     within = moving & ~last & ~follows
     at_end = last & moving & (speed < 0.5 * driven)
     return np.where(observations.from_log[observations.unit], within | at_end, last)
+
+
+class WheelSlip(Effect):
+    """Two driven wheels count a share s = k a more than the vehicle travels: e_s = -k times the integral of a ds.
+
+    a is the rate of the speed: braking, they count less. From rest to rest both cancel, unless only speeding up slips.
+    """
+
+    id = "wheel_slip"
+    title = "driven wheels that slip when the speed changes"
+    implausible = "a reference that reads late, or an offset of the reference"
+    family = Family.SPEED
+    of_rear_wheels = True
+    needs = "two driven wheels, and runs that begin or end on the move, or several accelerations"
+    separates = "the same way at a gentle and at a hard acceleration"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return forms in proportion to a and to its square, for both and for speeding up alone.
+
+        None where the two wheels are free. The square stands for tyres that hold until their grip is nearly used up.
+        """
+        if observations.vehicle.drive not in ("differential", "skid"):
+            return []
+        # a tenth at 1 m/s2 is a tyre at a tenth of its grip
+        linear = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
+        squared = replace(linear, name="slip_per_square", unit="s4/m2")
+        forms = []
+        for label, least in (("speeding up and braking", -np.inf), ("speeding up", 0.0)):
+            for power, parameter in ((1, linear), (2, squared)):
+
+                def slip(part: Observations, least: float = least, power: int = power) -> FloatArray:
+                    # in the sense of rolling
+                    rate = np.maximum(rate_per_s(part, np.abs(part.speed_mps), 2), least)
+                    return np.sign(rate) * np.abs(rate) ** power
+
+                def perturbations(path: Path, slip: Callable[[Observations], FloatArray] = slip) -> list[Perturbation]:
+                    return [Perturbation(left=-slip(path.s), right=-slip(path.s))]
+
+                shown = observations.of_parts(lambda part, slip=slip: part.total(np.abs(part.path_m) * slip(part)))
+                if (np.abs(shown) > LEAST_SLIP_M2PS2).any():
+                    of_power = f"{label}{', ~ a^2' if power == 2 else ''}"
+                    forms.append(Form(self.id, of_power, (parameter,), perturbations, tries=4, by_parts=True))
+        return forms
 
 
 class DriveSlip(Effect):

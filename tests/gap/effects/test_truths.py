@@ -21,6 +21,7 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.types import FloatArray
+from calib.vehicle import Vehicle
 from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Run, campaign, gap, motion_of, situation
 from tests.gap.effects.truths.cases import CASES, ROLLING, RUNS, SLOPED, Case
 
@@ -42,11 +43,11 @@ def form_of(s: Observations, effect: str, label: str = "") -> Form:
 _PLAIN: dict[tuple[int, str], FloatArray] = {}
 
 
-def plain_of(runs: list[Run], model: OdometryModel) -> FloatArray:
+def plain_of(runs: list[Run], model: OdometryModel, vehicle: Vehicle | None) -> FloatArray:
     """The gap of runs on which nothing is wrong."""
-    key = (id(runs), repr(model))
+    key = (id(runs), repr((model, vehicle)))
     if key not in _PLAIN:
-        _PLAIN[key] = gap(situation(runs, model=model))
+        _PLAIN[key] = gap(situation(runs, model=model, vehicle=vehicle))
     return _PLAIN[key]
 
 
@@ -57,8 +58,8 @@ def test_every_effect_has_a_truth() -> None:
 @pytest.mark.parametrize("one", CASES, ids=lambda c: f"{c.effect}-{c.label}".rstrip("-"))
 def test_an_effect_closes_the_gap_of_the_campaign_in_which_it_is_true(one: Case) -> None:
     runs = one.runs if one.runs is not None else RUNS
-    plain = plain_of(runs, one.model)
-    s = situation(runs, model=one.model, truth=one.truth)
+    plain = plain_of(runs, one.model, one.vehicle)
+    s = situation(runs, model=one.model, truth=one.truth, vehicle=one.vehicle)
     form = form_of(s, one.effect, one.label)
     assert len(form.parameters) == len(one.sizes)
     before = gap(s) - plain

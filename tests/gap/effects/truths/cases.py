@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.campaign.settings import OdometryModel
+from calib.vehicle import Vehicle
 from tests.gap.effects.making import MODEL, RADIUS_M, TRACK_M, Run, Truth, rich_runs
 
 G = 9.81
@@ -34,6 +35,7 @@ class Case:
     within: float = 5e-3
     runs: list[Run] | None = None
     model: OdometryModel = MODEL
+    vehicle: Vehicle | None = None
 
 
 CASES: list[Case] = []

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from calib.vehicle import Vehicle
 from tests.gap.effects.making import RADIUS_M, TRACK_M, Motion, Run
-from tests.gap.effects.truths.cases import FORWARD, HUMID, LOGGED, RUNS, case, mean
+from tests.gap.effects.truths.cases import FORWARD, HUMID, LOGGED, ROLLING, RUNS, case, mean
 
 
 @case("radius_scale", "", 4e-3)
@@ -139,6 +142,21 @@ def _(run: Run, now: Motion) -> None:
 @case("braking_skid", "~ v^2", 4e-3, within=1e-2, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     skid(run, now, 4e-3 * run.speed_mps**2)
+
+
+DIFFERENTIAL = Vehicle(track_m=TRACK_M, wheelbase_m=1.0, drive="differential")
+SPEEDING_UP = [replace(run, ramp=True, front=False) for run in ROLLING]
+
+
+# the acceleration is a difference over four steps, blurred where the ramp ends
+@case("wheel_slip", "speeding up and braking", 3e-2, runs=SPEEDING_UP, within=5e-2, vehicle=DIFFERENTIAL)
+@case("wheel_slip", "speeding up", 3e-2, runs=SPEEDING_UP, within=5e-2, vehicle=DIFFERENTIAL)
+def _(run: Run, now: Motion) -> None:
+    way = np.cumsum(np.abs(now.ds_m)) - 0.5 * np.abs(now.ds_m)
+    whole = float(np.sum(np.abs(now.ds_m)))
+    # v^2 = 2 a s; a wheel that slips rolls more than the vehicle travels
+    slip = 3e-2 * np.where(way < 0.2 * whole, run.speed_mps**2 / (0.4 * whole), 0.0)
+    now.left = now.right = -slip / (1.0 + slip)
 
 
 @case("covariate:humidity", "right radius", 1e-3)
