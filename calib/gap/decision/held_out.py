@@ -72,6 +72,11 @@ class Closure:
         above = [line for line in self.channels if line.fraction is not None]
         return tuple(sorted(above, key=lambda line: -line.before_rms / line.floor_rms))
 
+    @property
+    def largest_residual(self) -> float:
+        """What is left with the causes over the noise level, in the channel where that is most; 0 without channels."""
+        return max((line.after_rms / line.floor_rms for line in self.channels if line.floor_rms > 0.0), default=0.0)
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
         return plain_fields(

@@ -28,6 +28,8 @@ HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
 HALF_CLOSURE: Final = 0.5
 #: closure from which on a gap counts as explained; below, part of it is unexplained
 FULL_CLOSURE: Final = 0.9
+#: and a residual of so many noise levels, in any channel, is said however large the gap was: the next cause is in it
+LARGE_RESIDUAL: Final = 3.0
 #: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
 SMALL_SHARE: Final = 0.05
 #: a cause with less than this share of what the largest one has is a hundredth of its size: no closer is the law of the
@@ -115,7 +117,8 @@ def kind_of(
         certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
         return VerdictKind.PARTLY_EXPLAINED if certain else VerdictKind.UNKNOWN
     # an unexplained part that lies within the interval of the closure is not shown
-    if high < FULL_CLOSURE or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
+    part = high < FULL_CLOSURE or closure.largest_residual > LARGE_RESIDUAL
+    if part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
 
@@ -209,6 +212,8 @@ def _unexplained(diagnosis: Diagnosis) -> str:
             return "the correction does not carry over to all held-out runs"
         if diagnosis.closure.ci95 is not None and diagnosis.closure.ci95[1] < FULL_CLOSURE:
             return "part of the gap remains on held-out runs"
+        if diagnosis.closure.largest_residual > LARGE_RESIDUAL:
+            return f"{diagnosis.closure.largest_residual:.0f} times the noise is left on held-out runs"
         return "part of it may have another cause"
     placed = next((place for place in diagnosis.unexplained.where if place.startswith(ON_FLOOR)), "")
     where = _located(diagnosis.where.rest) or (placed and f", most {placed}")

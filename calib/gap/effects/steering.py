@@ -316,41 +316,36 @@ DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 class SteeringDelay(Effect):
     """The logged angle is tau old, so short of the true one by delta(t + tau) - delta(t), nearly tau d(delta)/dt.
 
-    On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
+    Below 0 it is ahead, as a command is: the wheel follows it later, or as a lag of first order does. On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
     """
 
     id = "steering_delay"
-    title = "a steering angle that is logged late"
+    title = "a delay between the logged steering angle and the wheel"
     implausible = "a steering angle of wrong scale"
     family = Family.STEERING
     needs = "the front wheel in a log with times"
     separates = "runs that end in a turn"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each delay; none where the steering does not move or the log has no times."""
+        """Return a form for each delay and each lag; none where the steering does not move or the log has no times."""
         angle = steer_rad(observations)
         rate = rate_per_s(observations, angle, 1)
         if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
             return []
         parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
-        tries = 1 + len(DELAYS_S)
-        short = error_form(observations, self.id, "", parameter, -rate, tries=tries)
-        return [
-            short,
-            *(
-                error_form(
-                    observations,
-                    self.id,
-                    f"about {delay:g} s",
-                    parameter,
-                    -_moves_within(observations, angle, rate, delay) / delay,
-                    tries=tries,
-                    settings={"shift_s": delay},
-                    exact_at=delay,
-                )
-                for delay in DELAYS_S
-            ),
-        ]
+        # a log that lags by the first order is short by tau d(delta)/dt: the form of a short delay
+        errors = {"": (-rate, 0.0)}
+        for delay in DELAYS_S:
+            errors[f"about {delay:g} s"] = -_moves_within(observations, angle, rate, delay) / delay, delay
+            errors[f"a lag of about {delay:g} s"] = -_lag_behind(observations, angle, delay) / delay, -delay
+
+        def form(label: str, error: FloatArray, exact_at: float) -> Form:
+            settings = {"shift_s": exact_at} if exact_at else {}
+            return error_form(
+                observations, self.id, label, parameter, error, tries=len(errors), settings=settings, exact_at=exact_at
+            )
+
+        return [form(label, *error) for label, error in errors.items()]
 
 
 def _moves_within(observations: Observations, values: FloatArray, rate: FloatArray, delay_s: float) -> FloatArray:
@@ -363,6 +358,21 @@ def _moves_within(observations: Observations, values: FloatArray, rate: FloatArr
     apart = observations.unit * (np.ptp(middle) + 1.0)
     inside = np.interp(np.minimum(middle + delay_s, middle[end]) + apart, middle + apart, values)
     return np.asarray(inside - values + rate[end] * np.maximum(middle + delay_s - middle[end], 0.0))
+
+
+def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) -> FloatArray:
+    """Return values less those that follow them with a lag of first order, from each start on, shape (n_steps,)."""
+    longest = int(observations.lengths.max())
+    index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
+    share = -np.expm1(-np.nan_to_num(observations.duration_s)[index] / lag_s)
+    inputs = values[index]
+    # between the middles of two steps, the mean of both
+    inputs[1:] = 0.5 * (inputs[1:] + inputs[:-1])
+    behind = inputs
+    for row in range(1, longest):
+        behind[row] = behind[row - 1] + share[row] * (inputs[row] - behind[row - 1])
+    step = np.arange(len(values)) - observations.starts[observations.unit]
+    return np.asarray(values - behind[step, observations.unit])
 
 
 def rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:

@@ -233,8 +233,8 @@ class WheelSlip(Effect):
                 shown = observations.of_parts(lambda part, slip=slip: part.total(np.abs(part.path_m) * slip(part)))
                 if (np.abs(shown) > LEAST_SLIP_M2PS2).any():
                     of_power = f"{label}{', ~ a^2' if power == 2 else ''}"
-                    forms.append(Form(self.id, of_power, (parameter,), perturbations, tries=4, by_parts=True))
-        return forms
+                    forms.append(Form(self.id, of_power, (parameter,), perturbations, by_parts=True))
+        return [replace(form, tries=len(forms)) for form in forms]
 
 
 class DriveSlip(Effect):

@@ -17,6 +17,7 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
 from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator
+from tests.gap.effects.truths.cases import SLOPED
 
 
 def kinds_of(path: Path) -> dict[str, str]:
@@ -37,7 +38,7 @@ IDS = {name for path in Path(package.__file__).parent.glob("*.py") for name in k
 def rich() -> Observations:
     # every other straight run goes along a second lane
     runs = [replace(run, kind="corridor_b") if number % 6 == 3 else run for number, run in enumerate(rich_runs())]
-    made = observations_of(with_outside_simulator(campaign(runs)))
+    made = observations_of(with_outside_simulator(campaign(runs, model=SLOPED)))
     # a gyro measured the turns of every fourth
     return replace(made, by_gyro=np.arange(len(made)) % 4 == 0)
 
@@ -68,8 +69,18 @@ def every_form(s: Observations) -> list[Form]:
     return [form for effect in library(s) for form in effect.forms(s)]
 
 
+def with_its_drive(rich: Observations, name: str) -> Observations:
+    """The runs as driven by a vehicle that can have the effect: of two driven wheels where these are meant."""
+    drive = "differential" if name == "wheel_slip" else "tricycle"
+    return replace(rich, vehicle=replace(rich.vehicle, drive=drive))
+
+
 def test_every_effect_shows_in_a_campaign_that_varies_everything(rich: Observations) -> None:
-    assert [effect.id for effect in library(rich) if not effect.forms(rich)] == []
+    assert [effect.id for effect in library(rich) if not effect.forms(with_its_drive(rich, effect.id))] == []
+
+
+def test_free_wheels_do_not_slip(rich: Observations) -> None:
+    assert REGISTRY["wheel_slip"]().forms(rich) == []
 
 
 def test_parameters_have_names_units_and_sizes(rich: Observations) -> None:
@@ -132,6 +143,7 @@ def rotated(path_frame: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [*sorted(IDS - {"encoder_gross"}), "covariate:humidity"])
 def test_a_signature_is_the_derivative_of_the_prediction(rich: Observations, name: str) -> None:
+    rich = with_its_drive(rich, name)
     path = predict(rich)
     for form in next(e for e in library(rich) if e.id == name).forms(rich):
         perturbations = form.perturbations(path)

@@ -119,7 +119,7 @@ def test_payload_effects_take_the_slope_of_a_load_law_that_the_hypothesis_brings
 @pytest.mark.parametrize("size", [-0.3, 0.05, 0.3])
 def test_a_payload_effect_does_not_feed_on_itself(size: float) -> None:
     """About its own path it does what it does about the model's: radii that it moves are no load law."""
-    bare = situation(RUNS)
+    bare = situation(RUNS, model=SLOPED)
     for effect, label in (("payload_mass", "payload of 150"), ("payload_position", "sideways")):
         form = form_of(bare, effect, label)
         (first,) = form.perturbations(predict(bare))
@@ -138,3 +138,15 @@ def test_a_wrong_truth_is_not_closed() -> None:
 def test_routes_are_there() -> None:
     """The campaign of these tests holds straights, bends and squares."""
     assert all(any(run.pieces == pieces for run in RUNS) for pieces in (STRAIGHT, ROUTE, SQUARE))
+
+
+def test_a_payload_does_nothing_without_a_load_law() -> None:
+    """A slope assumed for it would let one misreported payload stand for the law, with one parameter for its two."""
+    bare = situation(RUNS)
+    path = predict(bare)
+    for effect in ("payload_mass", "payload_position"):
+        for form in REGISTRY[effect]().forms(bare):
+            (perturbation,) = form.perturbations(path)
+            assert not np.any(perturbation.left) and not np.any(perturbation.right)
+            assert set(form.acts_through) == {"load_radius", "load_radius_nonlinear"}
+    assert all(form.acts_through == () for form in REGISTRY["payload_mass"]().forms(situation(RUNS, model=SLOPED)))
