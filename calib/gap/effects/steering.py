@@ -364,13 +364,14 @@ def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) ->
     """Return values less those that follow them with a lag of first order, from each start on, shape (n_steps,)."""
     longest = int(observations.lengths.max())
     index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
-    share = -np.expm1(-np.nan_to_num(observations.duration_s)[index] / lag_s)
-    inputs = values[index]
-    # between the middles of two steps, the mean of both
-    inputs[1:] = 0.5 * (inputs[1:] + inputs[:-1])
-    behind = inputs
+    steps = np.maximum(np.nan_to_num(observations.duration_s)[index] / lag_s, 1e-9)
+    # exact where the angle moves evenly from the middle of one step to that of the next
+    share = -np.expm1(-steps)
+    behind = values[index]
+    moved = np.diff(behind, axis=0) * (1.0 - share[1:] / steps[1:])
     for row in range(1, longest):
-        behind[row] = behind[row - 1] + share[row] * (inputs[row] - behind[row - 1])
+        before = values[index[row - 1]]
+        behind[row] = behind[row - 1] + share[row] * (before - behind[row - 1]) + moved[row - 1]
     step = np.arange(len(values)) - observations.starts[observations.unit]
     return np.asarray(values - behind[step, observations.unit])
 

@@ -1,0 +1,152 @@
+"""Causes that another effect of the library imitates are named by themselves, not by their imitator.
+
+The runs are worked out by the plan of the drive (`tests.gap.effects.making`), which shares no code with the diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.vehicle import Vehicle
+from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign
+
+XY_M, HEADING_RAD, LASER_M = 2e-3, 1e-3, 1.5e-3
+#: of the true slope, in m/N: three times the runs' interval, a fifth of the slope itself
+SLOPE_M_PER_N = 1.5e-6
+DIFFERENTIAL = Vehicle(track_m=0.7, drive="differential")
+Diagnosing = Callable[..., Diagnosis]
+
+
+def noisy(truth: Truth, seed: int) -> Truth:
+    """A truth, with the noise of the instruments and of the wheels."""
+    rng = np.random.default_rng(seed)
+
+    def both(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.end_x_m, now.end_y_m, now.end_rad = rng.normal(0.0, (XY_M, XY_M, HEADING_RAD))
+        now.laser_m += rng.normal(0.0, LASER_M)
+        now.yaw_rad = now.yaw_rad + rng.normal(0.0, 2e-4, len(now.ds_m)) * np.sqrt(np.abs(now.ds_m))
+
+    return both
+
+
+def turned(pieces: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [(length, -kappa) for length, kappa in pieces]
+
+
+def loaded(n_runs: int = 24) -> list[Run]:
+    """Squares either way and straights, three payloads in each session, twice each."""
+    routes = [(SQUARE, "square_ccw"), (turned(SQUARE), "square_cw"), (STRAIGHT, "corridor")]
+    runs = []
+    for number in range(n_runs):
+        pieces, kind = routes[number % 3]
+        payload_kg = (0.0, 50.0, 100.0)[number // 3 % 3]
+        load_N = 300.0 + 0.4 * 9.81 * payload_kg
+        run = Run(pieces, kind=kind, load_left_N=load_N, load_right_N=load_N, session=f"s{1 + 2 * number // n_runs}")
+        runs.append(replace(run, front=False, numbers={"payload_kg": payload_kg}))
+    return runs
+
+
+def of_load(run: Run, now: Motion) -> None:
+    now.left = now.right = -SLOPE_M_PER_N / 0.1 * (run.load_left_N - 300.0)
+
+
+def test_a_load_law_that_the_model_lacks_is_no_misreported_payload(diagnosing: Diagnosing) -> None:
+    """Where both wheels have the same slope, a payload too small by twice itself would leave as little."""
+    verdict = diagnosing(campaign(loaded(), truth=noisy(of_load, 1), vehicle=DIFFERENTIAL))
+    assert [cause.effect for cause in verdict.causes] == ["load_radius"]
+    assert verdict.kind is VerdictKind.EXPLAINED and verdict.recommended
+    for quantity in verdict.causes[0].parameters.values():
+        assert quantity.ci95[0] <= -SLOPE_M_PER_N <= quantity.ci95[1]
+
+
+def driven_hard(n_runs: int = 24) -> list[Run]:
+    """Runs that end on the move, half of them after a hard acceleration over a fifth of the way."""
+    routes = [(STRAIGHT, "corridor"), (ROUTE, "route_left"), (turned(ROUTE), "route_right")]
+    return [
+        Run(pieces, kind=kind, speed_mps=(0.6, 1.2, 1.8)[number // 6 % 3], ramp=number // 3 % 2 == 0, front=False)
+        for number in range(n_runs)
+        for pieces, kind in [routes[number % 3]]
+    ]
+
+
+def slipping(run: Run, now: Motion) -> None:
+    """A share of 4 % at 1 m/s2 is counted and not travelled."""
+    if run.ramp:
+        way = np.cumsum(np.abs(now.ds_m)) - 0.5 * np.abs(now.ds_m)
+        whole = float(np.sum(np.abs(now.ds_m)))
+        now.left = now.right = -4e-2 * np.where(way < 0.2 * whole, run.speed_mps**2 / (0.4 * whole), 0.0)
+
+
+def test_slip_in_hard_accelerations_is_no_late_reference(diagnosing: Diagnosing) -> None:
+    verdict = diagnosing(campaign(driven_hard(), truth=noisy(slipping, 2), vehicle=DIFFERENTIAL))
+    assert [cause.effect for cause in verdict.causes] == ["wheel_slip"]
+
+
+def in_corridor(speeds: tuple[float, ...]) -> Campaign:
+    """Straight runs of three lengths, read by a laser 80 mm from where the runs are counted from."""
+    runs = [
+        Run([(length, 0.0)], speed_mps=speeds[number % len(speeds)], front=False, log=False)
+        for number, length in enumerate([5.0, 10.0, 20.0] * 8)
+    ]
+    made = campaign(runs, truth=noisy(lambda _, now: setattr(now, "laser_m", 0.08), 3), vehicle=DIFFERENTIAL)
+    numbers = {name: column for name, column in made.runs.numbers.items() if not name.startswith("ref_")}
+    return replace(made, runs=replace(made.runs, numbers=numbers))
+
+
+def test_a_wrong_datum_is_named_where_several_speeds_tell_it_from_a_late_reading(diagnosing: Diagnosing) -> None:
+    verdict = diagnosing(in_corridor((0.4, 0.8)))
+    assert [cause.effect for cause in verdict.causes] == ["rangefinder_offset"]
+    assert verdict.kind is VerdictKind.EXPLAINED
+
+
+def test_a_wrong_datum_is_left_open_at_one_speed(diagnosing: Diagnosing) -> None:
+    """At one speed an offset and a delay are the same column."""
+    verdict = diagnosing(in_corridor((0.5,)))
+    assert verdict.kind is VerdictKind.AMBIGUOUS
+    assert {"rangefinder_offset", "reference_latency"} <= {name for group in verdict.groups for name in group.effects}
+
+
+def steered(lag_s: float, cubic: float = 0.0) -> Truth:
+    """Truth of a wheel that follows the logged angle with a lag of first order, or by a curve."""
+
+    def truth(_: Run, now: Motion) -> None:
+        logged = now.steer_rad.copy()
+        if lag_s:
+            # the wheel is where the motion has it: the log is ahead by the lag times the rate
+            logged = now.steer_rad + lag_s * np.gradient(now.steer_rad, now.t_s)
+        logged = logged - cubic * now.steer_rad**3
+        now.steer_error_rad = logged - now.steer_rad
+
+    return truth
+
+
+def winding(n_runs: int = 18) -> list[Run]:
+    """Bends whose angle goes up and down, on six routes, ended in a turn."""
+    runs = []
+    for number in range(n_runs):
+        size = (0.3, 0.5, 0.7)[number % 3] * (1 if number // 3 % 2 else -1)
+        kappa = size * np.sin(np.linspace(0.0, np.pi * (2.4 + number % 2), 240))
+        runs.append(Run([(0.05, float(each)) for each in kappa], steps=240, kind=f"route_{number % 6}"))
+    return runs
+
+
+@pytest.mark.parametrize("lag_s", [0.2, 0.4])
+def test_a_wheel_that_follows_late_is_a_delay_at_its_size(diagnosing: Diagnosing, lag_s: float) -> None:
+    """The logged angle is ahead of the wheel: a delay below 0, of the lag's size within a tenth of it."""
+    verdict = diagnosing(campaign(winding(), truth=noisy(steered(lag_s), 4)))
+    delay = {cause.effect: cause for cause in verdict.causes}["steering_delay"].parameters["delay"]
+    assert delay.value == pytest.approx(-lag_s, rel=0.1)
+
+
+def test_what_is_left_beyond_three_noise_levels_is_said(diagnosing: Diagnosing) -> None:
+    """A linkage that is no straight line: its scale explains most of the gap, not what is left."""
+    verdict = diagnosing(campaign(winding(), truth=noisy(steered(0.0, cubic=0.6), 5)))
+    assert verdict.closure.largest_residual > 3.0
+    assert verdict.kind is not VerdictKind.EXPLAINED
