@@ -94,9 +94,23 @@ def update_scales(
 ) -> tuple[FloatArray, float]:
     """Return better variances, by a step that does not lower the likelihood (Zhou et al. 2019), and what it gains.
 
-    `kernel` (shape (4, n, 3, 3)); `scales`, `least` (shape (4,)): variances now, and at least; `inverse` (shape (n, 3, 3)): inverse
-    covariances at `scales`; `whitened` (shape (n, 3)): inverse covariances times residuals, times the square root of
-    the robust weights. The gain is that of the log likelihood by the component that gains most.
+    Parameters
+    ----------
+    kernel : array, shape (4, n, 3, 3)
+        Covariance of each displacement by each component of unit size.
+    scales, least : array, shape (4,)
+        Variances now, and at least.
+    inverse : array, shape (n, 3, 3)
+        Inverse covariances at `scales`.
+    whitened : array, shape (n, 3)
+        Inverse covariances times residuals, times the square root of the robust weights.
+
+    Returns
+    -------
+    array, shape (4,)
+        The better variances.
+    float
+        Log likelihood gained by the component that gains most.
     """
     outer = (whitened[:, :, None] * whitened[:, None, :]).ravel()
     flat = kernel.reshape(len(kernel), -1)

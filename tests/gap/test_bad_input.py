@@ -15,7 +15,9 @@ from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.read import read_campaign
 from calib.documents import to_json
 from calib.errors import BadInputError, CalibError, RefusedError
+from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects.calibration import NAMES
 from calib.plant.make import make_campaign
 from calib.plant.plans import good_design
 from tests.blunders import plant
@@ -102,8 +104,11 @@ def test_without_counts_it_is_refused() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_very_few_runs_are_answered(count: int) -> None:
-    assert answered(driven(1).select(np.arange(count))) != "explained"
+def test_very_few_runs_name_no_cause_but_a_recalibration(count: int) -> None:
+    """The load law is at work, which runs under one load cannot tell from radii that are off."""
+    verdict = diagnose_in_full(driven(1).select(np.arange(count)))
+    if verdict.kind is VerdictKind.EXPLAINED:
+        assert {cause.effect for cause in verdict.causes} <= set(NAMES)
 
 
 def test_one_load_never_names_the_load() -> None:
