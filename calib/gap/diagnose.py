@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path as FilePath
@@ -20,7 +20,7 @@ from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, corrected, find_blunder, misfit
+from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
@@ -113,7 +113,8 @@ def diagnose_in_full(
     settings = settings or SearchSettings()
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    given, planted, situation = campaign, observations, _situation(campaign, model, applied, exclude, observations)
+    planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
+    given, omitted = _without(campaign, situation.omitted), situation.omitted
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
@@ -123,7 +124,8 @@ def diagnose_in_full(
     noise, base, searched = _searched(nominal, effects, settings, progress)
     refined = _refined(situation, searched.fitted)
     if refined is not None:
-        situation = _corrected(given, model, applied, exclude, refined, situation.as_counted)
+        corrected_again = _corrected(given, model, applied, exclude, refined, situation.as_counted)
+        situation = replace(corrected_again, omitted=omitted)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
         noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
@@ -201,10 +203,21 @@ def _situation(
         return _counts_corrected(campaign, observations, (), (), exclude)
     observations, notes = _observed(campaign, model, applied)
     nominal = predict(observations)
+    omitted = bad_runs(nominal)
+    if omitted:
+        return replace(_situation(_without(campaign, omitted), model, applied, exclude, None), omitted=omitted)
     turned = None if ReferenceYaw.id in exclude else find_turned(nominal)
     if turned is None:
         return _counts_corrected(campaign, observations, notes, (), exclude)
     return _corrected(campaign, model, applied, exclude, turned, residuals(nominal, nominal))
+
+
+def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
+    """Return a campaign with these runs excluded."""
+    if not omitted:
+        return campaign
+    excluded = campaign.runs.excluded | np.isin(campaign.runs.label("run_id"), list(omitted))
+    return replace(campaign, runs=replace(campaign.runs, excluded=excluded))
 
 
 def _corrected(

@@ -150,3 +150,19 @@ def test_what_is_left_beyond_three_noise_levels_is_said(diagnosing: Diagnosing) 
     verdict = diagnosing(campaign(winding(), truth=noisy(steered(0.0, cubic=0.6), 5)))
     assert verdict.closure.largest_residual > 3.0
     assert verdict.kind is not VerdictKind.EXPLAINED
+
+
+def narrow(run: Run, now: Motion) -> None:
+    """The track is 1 % off; in runs of this route the left counter stands still from the middle on."""
+    now.track = -1e-2
+    if run.kind == "stopped":
+        now.left = np.where(np.arange(len(now.ds_m)) > len(now.ds_m) // 2, 1e9, 0.0)
+
+
+def test_runs_whose_counter_stood_still_are_omitted_and_said(diagnosing: Diagnosing) -> None:
+    """Two of 24 runs end off by half of their length and more, all others by some per cent."""
+    runs = [replace(run, kind="stopped") if number in (4, 15) else run for number, run in enumerate(loaded())]
+    verdict = diagnosing(campaign(runs, truth=noisy(narrow, 6), vehicle=DIFFERENTIAL))
+    assert "track_width" in {cause.effect for cause in verdict.causes} and verdict.recommended
+    assert "Omitted" in verdict.sentence and "r004" in verdict.sentence and "r015" in verdict.sentence
+    assert "r005" not in verdict.sentence

@@ -37,6 +37,7 @@ from calib.gap.decision.sentences import (
     fails,
     hides_causes,
     is_shown,
+    joined,
     kind_of,
     sentence,
 )
@@ -107,7 +108,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
-    return replace(diagnosis, sentence=said + _on_scatter(evidence))
+    return replace(diagnosis, sentence=said + _on_scatter(evidence) + _on_omitted(situation.omitted))
 
 
 def _misfit(evidence: Evidence) -> float:
@@ -172,6 +173,17 @@ def _on_scatter(evidence: Evidence) -> str:
     return (
         f" The wheels' radii scatter by about {100 * size:.1g} % from recording to recording: no correction takes that "
         "away, and all intervals hold it."
+    )
+
+
+def _on_omitted(omitted: Mapping[str, float]) -> str:
+    """Return the sentence on runs that were omitted, empty where none was."""
+    if not omitted:
+        return ""
+    runs = joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
+    return (
+        f" Omitted, since no other run ends off nearly as far: {runs}. Look for a counter that was reset or stood "
+        "still, or the reference of another run, with 'calib check'."
     )
 
 

@@ -45,6 +45,8 @@ class Situation:
     notes: tuple[str, ...] = ()  #: what had to be assumed
     faults: tuple[Blunder | TurnedReference, ...] = ()  #: blunders of encoders and reference mounting, corrected
     as_counted: FloatArray | None = None  #: the gap with counts and reference as they were, shape (n_units, n_channels)
+    #: runs omitted, by id, since they end off by a share of their length that no other comes near, each its share
+    omitted: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

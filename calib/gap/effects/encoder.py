@@ -116,6 +116,11 @@ _SWAPPED: Final = "swapped wheels"
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
+#: counts or reference of a run that ends off by more than this share of its length are not those of its drive, where
+#: that is so many times what any other ends off by, and it is one of so few
+BAD_RUN_MISFIT: Final = 0.2
+BAD_RUN_RATIO: Final = 3.0
+MOST_BAD_RUNS: Final = 0.25
 #: rise over run, and radians, within which a run is straight: no route turns by so little
 _STRAIGHT_ANGLE_RAD: Final = 0.2
 
@@ -201,6 +206,21 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
         phase_left_rad=getattr(observations, f"phase_{left}_rad") * fault.left,
         phase_right_rad=getattr(observations, f"phase_{right}_rad") * fault.right,
     )
+
+
+def bad_runs(nominal: Path) -> dict[str, float]:
+    """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
+
+    A counter that was reset or stood still, or a reference of another drive: not windows, and nothing that all share.
+    """
+    off = misfit(nominal)
+    order = np.argsort(-off, kind="stable")
+    worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]
+    apart = (worst[:-1] > BAD_RUN_MISFIT) & (worst[:-1] > BAD_RUN_RATIO * worst[1:])
+    if nominal.s.windowed or not apart.any():
+        return {}
+    bad = np.sort(order[: int(np.flatnonzero(apart)[-1]) + 1])
+    return dict(zip(nominal.s.labels["run_id"][bad].tolist(), off[bad].tolist(), strict=True))
 
 
 def misfit(path: Path, nominal: Path | None = None) -> FloatArray:

@@ -316,7 +316,8 @@ DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 class SteeringDelay(Effect):
     """The logged angle is tau old, so short of the true one by delta(t + tau) - delta(t), nearly tau d(delta)/dt.
 
-    Below 0 it is ahead, as a command is: the wheel follows it later, or as a lag of first order does. On a run at one speed e_delta = -v tau (delta_end - delta_start) / L.
+    Below 0 it is ahead, as a command is: the wheel follows it later, or as a lag of first order does. On a run at one
+    speed e_delta = -v tau (delta_end - delta_start) / L.
     """
 
     id = "steering_delay"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -25,9 +25,8 @@ from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 
-
-#: runs whose square of the speed gains less, halved, say nothing of slip: a tenth of a millimetre at the typical size
-LEAST_SLIP_M2PS2: Final = 1e-2
+#: what slip of the typical size makes of a run is not seen below this
+LEAST_SLIP_M: Final = 1e-4
 
 
 class CurveLoadTransfer(Effect):
@@ -218,23 +217,37 @@ class WheelSlip(Effect):
         # a tenth at 1 m/s2 is a tyre at a tenth of its grip
         linear = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         squared = replace(linear, name="slip_per_square", unit="s4/m2")
-        forms = []
-        for label, least in (("speeding up and braking", -np.inf), ("speeding up", 0.0)):
-            for power, parameter in ((1, linear), (2, squared)):
+        laws = [
+            (f"{label}{of_power}", parameter, least_mps2, power)
+            for label, least_mps2 in (("speeding up and braking", -np.inf), ("speeding up", 0.0))
+            for of_power, parameter, power in (("", linear, 1), (", ~ a^2", squared, 2))
+        ]
+        # a run from rest to rest gains and loses the same
+        shown = [(label, one, law) for label, one, *law in laws if _most_lost_m(observations, one, *law) > LEAST_SLIP_M]
 
-                def slip(part: Observations, least: float = least, power: int = power) -> FloatArray:
-                    # in the sense of rolling
-                    rate = np.maximum(rate_per_s(part, np.abs(part.speed_mps), 2), least)
-                    return np.sign(rate) * np.abs(rate) ** power
+        def form(label: str, parameter: Parameter, law: Sequence[float]) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                slip = _slip(path.s, *law)
+                return [Perturbation(left=-slip, right=-slip)]
 
-                def perturbations(path: Path, slip: Callable[[Observations], FloatArray] = slip) -> list[Perturbation]:
-                    return [Perturbation(left=-slip(path.s), right=-slip(path.s))]
+            return Form(self.id, label, (parameter,), perturbations, tries=len(shown), by_parts=True)
 
-                shown = observations.of_parts(lambda part, slip=slip: part.total(np.abs(part.path_m) * slip(part)))
-                if (np.abs(shown) > LEAST_SLIP_M2PS2).any():
-                    of_power = f"{label}{', ~ a^2' if power == 2 else ''}"
-                    forms.append(Form(self.id, of_power, (parameter,), perturbations, by_parts=True))
-        return [replace(form, tries=len(forms)) for form in forms]
+        return [form(*each) for each in shown]
+
+
+def _slip(observations: Observations, least_mps2: float, power: float) -> FloatArray:
+    """Return the acceleration in the sense of rolling, at least so much, to a power with its sign, shape (n_steps,)."""
+    rate = np.maximum(rate_per_s(observations, np.abs(observations.speed_mps), 2), least_mps2)
+    return np.asarray(np.sign(rate) * np.abs(rate) ** power)
+
+
+def _most_lost_m(observations: Observations, parameter: Parameter, least_mps2: float, power: float) -> float:
+    """Return by how much slip of the typical size shortens the run that it shortens most."""
+
+    def lost_m(part: Observations) -> FloatArray:
+        return part.total(np.abs(part.path_m) * _slip(part, least_mps2, power))
+
+    return parameter.typical * float(np.abs(observations.of_parts(lost_m)).max(initial=0.0))
 
 
 class DriveSlip(Effect):
