@@ -114,7 +114,7 @@ def diagnose_in_full(
     rng = np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
     planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
-    given, omitted = _without(campaign, situation.omitted), situation.omitted
+    given = _without(campaign, situation.omitted)
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
     nominal = predict(observations)
@@ -124,8 +124,7 @@ def diagnose_in_full(
     noise, base, searched = _searched(nominal, effects, settings, progress)
     refined = _refined(situation, searched.fitted)
     if refined is not None:
-        corrected_again = _corrected(given, model, applied, exclude, refined, situation.as_counted)
-        situation = replace(corrected_again, omitted=omitted)
+        situation = _refitted(given, situation, model, applied, exclude, refined)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
         noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
@@ -203,13 +202,26 @@ def _situation(
         return _counts_corrected(campaign, observations, (), (), exclude)
     observations, notes = _observed(campaign, model, applied)
     nominal = predict(observations)
-    omitted = bad_runs(nominal)
+    turned = None if ReferenceYaw.id in exclude else find_turned(nominal)
+    omitted = bad_runs(nominal) if turned is None else {}
     if omitted:
         return replace(_situation(_without(campaign, omitted), model, applied, exclude, None), omitted=omitted)
-    turned = None if ReferenceYaw.id in exclude else find_turned(nominal)
     if turned is None:
         return _counts_corrected(campaign, observations, notes, (), exclude)
     return _corrected(campaign, model, applied, exclude, turned, residuals(nominal, nominal))
+
+
+def _refitted(
+    given: Campaign,
+    situation: Situation,
+    model: OdometryModel | None,
+    applied: Sequence[EffectSection],
+    exclude: tuple[str, ...],
+    refined: TurnedReference,
+) -> Situation:
+    """Return a situation with another angle of the reference's mounting; `given` is the campaign as read."""
+    again = _corrected(given, model, applied, exclude, refined, situation.as_counted)
+    return replace(again, omitted=situation.omitted)
 
 
 def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:

@@ -1,4 +1,4 @@
-"""Radii that drift with temperature, use, session or speed."""
+"""Radii and a steering zero that drift with temperature, use, session or speed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, Proportional, varies
 from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, sessions
+from calib.gap.effects.steering import error_form, has_front
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
@@ -92,6 +93,32 @@ class SessionStep(Effect):
             parameters += [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side in ("left", "right")]
             perturbations += [Perturbation(left=step), Perturbation(right=step)]
         return [Form(self.id, "", tuple(parameters), lambda _: perturbations)] if parameters else []
+
+
+class SteeringZeroStep(Effect):
+    """The zero of the steering angle in every session but the first, counted from the campaign's mean."""
+
+    id = "steering_zero_step"
+    title = "a steering zero that steps from session to session"
+    implausible = "a sensor that slips on its shaft"
+    family = Family.STEERING
+    needs = "the front wheel in the log, in two sessions"
+    separates = "one straight run at the beginning of each session"
+    per_session = True
+    not_transferable = "what steps from session to session says nothing of the next one; find the steering zero in each"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form, a step a session but the first; none with one session or without a front wheel."""
+        number, count = numbered_sessions(observations)
+        if count < 2 or not has_front(observations).any():
+            return []
+        names, parameters, steps = sessions(observations), [], []
+        for later in range(1, count):
+            inside = number == later
+            parameters.append(Parameter(f"zero_{names[inside][0]}", "rad", typical=2e-3, largest=3.5e-2))
+            step = (inside - inside.mean())[observations.unit]
+            steps.append(error_form(observations, self.id, "", parameters[-1], step).perturbations)
+        return [Form(self.id, "", tuple(parameters), lambda path: [one for step in steps for one in step(path)])]
 
 
 class SpeedRadius(Proportional):

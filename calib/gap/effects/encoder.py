@@ -211,15 +211,19 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 def bad_runs(nominal: Path) -> dict[str, float]:
     """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
 
-    A counter that was reset or stood still, or a reference of another drive: not windows, and nothing that all share.
+    A counter that was reset or stood still, or a reference of another drive: not windows, and nothing that all runs of
+    a route share.
     """
-    off = misfit(nominal)
+    off, kind = misfit(nominal), nominal.s.labels["kind"]
     order = np.argsort(-off, kind="stable")
     worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]
     apart = (worst[:-1] > BAD_RUN_MISFIT) & (worst[:-1] > BAD_RUN_RATIO * worst[1:])
     if nominal.s.windowed or not apart.any():
         return {}
-    bad = np.sort(order[: int(np.flatnonzero(apart)[-1]) + 1])
+    number = int(np.flatnonzero(apart)[-1]) + 1
+    bad, others = np.sort(order[:number]), order[number:]
+    if not np.isin(kind[bad], kind[others]).all():
+        return {}
     return dict(zip(nominal.s.labels["run_id"][bad].tolist(), off[bad].tolist(), strict=True))
 
 

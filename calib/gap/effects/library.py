@@ -58,6 +58,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     turning.SideSlip,
     turning.CurveScrub,
     steering.SteeringZero,
+    drift.SteeringZeroStep,
     steering.SteeringScale,
     steering.SteeringBacklash,
     steering.SteeringDelay,

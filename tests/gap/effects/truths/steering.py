@@ -16,6 +16,12 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = 5e-3
 
 
+@case("steering_zero_step", "", 5e-3, -3e-3, runs=LOGGED, within=2e-2)
+def _(run: Run, now: Motion) -> None:
+    share = {name: mean(LOGGED, lambda one, name=name: float(one.session == name)) for name in ("s2", "s3")}
+    now.steer_error_rad = 5e-3 * ((run.session == "s2") - share["s2"]) - 3e-3 * ((run.session == "s3") - share["s3"])
+
+
 def winding(kappa: float, speed_mps: float) -> Run:
     """A turn to one side and a lesser one to the other, the curvature rising and falling evenly."""
     rise = [(0.03, 0.01 * k) for k in range(1, 100)]
