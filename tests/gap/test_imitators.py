@@ -14,7 +14,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.vehicle import Vehicle
-from tests.gap.effects.making import ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign
+from tests.gap.effects.making import MODEL, ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign
 
 XY_M, HEADING_RAD, LASER_M = 2e-3, 1e-3, 1.5e-3
 #: of the true slope, in m/N: three times the runs' interval, a fifth of the slope itself
@@ -57,9 +57,16 @@ def of_load(run: Run, now: Motion) -> None:
     now.left = now.right = -SLOPE_M_PER_N / 0.1 * (run.load_left_N - 300.0)
 
 
-def test_a_load_law_that_the_model_lacks_is_no_misreported_payload(diagnosing: Diagnosing) -> None:
-    """Where both wheels have the same slope, a payload too small by twice itself would leave as little."""
-    verdict = diagnosing(campaign(loaded(), truth=noisy(of_load, 1), vehicle=DIFFERENTIAL))
+@pytest.mark.parametrize("known_m_per_N", [0.0, -SLOPE_M_PER_N])
+def test_a_load_law_that_the_model_lacks_is_no_misreported_payload(
+    diagnosing: Diagnosing, known_m_per_N: float
+) -> None:
+    """Where both wheels have the same slope, a payload too small by twice itself would leave as little.
+
+    So would one three quarters of a metre from where it stands, where the model has half of the slope.
+    """
+    model = replace(MODEL, slope_left_m_per_N=known_m_per_N, slope_right_m_per_N=known_m_per_N)
+    verdict = diagnosing(campaign(loaded(), model=model, truth=noisy(of_load, 1), vehicle=DIFFERENTIAL))
     assert [cause.effect for cause in verdict.causes] == ["load_radius"]
     assert verdict.kind is VerdictKind.EXPLAINED and verdict.recommended
     for quantity in verdict.causes[0].parameters.values():

@@ -316,7 +316,8 @@ class PayloadPosition(_OfPayload):
 
         def form(label: str, name: str, perturbations: Perturbations) -> Form:
             size = reach(observations)
-            parameter = Parameter(name, "m", typical=3e-2 * size, largest=2.5e-1 * size)
+            # what stands further off than a hand's width, on a vehicle of a metre, is seen
+            parameter = Parameter(name, "m", typical=3e-2 * size, largest=1.2e-1 * size)
             through = () if has_slopes else LOAD_LAWS
             return Form(self.id, label, (parameter,), perturbations, tries=2, acts_through=through)
 

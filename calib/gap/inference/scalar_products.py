@@ -85,7 +85,7 @@ class FormPriors:
         layout = Layout.of(forms)
         most, sign = np.zeros(int(layout.counts.sum())), np.zeros(int(layout.counts.sum()), dtype=np.int64)
         for number, form in enumerate(forms):
-            most[layout.of_form(number)] = max([3.0, *(0.5 * p.largest / p.typical for p in form.parameters)])
+            most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
             sign[layout.of_form(number)] = [p.sign for p in form.parameters]
         # half of the prior lies on the sign that a parameter cannot have
         log_prior = [
