@@ -33,6 +33,9 @@ _LEAST_LAG_SAMPLES, _LARGEST_LAG_S = 20, 2.0
 #: spacing of the poses of a travelled distance, wide enough that their noise lengthens it little
 _POSE_SPACING_S: Final = 0.1
 
+#: an angle that spans more than one turn by this share does not start again at each turn
+_ONE_TURN: Final = 1.001
+
 #: calib's column -> its source
 Lines = MappingType[str, MappedColumn]
 
@@ -52,6 +55,16 @@ def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[Floa
     offsets = np.asarray([0, len(counts)])
     width = bits or detect_wrap_bits(counts, offsets)
     return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
+
+
+def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
+    """Return an angle that may start again after each `turn` as one that goes on; what is not known stays NaN."""
+    known = np.isfinite(angle)
+    if not known.any() or np.ptp(angle[known]) > _ONE_TURN * turn:
+        return angle
+    out = angle.copy()
+    out[known] = np.unwrap(angle[known], period=turn)
+    return out
 
 
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:

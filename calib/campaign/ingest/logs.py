@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.lags import Lag, Lines, continuous_counts, estimate_lags
+from calib.campaign.ingest.lags import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs import add_recognised, from_first_sample, in_log, log_column, refuse_incomplete
@@ -25,8 +25,6 @@ from calib.types import FloatArray, floats
 
 #: name under which the column that tells the runs is kept
 CUT_COLUMN: Final = "cut"
-#: an angle that spans more than one turn by this share does not start again at each turn
-_ONE_TURN: Final = 1.001
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +84,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
 
         raw = read_table(path, shown, wanted, mapping.log.layout)
         lines = resolved(lines, raw.columns)
+        raw = replace(raw, columns=_with_heading(raw.columns, lines))
         _refuse_missing(raw.columns, lines, shown, mapping, row=1)
         border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
@@ -175,16 +174,28 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 
 
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
-    """Undo overflows of the counters that are not in the wheels' stream, before they are interpolated."""
+    """Undo turns of the heading, and overflows of counters beside the wheels' stream, before they are interpolated."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:
-        columns = dict(stream.columns)
+        columns = _with_heading(stream.columns, lines)
         for name in counters & set(columns) if stream is not base else ():
             columns[name], width = continuous_counts(columns[name], bits)
             bits = width or bits
         streams.append(replace(stream, columns=columns))
     return replace(recording, streams=tuple(streams)), bits
+
+
+def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
+    """Return the columns of a file with the reference's heading going on beyond a turn: a cut or a mean needs that."""
+    out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
+    for name, cells in columns.items():
+        mapped = name == line.column
+        match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
+        if match.name == "ref_theta_rad":
+            scale = match.factor * (line.scale(match.name) if mapped else 1.0)
+            out[name] = continuous_angle(cells, 2.0 * np.pi / abs(scale))
+    return out
 
 
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
@@ -230,10 +241,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":
-            turn = 1.0 / turns
-            # an angle that starts again after each turn is made continuous
-            angle = values if np.ptp(values) > _ONE_TURN * turn else np.unwrap(values, period=turn)
-            columns[name] = angle * turns * per_rev
+            columns[name] = continuous_angle(values, 1.0 / turns) * turns * per_rev
         elif kind != "counts":
             steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
             total = np.concatenate(([0.0], np.cumsum(steps)))

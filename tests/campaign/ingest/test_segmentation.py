@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from calib.campaign.ingest.mapping import Segmentation, parse_section
+from calib.campaign.ingest.build import ingest
+from calib.campaign.ingest.logs import read_mapped
+from calib.campaign.ingest.mapping import Segmentation, parse_section, read_mapping
 from calib.campaign.ingest.segmentation import end_values, find_runs, from_start
+from calib.campaign.model import Border
+from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
 
 M_PER_COUNT = 0.001
@@ -122,3 +128,57 @@ def test_a_reference_that_starts_after_the_wheels_counts_from_its_first_pose() -
     turned = from_start(_run(30), poses=True, distance=True)
     assert np.isfinite(turned["ref_x_m"][30:]).all()
     assert turned["ref_x_m"][30] == pytest.approx(0.0, abs=1e-12)
+
+
+#: a turn on the spot between standstills, one a run: radians
+TURNS = (2 * np.pi, -2 * np.pi, 0.5)
+
+
+def _turning(start: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times, and the heading of three turns on the spot of 20 s each, with standstills of 5 s around them."""
+    time = np.arange(0.0, 80.0, step_s)
+    inside = [np.clip((time - 5.0 - 25.0 * number) / 20.0, 0.0, 1.0) for number in range(len(TURNS))]
+    return time, start + np.dot(TURNS, inside)
+
+
+def _written(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.5f", ",", header=",".join(columns), comments="")
+    return path
+
+
+@pytest.mark.parametrize("start", [0.0, 0.7, -2.5])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+@pytest.mark.parametrize("wrapped", [True, False])
+def test_whole_turns_of_a_wrapped_heading_are_kept(start: float, unit: str, wrapped: bool, tmp_path: Path) -> None:
+    """A recording cut into runs states the turn of each run whatever its start heading, wrapped or not."""
+    time, heading = _turning(start, 0.05)
+    yaw = np.angle(np.exp(1j * heading)) if wrapped else heading
+    wheel = np.round(4096 * 0.25 * (heading - start) / (2 * np.pi * 0.1))
+    columns = {"t_s": time, "counts_left": -wheel, "counts_right": wheel, "x [m]": 0.0 * time, "y [m]": 0.0 * time}
+    columns[f"yaw [{unit}]"] = np.degrees(yaw) if unit == "deg" else yaw
+    source = _written(tmp_path / "turns.csv", columns)
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(
+        '[vehicle]\ndrive = "differential"\n[encoder]\ncounts_per_rev = 4096\n[log]\nref_x_m = "x [m]"\n'
+        f'ref_y_m = "y [m]"\nref_theta_rad = "yaw [{unit}]"\n[cut]\nby = "stops"\nmin_stop_s = 2.0\nmin_length_m = 0.01\n'
+    )
+    found = ingest([source], tmp_path / "c", mapping=mapping).campaign.runs.number("ref_theta_rad")
+    assert found == pytest.approx(TURNS, abs=1e-3)
+
+
+def test_a_wrapped_heading_of_another_file_is_not_interpolated_across_its_jump(tmp_path: Path) -> None:
+    """A heading at other times than the wheels' is joined to them without samples that it never had."""
+    time, heading = _turning(3.0, 0.05)
+    wheel = np.round(4096 * 0.25 * (heading - 3.0) / (2 * np.pi * 0.1))
+    wheels = _written(tmp_path / "w.csv", {"t_s": time, "counts_left": -wheel, "counts_right": wheel})
+    own, turned = _turning(3.0, 0.031)
+    pose = {"t_s": own, "x": 0.0 * own, "y": 0.0 * own, "yaw": np.degrees(np.angle(np.exp(1j * turned)))}
+    camera = _written(tmp_path / "m.csv", pose)
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(
+        '[log]\nfiles = {w = "w{n}.csv", m = "m{n}.csv"}\ncounts_left = "w:counts_left"\ncounts_right = "w:counts_right"\n'
+        'ref_x_m = "m:x"\nref_y_m = "m:y"\nref_theta_rad = {column = "m:yaw", unit = "deg"}\n'
+    )
+    joined = read_mapped({"w": wheels, "m": camera}, read_mapping(mapping), Encoder(), Border(lenient=False))
+    theta = joined.columns["ref_theta_rad"]
+    assert np.nanmax(np.abs(theta - np.interp(joined.columns["t_s"], time, heading))) < 0.01
