@@ -21,6 +21,12 @@ from calib.types import FloatArray, IntArray
 _MAX_PATH: Final = 500
 #: widths that are looked for where the settings name none
 WIDTHS: Final = (13, 16, 32)
+#: share of the counter's span below which steps leave no doubt on which side of it they go around
+_CLEAR_STEP: Final = 0.4
+#: an overflow, undone, is at most so many times the largest of the other steps: the wheel may be fastest just then
+_LIKE_OTHERS: Final = 2.0
+#: time between samples below which nothing is divided by it
+_SHORTEST_STEP_S: Final = 1e-9
 #: how the width of a counter is known
 _STATED: Final = "as the settings say"
 _DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
@@ -191,14 +197,15 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
         raise BadFileError(shown, "no rows", "one row a sample", "export the log again")
 
 
-def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
+def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:
     """Find the width of a counter that overflows inside the logs.
 
-    A jump counts as an overflow where it comes within an eighth of 2^bits, and the log's range never leaves one span of
-    the counter, so that a jump of the wheel itself is never mistaken for one.
+    The logs' range never leaves one span of the counter, and a jump is an overflow where it, undone, is a step like the
+    others, so that neither a jump of the wheel itself nor a reset is mistaken for one. A step over a gap in time may
+    hold as many times the counts of another one as it lasts usual steps.
 
-    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins. 13, 16
-    or 32, or None where nothing overflows.
+    `counts`, `time_s` (shape (n_samples,)): logs laid end to end, and their times where known; `offsets` (shape
+    (n_runs + 1,)): where each log begins. 13, 16 or 32, or None where nothing overflows.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -208,9 +215,14 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray) -> int | None:
         unsigned, signed = low >= 0 and high < full, low >= -full / 2 and high < full / 2
         if not (unsigned or signed) or high - low < 0.875 * full:
             continue
-        magnitude = np.abs(_steps(counts, offsets))
-        overflows = np.abs(magnitude - full) < full / 8
-        if overflows.any() and not (magnitude[~overflows] >= full / 8).any():
+        step = np.abs(_steps(counts, offsets))
+        jumps = step > full / 2
+        step[jumps] -= full
+        if time_s is not None and jumps.any():
+            duration = _steps(time_s, offsets)
+            step /= np.fmax(duration / max(float(np.nanmedian(duration)), _SHORTEST_STEP_S), 1.0)
+        most = float(np.fmax.reduce(step[~jumps], initial=0.0))
+        if jumps.any() and most < _CLEAR_STEP * full and -float(step[jumps].min()) <= _LIKE_OTHERS * most:
             return bits
     return None
 
@@ -291,7 +303,9 @@ class LogStack:
             if column is None:
                 continue
             column.resize(self._size, refcheck=False)
-            bits = encoder.wrap_bits or detect_wrap_bits(column, offsets) if name.startswith("counts_") else None
+            bits = None
+            if name.startswith("counts_"):
+                bits = encoder.wrap_bits or detect_wrap_bits(column, offsets, columns.get("t_s"))
             if bits is not None and len(column):
                 column, wraps = unwrap(column, offsets, bits)
                 for run in np.flatnonzero(wraps):

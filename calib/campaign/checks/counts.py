@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.checks import design
 from calib.campaign.checks.design import MOST_OF_THE_RUNS, SIDES, cell_note, column_note, robust_spread, turned_rad
+from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.campaign.wheels import odometry_source, on_one_axle
@@ -232,13 +233,20 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
         for name in log:
             if not name.startswith("counts_"):
                 continue
-            step = np.diff(log[name]) / stretch
-            usual = float(np.percentile(np.abs(step), 95))
-            far = np.flatnonzero(np.abs(step) > 6 * usual + 50)
-            if 0 < len(far) <= max(5, 0.01 * len(step)):
+            counted = np.diff(log[name])
+            usual = float(np.percentile(np.abs(counted / stretch), 95))
+            most = (6 * usual + 50) * stretch
+            far = np.flatnonzero(np.abs(counted) > most)
+            if 0 < len(far) <= max(5, 0.01 * len(counted)):
+                first = float(counted[far[0]])
+                widths = [bits for bits in WIDTHS if np.ptp(log[name]) < 2.0**bits]
+                bits = next((bits for bits in widths if abs(abs(first) - 2.0**bits) < most[far[0]]), None)
+                cause = "the encoder may have lost contact, or the counter was reset"
+                if bits:
+                    cause = f"a {bits}-bit counter overflows so: give encoder.wrap_bits = {bits} to have it undone"
                 text = (
-                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {step[far[0]]:.0f} counts where {usual:.0f} "
-                    "are usual; the encoder may have lost contact, or the counter was reset"
+                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} "
+                    f"are usual; {cause}"
                 )
                 yield cell_note(campaign, run, f"log {name}", text, "count_jump")
 

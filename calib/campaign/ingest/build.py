@@ -266,8 +266,9 @@ def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Enco
         return encoder
     widths = [log.wrap_bits for log in logs.values()]
     for name in {name for log in logs.values() for name in log.columns if name.startswith("counts_")}:
-        counts = [log.columns[name] for log in logs.values() if name in log.columns]
-        widths.append(detect_wrap_bits(np.concatenate(counts), np.cumsum([0, *map(len, counts)])))
+        counted = [log.columns for log in logs.values() if name in log.columns]
+        counts, time_s = (np.concatenate([columns[one] for columns in counted]) for one in (name, "t_s"))
+        widths.append(detect_wrap_bits(counts, np.cumsum([0, *(len(columns[name]) for columns in counted)]), time_s))
     bits = max(filter(None, widths), default=None)
     if bits is None:
         return encoder

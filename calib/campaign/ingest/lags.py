@@ -50,10 +50,12 @@ class Lag:
     ci95_s: tuple[float, float]
 
 
-def continuous_counts(counts: FloatArray, bits: int | None = None) -> tuple[FloatArray, int | None]:
+def continuous_counts(
+    counts: FloatArray, bits: int | None = None, time_s: FloatArray | None = None
+) -> tuple[FloatArray, int | None]:
     """Return counts without overflows, and the counter's width; None where none is seen."""
     offsets = np.asarray([0, len(counts)])
-    width = bits or detect_wrap_bits(counts, offsets)
+    width = bits or detect_wrap_bits(counts, offsets, time_s)
     return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
 
 
@@ -87,7 +89,7 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
         return {}
     origin = int(base.time_ns[0])
     time = (base.time_ns - origin) / NS_PER_S
-    turned = np.mean([continuous_counts(counts)[0] for counts in wheels], axis=0)
+    turned = np.mean([continuous_counts(counts, None, time)[0] for counts in wheels], axis=0)
     travelled = np.cumsum(np.abs(np.diff(turned, prepend=turned[:1])))
     lags: dict[str, Lag] = {}
     for name, columns in (("reference", ("ref_x_m", "ref_y_m")), ("range_m", ("range_m",))):

@@ -180,7 +180,8 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
     for stream in recording.streams:
         columns = _with_heading(stream.columns, lines)
         for name in counters & set(columns) if stream is not base else ():
-            columns[name], width = continuous_counts(columns[name], bits)
+            time_s = None if stream.time_ns is None else (stream.time_ns - stream.time_ns[0]) / NS_PER_S
+            columns[name], width = continuous_counts(columns[name], bits, time_s)
             bits = width or bits
         streams.append(replace(stream, columns=columns))
     return replace(recording, streams=tuple(streams)), bits

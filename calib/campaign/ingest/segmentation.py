@@ -114,7 +114,7 @@ def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
     columns = dict(log.columns)
     found = log.wrap_bits if bits is None else bits
     for name in [name for name in columns if name.startswith("counts_")]:
-        columns[name], width = continuous_counts(columns[name], bits)
+        columns[name], width = continuous_counts(columns[name], bits, columns["t_s"])
         found = width or found
     return replace(log, columns=columns, wrap_bits=found)
 

@@ -160,7 +160,8 @@ def test_whole_turns_of_a_wrapped_heading_are_kept(start: float, unit: str, wrap
     mapping = tmp_path / "m.toml"
     mapping.write_text(
         '[vehicle]\ndrive = "differential"\n[encoder]\ncounts_per_rev = 4096\n[log]\nref_x_m = "x [m]"\n'
-        f'ref_y_m = "y [m]"\nref_theta_rad = "yaw [{unit}]"\n[cut]\nby = "stops"\nmin_stop_s = 2.0\nmin_length_m = 0.01\n'
+        f'ref_y_m = "y [m]"\nref_theta_rad = "yaw [{unit}]"\n[cut]\nby = "stops"\n'
+        "min_stop_s = 2.0\nmin_length_m = 0.01\n"
     )
     found = ingest([source], tmp_path / "c", mapping=mapping).campaign.runs.number("ref_theta_rad")
     assert found == pytest.approx(TURNS, abs=1e-3)
@@ -176,8 +177,9 @@ def test_a_wrapped_heading_of_another_file_is_not_interpolated_across_its_jump(t
     camera = _written(tmp_path / "m.csv", pose)
     mapping = tmp_path / "m.toml"
     mapping.write_text(
-        '[log]\nfiles = {w = "w{n}.csv", m = "m{n}.csv"}\ncounts_left = "w:counts_left"\ncounts_right = "w:counts_right"\n'
-        'ref_x_m = "m:x"\nref_y_m = "m:y"\nref_theta_rad = {column = "m:yaw", unit = "deg"}\n'
+        '[log]\nfiles = {w = "w{n}.csv", m = "m{n}.csv"}\ncounts_left = "w:counts_left"\n'
+        'counts_right = "w:counts_right"\nref_x_m = "m:x"\nref_y_m = "m:y"\n'
+        'ref_theta_rad = {column = "m:yaw", unit = "deg"}\n'
     )
     joined = read_mapped({"w": wheels, "m": camera}, read_mapping(mapping), Encoder(), Border(lenient=False))
     theta = joined.columns["ref_theta_rad"]

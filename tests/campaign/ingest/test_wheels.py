@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign.checks.counts import count_jumps
 from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
 from calib.campaign.ingest.guesses import guessed_log_column, side_of
+from calib.campaign.read import log_totals
 
 TWO = "counts_left", "counts_right"
 FOUR = "counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"
@@ -135,3 +137,30 @@ def test_a_counter_that_goes_there_and_back_is_no_increment(tmp_path: Path) -> N
 )
 def test_a_side_is_read_from_a_name(name: str, side: str | None) -> None:
     assert side_of(name) == side
+
+
+def _overflowing(at: np.ndarray) -> dict[str, np.ndarray]:
+    """A 16-bit counter at times `at`, of wheels that drive 10 s at 6500 counts/s and stand 5 s, in turn."""
+    driven = 6500.0 * sum(np.clip(at - 15.0 * number - 5.0, 0.0, 10.0) for number in range(6))
+    return {"t_s": at, "Enc L": np.rint(driven + 60000) % 65536, "Enc R": np.rint(driven + 100) % 65536}
+
+
+@pytest.mark.parametrize("clock", ["t_s", "tick"])
+def test_a_gap_in_time_hides_no_overflow(clock: str, tmp_path: Path) -> None:
+    """A step over 1.5 s without samples may hold more than an eighth of the counter: the overflows beside it count."""
+    at = np.arange(0.0, 95.0, 0.05)
+    at = at[(at < 6.0) | (at > 7.5)]
+    columns = _overflowing(at)
+    source = _log(tmp_path / "w.csv", {clock if name == "t_s" else name: cells for name, cells in columns.items()})
+    lines = _wheel_lines(describe([source]).to_toml())
+    assert [line.split(" = ")[0] for line in lines] == list(TWO)
+    assert not any("counts/sample" in line for line in lines)
+    if clock == "t_s":
+        mapping = tmp_path / "m.toml"
+        mapping.write_text(
+            '[vehicle]\ndrive = "differential"\n[encoder]\ncounts_per_rev = 8192\n[log]\ncounts_left = "Enc L"\n'
+            'counts_right = "Enc R"\n[cut]\nby = "stops"\nmin_stop_s = 2.0\n'
+        )
+        campaign = ingest([source], tmp_path / "c", mapping=mapping).campaign
+        assert log_totals(campaign.logs, "counts_left") == pytest.approx(np.full(6, 65000.0), abs=2)
+        assert not list(count_jumps(campaign))

@@ -1,0 +1,53 @@
+"""Checks of counters: what a jump of one means, and a wheel that does not count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.campaign.checks.counts import count_jumps
+from calib.campaign.read import read_campaign
+from tests.campaign.making import campaign, with_log_columns
+
+
+def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
+    """Where no width is known, a jump of 65536 counts is said to be the overflow of a 16-bit counter."""
+    made = campaign(runs_per_load=1)
+    counts = 0.2 * made.logs.columns["counts_left"]
+    part = slice(made.logs.offsets[3], made.logs.offsets[4])
+    counts[part] -= 65536.0 * (np.arange(part.stop - part.start) > 700)
+    (found,) = count_jumps(with_log_columns(made, counts_left=counts))
+    assert "first in sample 702 by -65" in found.text
+    assert "give encoder.wrap_bits = 16" in found.text
+    counts[part] += 30000.0 * (np.arange(part.stop - part.start) > 700)
+    (found,) = count_jumps(with_log_columns(made, counts_left=counts))
+    assert "wrap_bits" not in found.text
+
+
+def _read(tmp_path: Path, turned: np.ndarray, step_s: float) -> tuple[np.ndarray, list[str]]:
+    """The counts of a log of two wheels as read, and the codes of the notes of the reading."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "campaign.toml").write_text('format = "calib-campaign/1"\n[vehicle]\ndrive = "differential"\n')
+    (tmp_path / "runs.csv").write_text("run_id,session\nr1,d1\n")
+    rows = [f"{step_s * number:.3f},{counts:.0f},{counts:.0f}" for number, counts in enumerate(turned)]
+    (tmp_path / "logs" / "r1.csv").write_text("\n".join(["t_s,counts_left,counts_right", *rows]) + "\n")
+    made = read_campaign(tmp_path)
+    return made.logs.columns["counts_left"], [note.code for note in made.notes]
+
+
+def test_overflows_of_a_counter_that_is_read_seldom_are_undone(tmp_path: Path) -> None:
+    """Steps of a third of the counter's span leave no doubt, as long as none comes near half of it."""
+    driven = np.concatenate([np.zeros(4), np.cumsum(np.tile([9000.0, 16000.0, 22000.0, 16000.0], 10))])
+    counts, codes = _read(tmp_path, np.mod(driven + 42364, 65536), 0.5)
+    assert np.array_equal(counts - counts[0], driven)
+    assert "wrap" in codes
+
+
+def test_a_counter_that_is_reset_did_not_overflow(tmp_path: Path) -> None:
+    """A reset near the top of a counter's span is no overflow: undone, it is no step like the others."""
+    driven = np.cumsum(np.full(400, 150.0))
+    driven[390:] -= driven[389]
+    counts, codes = _read(tmp_path, driven, 0.05)
+    assert np.array_equal(counts, driven)
+    assert "wrap" not in codes
