@@ -271,6 +271,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("clock", "gap", "suspicious", _gap, "r003"),
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(4.0)), "r003"),
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),
+    ("dead_counters", "dead_counter", "suspicious", _number("counts_left", lambda _: 0.0, 4), "r004"),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
     ("log_speed", "speed_disagrees", "suspicious", _number("speed_mps", lambda v: v * 3.6), ""),
     ("far_from_repeats", "far_from_repeats", "suspicious", _number("distance_m", lambda d: d * 1.004, 4), "r004"),

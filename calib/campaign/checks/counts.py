@@ -43,6 +43,26 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
             yield cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
+def dead_counters(campaign: Campaign) -> Iterator[Note]:
+    """Find wheels without a single count while the other one turned and the vehicle did not turn about the first."""
+    runs = campaign.runs
+    straight = (runs.number("distance_m") > 1.0) & np.isnan(runs.number("ref_theta_rad"))
+    for side, other in (SIDES, SIDES[::-1]):
+        counts = runs.number(f"counts_{other}")
+        turned = np.abs(counts) > design.per_rev(campaign, other)
+        turn = turned_rad(campaign)
+        against = np.abs(turn - runs.number("ref_theta_rad")) > 0.5 * np.abs(turn)
+        dead = (runs.number(f"counts_{side}") == 0.0) & turned & (straight | against)
+        expected = "expected counts of both wheels; check the encoder, its cable and the column, or exclude"
+        if dead.sum() > max(1.0, MOST_OF_THE_RUNS * turned.sum()):
+            text = f"found 0 counts in {int(dead.sum())} runs in which the {other} wheel counts; {expected} them"
+            yield column_note(f"counts_{side}", text, "dead_counter")
+            continue
+        for run in np.flatnonzero(dead):
+            text = f"found 0 counts while the {other} wheel counts {counts[run]:.0f}; {expected} the run"
+            yield cell_note(campaign, run, f"counts_{side}", text, "dead_counter")
+
+
 def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
     for side in SIDES:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.checks import design
 from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, column_note, implausible_column, listed, stated
+from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
@@ -166,6 +167,18 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield column_note(_LOADS, text, "missing_load")
 
 
+#: fewer runs give no line of load against payload; the slopes of more than so many pairs tell nothing new
+LEAST_OF_A_LINE: Final = 8
+_MOST_OF_A_LINE: Final = 400
+#: a load off that line by so many spreads is no scatter of the places of the payload
+_LOAD_SPREADS: Final = 6.0
+
+
+def _allowed(total: FloatArray) -> FloatArray:
+    """Return by how much loads may differ from those expected, in N: the place of a payload is known to centimetres."""
+    return np.asarray(np.maximum(15.0, 0.05 * np.abs(total)))
+
+
 def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     """Compare weighed loads with the static loads of the payload (Eqs 1 and 2)."""
     runs = campaign.runs
@@ -173,8 +186,8 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
         return
     weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
-    allowed = np.maximum(15.0, 0.05 * np.abs(computed).sum(axis=0))
-    off = (np.abs(weighed - computed) > allowed).any(axis=0)
+    allowed = _allowed(computed.sum(axis=0))
+    off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
     if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
         exchanged = bool(swapped.sum() > design.MOST_OF_THE_RUNS * off.sum())
@@ -190,6 +203,35 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
             f"{computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"
         )
         yield cell_note(campaign, run, _LOADS, text, code)
+    yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
+
+
+def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
+    """Find loads far from the line of the other runs' loads against the payload, by the median of all slopes.
+
+    A few runs alone are judged, between payloads of others. `total` (shape (n_runs,)): weighed load of both wheels; NaN
+    where the place of the payload says already what it has to be.
+    """
+    payload = campaign.runs.number("payload_kg")
+    runs = np.flatnonzero(np.isfinite(total + payload))
+    if len(runs) < LEAST_OF_A_LINE:
+        return
+    some = runs[np.linspace(0, len(runs) - 1, min(len(runs), _MOST_OF_A_LINE)).astype(np.int64)]
+    more, rise = (np.subtract.outer(values[some], values[some]) for values in (payload, total))
+    slope = float(np.median(rise[more > 0.0] / more[more > 0.0])) if (more > 0.0).any() else 0.0
+    expected = slope * payload + np.median(total[runs] - slope * payload[runs])
+    away = np.abs(total[runs] - expected[runs])
+    far = away > np.fmax(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(total[runs] - expected[runs]))
+    kept = payload[runs[~far]]
+    if far.sum() > MOST_ODD * len(runs):
+        return
+    for run in runs[far]:
+        if kept.min() <= payload[run] <= kept.max():
+            text = (
+                f"found {total[run]:.0f} N on both wheels with a payload of {payload[run]:g} kg; the other runs ask "
+                f"for {expected[run]:.0f} N; check payload_kg and the weighing: is it the load of another run?"
+            )
+            yield cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:

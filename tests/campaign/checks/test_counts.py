@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.campaign.checks.counts import count_jumps
+from calib.campaign.checks.counts import count_jumps, dead_counters
 from calib.campaign.read import read_campaign
-from tests.campaign.making import campaign, with_log_columns
+from tests.campaign.making import campaign, with_log_columns, with_numbers
 
 
 def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
@@ -51,3 +51,27 @@ def test_a_counter_that_is_reset_did_not_overflow(tmp_path: Path) -> None:
     counts, codes = _read(tmp_path, driven, 0.05)
     assert np.array_equal(counts, driven)
     assert "wrap" not in codes
+
+
+def test_a_wheel_without_a_count_is_no_sound_campaign() -> None:
+    """Single runs are named; a column that is empty of counts throughout is said once."""
+    made = campaign(logs=False)
+    right = made.runs.number("counts_right")
+    dead = np.arange(len(right)) % 9 == 3
+    found = list(dead_counters(with_numbers(made, counts_right=right * ~dead)))
+    assert [note.run_id for note in found] == ["r003", "r012", "r021"]
+    (found,) = dead_counters(with_numbers(made, counts_right=0.0 * right))
+    assert "in 30 runs" in found.text
+
+
+def test_a_turn_about_a_wheel_is_no_dead_counter() -> None:
+    """A wheel about which the vehicle turns, as the reference says too, counts nothing rightly."""
+    made = campaign(logs=False)
+    n = len(made.runs)
+    turn = 2 * np.pi * made.vehicle.wheel_radius_m * 3.0 / made.vehicle.track_m
+    pivots = with_numbers(
+        made, counts_left=np.zeros(n), counts_right=np.full(n, 3 * 4096.0), distance_m=np.full(n, np.nan)
+    )
+    assert list(dead_counters(pivots)) == []
+    turned = with_numbers(pivots, ref_theta_rad=np.full(n, turn), distance_m=np.full(n, 1.2))
+    assert list(dead_counters(turned)) == []
