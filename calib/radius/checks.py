@@ -29,10 +29,6 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 REFERENCE_MARGIN: Final = 0.02
 #: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
 SHAPIRO_RUNS: Final = (8, 5000)
-#: a smaller span of temperatures shows nothing of a radius
-MIN_SPAN_K: Final = 1.0
-#: degrees of freedom, less sessions and both lines, that the scatter about the temperature needs
-MIN_TEMPERATURE_DOF: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +91,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         "neighbouring measured loads only, or look for a load that is misreported.",
     )
     p_value = _p_of_f(statistic, dof_levels, dof)
-    return _tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+    return tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
 
 
 def _curvature(runs: _Residuals) -> Check | None:
@@ -120,7 +116,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return _tested("curvature", statistic, f"t({dof})", _p_of_t(statistic, dof), sentences, fails=True)
+    return tested("curvature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -130,7 +126,7 @@ def _equal_scatter(runs: _Residuals) -> Check:
         hold = "the intervals rest on session means and hold"
     finding = f"The scatter changes with load; {hold}, the prediction band is too narrow at one end."
     sentences = ("The scatter is the same at every load.", finding)
-    return _tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
+    return tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
 
 
 def _influence(runs: _Residuals) -> Check | None:
@@ -143,7 +139,7 @@ def _influence(runs: _Residuals) -> Check | None:
     others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
     worst = int(np.argmax(studentised))
-    p_value = min(n * _p_of_t(float(studentised[worst]), dof - 1), 1.0)
+    p_value = min(n * p_of_t(float(studentised[worst]), dof - 1), 1.0)
     pulling = int(np.argmax(runs.fit.cook))
     cook = float(runs.fit.cook[pulling])
     if p_value >= NOTE_BELOW and cook > 1:
@@ -160,7 +156,7 @@ def _influence(runs: _Residuals) -> Check | None:
         "deviations of the others: look at it with 'calib check', and exclude it with a reason or repeat it.",
     )
     name = f"largest studentised residual of {n}"
-    return _tested("influence", studentised[worst], name, p_value, sentences, fails=True)
+    return tested("influence", studentised[worst], name, p_value, sentences, fails=True)
 
 
 def _normality(runs: _Residuals) -> Check | None:
@@ -175,7 +171,7 @@ def _normality(runs: _Residuals) -> Check | None:
         "The residuals are not normal: the intervals of the coefficients still hold for means of many runs, the "
         "prediction band may not; look for outliers or two groups of runs.",
     )
-    return _tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
+    return tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
 
 
 def _direction(runs: _Residuals) -> Check | None:
@@ -194,7 +190,7 @@ def _direction(runs: _Residuals) -> Check | None:
         f"Radii driven out are {UM * difference:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
-    return _tested("direction", statistic, f"t({dof:.0f})", _p_of_t(statistic, dof), sentences)
+    return tested("direction", statistic, f"t({dof:.0f})", p_of_t(statistic, dof), sentences)
 
 
 def _range(fit: WheelFit) -> Check:
@@ -211,40 +207,7 @@ def _range(fit: WheelFit) -> Check:
     return Check("range", NOTE, sentence)
 
 
-def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
-
-    `temperature_C` (NaN where not read), `session` (shape (n_runs,)): of the same runs. Within sessions: shifts of
-    whole sessions belong to the check of sessions. Both are taken minus their regression on the load, so that a
-    temperature that correlates with it is not blamed.
-    """
-    known = np.isfinite(temperature_C)
-    if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
-        return fit
-    groups, span = groups_of(session[known]), np.ptp(temperature_C[known])
-    columns = (fit.residual_m[known], temperature_C[known], fit.load_N[known])
-    residual, warmth, load = (groups.within(column) for column in columns)
-    if load @ load > 0:
-        residual, warmth = (each - load * float(load @ each) / float(load @ load) for each in (residual, warmth))
-    dof, squares = len(residual) - len(groups) - 2, float(warmth @ warmth)
-    if dof < MIN_TEMPERATURE_DOF or np.sqrt(squares / len(warmth)) < 0.1 * MIN_SPAN_K:
-        return fit
-    slope = float(warmth @ residual) / squares
-    scatter = float(np.sum((residual - slope * warmth) ** 2)) / dof
-    if scatter <= 0:
-        return fit
-    statistic = slope * np.sqrt(squares / scatter)
-    sentences = (
-        "The radius does not follow the temperature.",
-        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
-        "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
-        "something that correlates with it, and corrects it.",
-    )
-    check = _tested("temperature", statistic, f"t({dof})", _p_of_t(statistic, dof), sentences, fails=True)
-    return replace(fit, checks=(*fit.checks, check))
-
-
-def _tested(
+def tested(
     name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
 ) -> Check:
     """Return the check of a test.
@@ -263,7 +226,7 @@ def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
     return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
-def _p_of_t(statistic: float, dof: float) -> float:
+def p_of_t(statistic: float, dof: float) -> float:
     """Return the two-sided probability of a Student's t."""
     from scipy.special import stdtr
 
@@ -334,7 +297,7 @@ def _order(fit: WheelFit) -> Check | None:
         "Runs that follow each other scatter independently.",
         f"{common}: the intervals allow for it; let the wheels warm up, and drive the loads in random order.",
     )
-    return _tested("order", found.lag_one, name, found.p_value, sentences)
+    return tested("order", found.lag_one, name, found.p_value, sentences)
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:
@@ -357,7 +320,7 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
         f"it, but look for the cause.{width_ratio}",
     )
     name = f"F({estimate.dof_between:.0f}, {estimate.dof_within:.0f})"
-    return _tested("session", estimate.session_f, name, p_value, sentences)
+    return tested("session", estimate.session_f, name, p_value, sentences)
 
 
 def _against_naive(fit: WheelFit) -> str:

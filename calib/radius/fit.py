@@ -31,8 +31,9 @@ from calib.campaign.checks.design import assumed_settings
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
-from calib.radius.checks import with_checks, with_temperature_check
+from calib.radius.checks import with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
+from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
 from calib.radius.regression import FAILED, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray
@@ -57,10 +58,14 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     runs.
     """
     wheels = {}
-    driven = {"left": (radii.load_left_N, radii.radius_left_m), "right": (radii.load_right_N, radii.radius_right_m)}
-    for wheel, (load, radius) in driven.items():
+    driven = {
+        "left": (radii.load_left_N, radii.radius_left_m, radii.std_left_m),
+        "right": (radii.load_right_N, radii.radius_right_m, radii.std_right_m),
+    }
+    for wheel, (load, radius, std) in driven.items():
         unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
-        wheels[wheel] = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
+        checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
+        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
     return Fit(
         name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes

@@ -229,7 +229,7 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
         if kept.min() <= payload[run] <= kept.max():
             text = (
                 f"found {total[run]:.0f} N on both wheels with a payload of {payload[run]:g} kg; the other runs ask "
-                f"for {expected[run]:.0f} N; check payload_kg and the weighing: is it the load of another run?"
+                f"for {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"
             )
             yield cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 

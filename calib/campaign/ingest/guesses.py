@@ -187,8 +187,8 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         if _JUMP * turn < span <= _ONE_TURN * turn and jumps.any() and steady:
             return words
-    # what moves goes on: the steps of a counter are alike from one to the next, those of increments are not, whatever
-    # it jumps by where it starts again
+    # what moves goes on: the steps of a counter are alike from one to the next, but where it starts again; those of
+    # increments are not
     steps = steps[np.abs(steps) < _JUMP * span]
-    alike = float(np.sum(steps[1:] * steps[:-1])) / float(np.sum(steps * steps))
+    alike = float(np.sum(steps[1:] * steps[:-1])) / max(float(np.sum(steps * steps)), 1.0)
     return "increments, a count a sample" if whole and alike < _ALIKE else ""

@@ -150,7 +150,7 @@ def _written(path: Path, columns: dict[str, np.ndarray]) -> Path:
 @pytest.mark.parametrize("unit", ["rad", "deg"])
 @pytest.mark.parametrize("wrapped", [True, False])
 def test_whole_turns_of_a_wrapped_heading_are_kept(start: float, unit: str, wrapped: bool, tmp_path: Path) -> None:
-    """A recording cut into runs states the turn of each run whatever its start heading, wrapped or not."""
+    """A recording cut into runs states the turn of each run from any start heading, wrapped or not."""
     time, heading = _turning(start, 0.05)
     yaw = np.angle(np.exp(1j * heading)) if wrapped else heading
     wheel = np.round(4096 * 0.25 * (heading - start) / (2 * np.pi * 0.1))

@@ -1,0 +1,102 @@
+"""Radii are held against the lengths of the runs and the stated uncertainty of the instruments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.radius.checks import with_checks
+from calib.radius.instrument_checks import with_instrument_checks
+from calib.radius.regression import FAILED, NOTE, OK, Check, fit_wheel
+
+N = 40
+LASER_M = 0.0015
+LENGTHS_M = (10.0, 20.0, 40.0)
+
+
+def checks_of(
+    seed: int,
+    *,
+    offset_m: float = 0.0,
+    lengths_m: tuple[float, ...] = LENGTHS_M,
+    spread_m: float = 0.5,
+    load_by_length: float = 0.0,
+    longer: float = 0.0,
+    run_m: float = 0.0,
+) -> dict[str, Check]:
+    """Return the checks of forty runs in five sessions that scatter by 5e-5 and shift by 1e-4 from day to day.
+
+    `load_by_length`: share of the load that follows the length; `longer`: largest share by which a weave, unmeasured,
+    lengthens a path; `run_m`: what one run's radius is off.
+    """
+    rng = np.random.default_rng(seed)
+    session = np.repeat([f"d{day}" for day in range(5)], N // 5)
+    length = np.resize(lengths_m, N) + rng.uniform(-spread_m, spread_m, N)
+    load = rng.choice([300.0, 500.0, 700.0, 900.0, 1100.0], N)
+    load = (1.0 - load_by_length) * load + load_by_length * 20.0 * (40.0 / length + 15.0)
+    true = (0.1 - 1.4e-6 * (load - 300.0)) * (1.0 + 5e-5 * rng.standard_normal(N))
+    true = true * np.repeat(1.0 + 1e-4 * rng.standard_normal(5), N // 5)
+    true[11] += run_m
+    measured = length + offset_m + LASER_M * rng.standard_normal(N)
+    radius = true * measured / (length * (1.0 + longer * rng.random(N)))
+    fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+    fit = with_checks(fit, session, np.resize(["out", "back"], N), np.array([f"r{run:02d}" for run in range(N)]))
+    fit = with_instrument_checks(fit, measured, radius * LASER_M / measured, session)
+    return {check.name: check for check in fit.checks}
+
+
+@pytest.mark.parametrize("offset_m", [0.08, -0.08])
+def test_a_constant_error_of_the_distances_fails_and_is_stated(offset_m: float) -> None:
+    """Runs of 10, 20 and 40 m give other radii where the rangefinder counts from elsewhere; the interval holds it."""
+    for seed in range(4):
+        checks = checks_of(seed, offset_m=offset_m)
+        check = checks["run_length"]
+        assert check.level == FAILED
+        stated, _, rest = check.sentence.partition("constant ")[2].partition(" mm (")
+        low, high = (float(end) for end in rest.partition("):")[0].split(" to "))
+        assert float(stated) == pytest.approx(1e3 * offset_m, abs=3.0)
+        # of four intervals of 95 %, with a margin for the rounding of the sentence
+        assert low - 1.0 <= 1e3 * offset_m <= high + 1.0
+        assert "scatter" not in checks
+
+
+def test_loads_that_partly_follow_the_length_leave_the_error_visible() -> None:
+    """What the load explains is taken off first: no error is read from it, and a true one is still found."""
+    assert all(checks_of(seed, load_by_length=0.8)["run_length"].level == OK for seed in range(6))
+    assert all(checks_of(seed, load_by_length=0.8, offset_m=0.08)["run_length"].level == FAILED for seed in range(6))
+
+
+def test_loads_that_follow_the_length_are_said_to_hide_it() -> None:
+    """Where each load has its length nothing tells the two apart, and the check says so."""
+    check = checks_of(1, load_by_length=1.0, offset_m=0.08)["run_length"]
+    assert (check.level, check.p_value) == (NOTE, None)
+    assert "follow loads or sessions" in check.sentence
+
+
+def test_runs_of_one_length_show_nothing() -> None:
+    """Lengths that differ by little more than the rangefinder's own uncertainty are no lengths to compare."""
+    assert "run_length" not in checks_of(1, lengths_m=(40.0,), spread_m=0.01, offset_m=0.08)
+
+
+@pytest.mark.parametrize("lengths_m", [LENGTHS_M, (40.0,), (*[40.0] * 9, 10.0)])
+def test_sound_runs_seldom_alarm(lengths_m: tuple[float, ...]) -> None:
+    """Two checks at 1 % each: 60 campaigns give one or two remarks, and never a failure."""
+    found = [checks_of(seed, lengths_m=lengths_m) for seed in range(60)]
+    levels = [checks[name].level for checks in found for name in ("run_length", "scatter") if name in checks]
+    assert FAILED not in levels
+    assert levels.count(NOTE) <= 5
+
+
+def test_scatter_far_beyond_the_instruments_is_a_remark() -> None:
+    """A weave that lengthens paths by up to 0.6 % scatters radii by 170 um beside 4 um of the rangefinder."""
+    check = checks_of(2, lengths_m=(40.0,), spread_m=2.0, longer=0.006)["scatter"]
+    assert (check.level, check.passed) == (NOTE, True)
+    assert check.statistic == pytest.approx(0.006 / np.sqrt(12) / (LASER_M / 40.0), rel=0.25)
+    assert f"{check.statistic:.0f} times what rangefinder and counters explain" in check.sentence
+
+
+def test_scatter_that_another_check_explains_is_not_said_twice() -> None:
+    """One run far off fails by itself, and the weave is not suspected beside it."""
+    checks = checks_of(3, run_m=2e-3)
+    assert checks["influence"].level == FAILED
+    assert "scatter" not in checks
