@@ -43,6 +43,7 @@ def fit(
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
+    from calib.reporting.present import after_fit
     from calib.reporting.topics.fit import FIT_PICTURES, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
@@ -64,7 +65,7 @@ def fit(
     if figures is not None:
         terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
     terminal.emit_json(document)
-    terminal.then("fit" if fitted.passed else "fit failed", c=campaign)
+    terminal.then(after_fit(fitted), c=campaign)
     return 0 if fitted.passed else 1
 
 

@@ -113,7 +113,8 @@ _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
 }
 
 
-_MISSING_RUNS: Final = "'calib plan {c}' names the runs that are missing; drive them, then fit again."
+#: failed checks of a fit that further runs alone mend
+_OF_MISSING_RUNS: Final = frozenset({"design", "order"})
 _AGAIN: Final = "'calib diagnose {runs} --simulator SIM.toml' for what is left."
 _SIMULATOR: Final = "run your simulator with it, then " + _AGAIN
 #: command, and how it ended -> what follows; ``c`` is its campaign or source, ``file`` what was written
@@ -127,7 +128,8 @@ STEPS: Final = {
     "check": "'calib fit {c}' for the law of the load, 'calib geometry {c}' for the track.",
     "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
     "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
-    "fit failed": _MISSING_RUNS,
+    "fit failed": "correct or exclude what the failed checks name, with 'calib check {c}', then 'calib fit {c}'.",
+    "fit lacks runs": "'calib plan {c}' names the runs that are missing; drive them, then fit again.",
     "geometry": "'calib geometry {c} --output coefficients.json' to use it.",
     "geometry failed": "correct what is named above, then 'calib geometry {c}'.",
     "geometry --output": "'calib export {file} --to ros2 --output params'; "
@@ -147,7 +149,7 @@ STEPS: Final = {
     "plan nothing": "no further run tells causes apart; 'calib diagnose {c}' has the verdict.",
     "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
     "report": "'calib export {c} --to dcc --output certificate.xml' for the certificate.",
-    "report failed": _MISSING_RUNS,
+    "report failed": "correct what failed checks name, or drive what 'calib plan {c}' names, then fit again.",
     "export json": "'calib diagnose {runs} --model {file}' for what is left.",
     "export ros2": "pass it after the controllers' own parameter file (--params-file {file}).",
     "export c": "cc -fsyntax-only -x c {file} checks it with your compiler; then include it.",
@@ -188,6 +190,12 @@ def next_step(step: str, **names: str | Path | Iterable[Path]) -> str:
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
     quoted = {name: shlex.join(map(str, [one] if isinstance(one, str | Path) else one)) for name, one in names.items()}
     return "Next: " + STEPS[step].format(**quoted)
+
+
+def after_fit(fit: Fit) -> str:
+    """Return the step that a fit was: runs are missing only where nothing else fails."""
+    failed = {check.name for wheel in fit.wheels.values() for check in wheel.checks if not check.passed}
+    return "fit" if not failed else "fit lacks runs" if failed <= _OF_MISSING_RUNS else "fit failed"
 
 
 def after_geometry(geometry: Geometry, output: Path | None) -> str:

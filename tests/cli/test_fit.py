@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
@@ -13,7 +15,7 @@ from calib.radius.result import read_result
 from calib.reporting.content import compose
 from calib.reporting.source import source_of
 from calib.reporting.topics.fit import FIT_PICTURES
-from tests.campaign.making import campaign
+from tests.campaign.making import campaign, with_numbers
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +146,19 @@ def test_the_figures_are_those_of_the_report(
     assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("existing file")) == ("", 1)
+
+
+def test_what_a_failed_check_names_comes_before_runs_that_are_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run far off is to be looked at; further runs are proposed where nothing but the plan of runs fails."""
+    made = campaign(logs=False)
+    distance = made.runs.number("distance_m").copy()
+    distance[7] *= 1.01
+    assert run(["fit", str(write_campaign(with_numbers(made, distance_m=distance), tmp_path / "outlier"))]) == 1
+    out = capsys.readouterr().out
+    assert "influence" in out and "Next: correct or exclude what the failed checks name, with 'calib check" in out
+    one = np.full(len(made.runs), "s1")
+    alone = replace(made, runs=replace(made.runs, labels={**made.runs.labels, "session": one}))
+    assert run(["fit", str(write_campaign(alone, tmp_path / "one_session"))]) == 1
+    assert "Next: 'calib plan" in capsys.readouterr().out
