@@ -252,6 +252,13 @@ def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     return tuple(dict.fromkeys(said))
 
 
+def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:
+    """Return the runs whose counters jump, were reset or do not count, as the checks name them."""
+    kept = campaign.included()
+    notes = (*counts.dead_counters(kept), *counts.count_jumps(kept))
+    return tuple(sorted({note.run_id for note in notes if note.run_id}))
+
+
 def summarise(campaign: Campaign) -> CampaignContents:
     """Return what a campaign holds: runs, sessions, loads, spans and rates."""
     runs, logs = campaign.runs, campaign.logs

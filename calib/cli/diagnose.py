@@ -44,6 +44,7 @@ def run(
 
     Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
+    from calib.campaign.check import runs_of_broken_counters
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.diagnose import diagnosed
@@ -80,7 +81,9 @@ def run(
 
         terminal.draw(lambda: gap_figures(diagnosis), figures)
     terminal.emit_json(document)
-    terminal.then(after_diagnosis(diagnosis, simulator=simulator is not None), c=campaign, sim=simulator or "")
+    step = after_diagnosis(diagnosis, simulator=simulator is not None)
+    odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown"} else ()
+    terminal.then("diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6])
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 

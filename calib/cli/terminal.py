@@ -143,7 +143,7 @@ def say(text: str) -> None:
     show([Text(text)] if text else [])
 
 
-def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[Path]) -> None:
+def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str | Path]) -> None:
     """Print what to do now as one line, never wrapped, so that its command can be copied.
 
     `step`, `names`: see `calib.reporting.present`; `aside`: on standard error, also where no JSON takes standard

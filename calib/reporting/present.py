@@ -145,6 +145,8 @@ STEPS: Final = {
     "of the library is not at work.",
     "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
     "'calib diagnose {c}'.",
+    "diagnose counters": "correct or exclude run {runs_named}, whose counters 'calib check {c}' names, then "
+    "'calib diagnose {c}'.",
     "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
     "plan nothing": "no further run tells causes apart; 'calib diagnose {c}' has the verdict.",
     "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
@@ -181,7 +183,7 @@ STEPS: Final = {
 }
 
 
-def next_step(step: str, **names: str | Path | Iterable[Path]) -> str:
+def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     """Return the line after a step of `STEPS`; names of files stand in braces, quoted for the shell.
 
     ``runs`` is the campaign `c`: a source that has no runs cannot be diagnosed.

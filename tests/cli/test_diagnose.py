@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from calib.campaign.write import write_campaign
 from calib.cli.main import run
+from tests.campaign.making import campaign, with_log_columns, with_numbers
 
 pytestmark = pytest.mark.usefixtures("diagnosed_once")
 FIELDS = {
@@ -106,3 +109,20 @@ def test_an_existing_figure_is_refused_before_the_work(tmp_path: Path, capsys: p
     (tmp_path / "gap-by-covariate-along.png").touch()
     assert run(["diagnose", str(tmp_path / "absent"), "--figures", str(tmp_path)]) == 2
     assert "existing file" in capsys.readouterr().err
+
+
+def test_counters_that_were_reset_are_named_where_no_fix_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Runs that end far off are those whose counters jumped: the line after the verdict sends there first."""
+    made = campaign(runs_per_load=2, rate_hz=5.0)
+    columns = {name: made.logs.columns[name].copy() for name in ("counts_left", "counts_right")}
+    for run_number in (3, 7):
+        part = slice(made.logs.offsets[run_number], made.logs.offsets[run_number + 1])
+        for counts in columns.values():
+            half = counts[part][len(counts[part]) // 2]
+            counts[part] -= half * (np.arange(part.stop - part.start) >= (part.stop - part.start) // 2)
+    reset = with_log_columns(made, **columns)
+    totals = {name: columns[name][made.logs.offsets[1:] - 1] for name in columns}
+    folder = write_campaign(with_numbers(reset, **totals), tmp_path / "reset")
+    assert run(["diagnose", str(folder)]) == 1
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert "correct or exclude run r003 r007, whose counters 'calib check" in last
