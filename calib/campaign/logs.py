@@ -21,9 +21,9 @@ from calib.types import FloatArray, IntArray
 _MAX_PATH: Final = 500
 #: widths that are looked for where the settings name none
 WIDTHS: Final = (13, 16, 32)
-#: share of the counter's span below which steps leave no doubt on which side of it they go around
+#: share of the counter's span up to which a step leaves no doubt which way around it goes
 _CLEAR_STEP: Final = 0.4
-#: an overflow, undone, is at most so many times the largest of the other steps: the wheel may be fastest just then
+#: an overflow, undone, is at most so many times the largest other step: the wheel may be fastest just then
 _LIKE_OTHERS: Final = 2.0
 #: time between samples below which nothing is divided by it
 _SHORTEST_STEP_S: Final = 1e-9
@@ -200,9 +200,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:
     """Find the width of a counter that overflows inside the logs.
 
-    The logs' range never leaves one span of the counter, and a jump is an overflow where it, undone, is a step like the
-    others, so that neither a jump of the wheel itself nor a reset is mistaken for one. A step over a gap in time may
-    hold as many times the counts of another one as it lasts usual steps.
+    All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
+    step over a gap in time may hold as many times the counts of another one as it lasts usual steps.
 
     `counts`, `time_s` (shape (n_samples,)): logs laid end to end, and their times where known; `offsets` (shape
     (n_runs + 1,)): where each log begins. 13, 16 or 32, or None where nothing overflows.

@@ -125,4 +125,4 @@ def test_counters_that_were_reset_are_named_where_no_fix_is(tmp_path: Path, caps
     folder = write_campaign(with_numbers(reset, **totals), tmp_path / "reset")
     assert run(["diagnose", str(folder)]) == 1
     last = capsys.readouterr().out.splitlines()[-1]
-    assert "correct or exclude run r003 r007, whose counters 'calib check" in last
+    assert "correct or exclude r003 r007 by 'calib check" in last

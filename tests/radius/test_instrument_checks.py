@@ -53,7 +53,7 @@ def test_a_constant_error_of_the_distances_fails_and_is_stated(offset_m: float) 
         check = checks["run_length"]
         assert check.level == FAILED
         stated, _, rest = check.sentence.partition("constant ")[2].partition(" mm (")
-        low, high = (float(end) for end in rest.partition("):")[0].split(" to "))
+        low, high = (float(end) for end in rest.partition("), and")[0].split(" to "))
         assert float(stated) == pytest.approx(1e3 * offset_m, abs=3.0)
         # of four intervals of 95 %, with a margin for the rounding of the sentence
         assert low - 1.0 <= 1e3 * offset_m <= high + 1.0

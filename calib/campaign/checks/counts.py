@@ -45,21 +45,22 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a single count while the other one turned and the vehicle did not turn about the first."""
-    runs = campaign.runs
-    straight = (runs.number("distance_m") > 1.0) & np.isnan(runs.number("ref_theta_rad"))
+    runs, turn = campaign.runs, turned_rad(campaign)
+    reference = runs.number("ref_theta_rad")
+    otherwise = ((runs.number("distance_m") > 1.0) & np.isnan(reference)) | (
+        np.abs(turn - reference) > 0.5 * np.abs(turn)
+    )
     for side, other in (SIDES, SIDES[::-1]):
         counts = runs.number(f"counts_{other}")
         turned = np.abs(counts) > design.per_rev(campaign, other)
-        turn = turned_rad(campaign)
-        against = np.abs(turn - runs.number("ref_theta_rad")) > 0.5 * np.abs(turn)
-        dead = (runs.number(f"counts_{side}") == 0.0) & turned & (straight | against)
-        expected = "expected counts of both wheels; check the encoder, its cable and the column, or exclude"
+        dead = (runs.number(f"counts_{side}") == 0.0) & turned & otherwise
+        remedy = "expected counts of both wheels; check encoder, cable and column, or exclude"
         if dead.sum() > max(1.0, MOST_OF_THE_RUNS * turned.sum()):
-            text = f"found 0 counts in {int(dead.sum())} runs in which the {other} wheel counts; {expected} them"
+            text = f"found 0 counts in {int(dead.sum())} runs in which the {other} wheel counts; {remedy} them"
             yield column_note(f"counts_{side}", text, "dead_counter")
             continue
         for run in np.flatnonzero(dead):
-            text = f"found 0 counts while the {other} wheel counts {counts[run]:.0f}; {expected} the run"
+            text = f"found 0 counts while the {other} wheel counts {counts[run]:.0f}; {remedy} the run"
             yield cell_note(campaign, run, f"counts_{side}", text, "dead_counter")
 
 
@@ -263,7 +264,7 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
                 bits = next((bits for bits in widths if abs(abs(first) - 2.0**bits) < most[far[0]]), None)
                 cause = "the encoder may have lost contact, or the counter was reset"
                 if bits:
-                    cause = f"a {bits}-bit counter overflows so: give encoder.wrap_bits = {bits} to have it undone"
+                    cause = f"a {bits}-bit counter overflows so; give encoder.wrap_bits = {bits} to have them undone"
                 text = (
                     f"{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} "
                     f"are usual; {cause}"

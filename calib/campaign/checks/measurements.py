@@ -167,8 +167,8 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield column_note(_LOADS, text, "missing_load")
 
 
-#: fewer runs give no line of load against payload; the slopes of more than so many pairs tell nothing new
-LEAST_OF_A_LINE: Final = 8
+#: fewer runs give no line of load against payload, more than so many nothing new
+_LEAST_OF_A_LINE: Final = 8
 _MOST_OF_A_LINE: Final = 400
 #: a load off that line by so many spreads is no scatter of the places of the payload
 _LOAD_SPREADS: Final = 6.0
@@ -207,29 +207,27 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
 
 
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
-    """Find loads far from the line of the other runs' loads against the payload, by the median of all slopes.
+    """Find a few loads far from the line of the others against the payload, by the median of all slopes.
 
-    A few runs alone are judged, between payloads of others. `total` (shape (n_runs,)): weighed load of both wheels; NaN
-    where the place of the payload says already what it has to be.
+    `total` (shape (n_runs,)): weighed load of both wheels; NaN where the place of the payload says what it has to be.
     """
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < LEAST_OF_A_LINE:
+    if len(runs) < _LEAST_OF_A_LINE:
         return
-    some = runs[np.linspace(0, len(runs) - 1, min(len(runs), _MOST_OF_A_LINE)).astype(np.int64)]
+    some = runs[:: 1 + len(runs) // _MOST_OF_A_LINE]
     more, rise = (np.subtract.outer(values[some], values[some]) for values in (payload, total))
     slope = float(np.median(rise[more > 0.0] / more[more > 0.0])) if (more > 0.0).any() else 0.0
     expected = slope * payload + np.median(total[runs] - slope * payload[runs])
-    away = np.abs(total[runs] - expected[runs])
-    far = away > np.fmax(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(total[runs] - expected[runs]))
+    away = (total - expected)[runs]
+    far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
     kept = payload[runs[~far]]
-    if far.sum() > MOST_ODD * len(runs):
-        return
-    for run in runs[far]:
+    for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
+        # beyond the payloads of the others the line is not known
         if kept.min() <= payload[run] <= kept.max():
             text = (
-                f"found {total[run]:.0f} N on both wheels with a payload of {payload[run]:g} kg; the other runs ask "
-                f"for {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"
+                f"found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for "
+                f"{expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"
             )
             yield cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 

@@ -13,21 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.ingest import guesses
-from calib.campaign.ingest.guesses import (
-    count_unit,
-    guessed_log_column,
-    guessed_table_column,
-    rises_evenly,
-    stem_and_unit,
-    usual_step,
-)
+from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
-from calib.campaign.readers.table import FORMAT_NAMES, NS_PER_S, comma_evidence, filled_cells, format_words, numbers
+from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, numbers
 from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
-from calib.types import FloatArray, IntArray, floats
+from calib.types import IntArray
 
 #: different texts of a column that are listed
 _LISTED_TEXTS: Final = 6
@@ -217,8 +210,7 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
     if not len(known):
         return ColumnContents(name, "empty", n_empty=len(cells))
     whole = bool((known == np.rint(known)).all())
-    few = len(known) <= _FEW_ROWS
-    bits = None if few or not whole else detect_wrap_bits(values, np.asarray([0, len(values)]), _times(raw))
+    bits = detect_wrap_bits(values, np.asarray([0, len(values)])) if whole and len(values) > _FEW_ROWS else None
     return ColumnContents(
         name,
         "number",
@@ -228,16 +220,10 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
         n_empty=len(values) - len(known),
         wrap_bits=bits,
         whole=whole,
-        does="" if bits or few else guesses.behaviour(known, whole=whole),
+        does="" if bits or len(known) <= _FEW_ROWS else guesses.behaviour(known, whole=whole),
         step=usual_step(known),
         even=rises_evenly(known),
     )
-
-
-def _times(raw: RawTable) -> FloatArray | None:
-    """Return the times of a table's rows in the unit they have; None where no column of numbers looks like them."""
-    named = (cells for name, cells in raw.columns.items() if name in raw.epochs or guessed_log_column(name) == "t_s")
-    return next((floats(cells) for cells in named if cells.dtype != object), None)
 
 
 def _recording_contents(path: Path, shown: str) -> FileContents:
@@ -246,9 +232,8 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
     columns: list[ColumnContents] = []
     for stream in recording.streams:
         line: IntArray = np.arange(1, len(stream) + 1, dtype=np.int64)
-        clock = {} if stream.time_ns is None else {"t_s": (stream.time_ns - stream.time_ns[:1]) / NS_PER_S}
         for name in stream.columns:
-            contents = _column_contents(name, RawTable(clock | dict(stream.columns), line), shown, None)
+            contents = _column_contents(name, RawTable(stream.columns, line), shown, None)
             columns.append(replace(contents, unit=stream.units.get(name, contents.unit)))
     longest = max((len(stream) for stream in recording.streams), default=0)
     remarks = tuple(note.text for note in recording.notes)

@@ -174,7 +174,7 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 
 
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
-    """Undo turns of the heading, and overflows of counters beside the wheels' stream, before they are interpolated."""
+    """Undo turns of the heading, and overflows beside the wheels' stream, before they are interpolated."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:
@@ -188,7 +188,7 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
 
 
 def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
-    """Return the columns of a file with the reference's heading going on beyond a turn: a cut or a mean needs that."""
+    """Return the columns of a file with the reference's heading going on beyond a turn."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     for name, cells in columns.items():
         mapped = name == line.column
