@@ -1,19 +1,7 @@
 """From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius.
 
-The uncertainty budget has the scatter observed, and declared parts that are the same in every run. No number of runs
-makes the latter smaller. They are declared in ``campaign.toml``, since no run shows them::
-
-    [uncertainty.rangefinder]
-    scale = {half_width = 5e-5, distribution = "rectangular"}    # of the distance
-    offset_m = {std = 5e-4}                                      # normal unless stated
-    beam_rad = {half_width = 2e-3, distribution = "rectangular"} # between beam and path
-
-    [uncertainty.weighing]
-    scale = {std = 1e-3}                                         # of the wheel load
-    offset_N = {std = 1.0}
-
-Each entry has ``std``, or ``half_width`` with a ``distribution`` (``rectangular``, ``triangular``, ``normal``: a 95 %
-half width), and may have ``type`` (``A`` or ``B``, the default) and ``dof`` for type A.
+The uncertainty budget has the scatter observed, and parts that no number of runs makes smaller, since they are the same
+in every run: they are declared in the section ``[uncertainty]`` of ``campaign.toml`` (docs/format.md).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from calib.radius.checks import NOTE_BELOW, UM, p_of_t, tested
 from calib.radius.law import COVERAGE
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, t_quantile
 from calib.radius.sessions import groups_of
-from calib.types import FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, StrArray
 
 #: a smaller span of temperatures shows nothing of a radius
 MIN_SPAN_K: Final = 1.0
@@ -28,23 +28,27 @@ EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 
 def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
-    groups, n = groups_of(session), len(distance_m)
-    base = np.eye(len(groups))[groups.index] if 2 <= len(groups) < n else np.ones((n, 1))
-    if fit.model == "line" and fit.design != "confounded":
-        base = np.column_stack((base, (fit.load_N - fit.load_N.mean()) / np.ptp(fit.load_N)))
-    u, size, _ = np.linalg.svd(base, full_matrices=False)
-    fitted, std = u[:, size > 1e-10 * size[0]], np.nan_to_num(std_m)
+    fitted, std = _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)), np.nan_to_num(std_m)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
-        checks += _scatter(fit, std, n - fitted.shape[1])
+        checks += _scatter(fit, std, len(std) - fitted.shape[1])
     return replace(fit, checks=tuple(checks))
+
+
+def _fitted(fit: WheelFit, session: StrArray, known: BoolArray) -> FloatArray:
+    """Return orthonormal columns, shape (n_known, k), of what is taken off first: sessions, and the load."""
+    groups, load = groups_of(session[known]), fit.load_N[known]
+    base = np.eye(len(groups))[groups.index] if 2 <= len(groups) < len(load) else np.ones((len(load), 1))
+    if fit.model == "line" and fit.design != "confounded":
+        base = np.column_stack((base, load / load.max()))
+    u, size, _ = np.linalg.svd(base, full_matrices=False)
+    return np.asarray(u[:, size > 1e-10 * size[0]])
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
     """Look for a constant error of the distances, which moves the radii of short runs most.
 
-    `reach` (shape (n_runs,)): by how much a metre moves a radius; `fitted` (shape (n_runs, k)): what is taken off
-    first, sessions and load, orthonormal.
+    `reach` (shape (n_runs,)): by how much a metre moves a radius; `fitted`: see `_fitted`.
     """
     own, residual = (values - fitted @ (fitted.T @ values) for values in (reach, fit.residual_m))
     norm, dof, mean = float(own @ own), len(own) - fitted.shape[1] - 1, float(reach.mean())
@@ -90,9 +94,9 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
     if p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2:
         level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
         sentence = (
-            f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a weave, "
-            "slip) is not known, and may move the law by as much, which no interval holds; add logs, or amplitude_m "
-            "and wavelength_m."
+            f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a "
+            "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
+            "amplitude_m and wavelength_m."
         )
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value)
 
@@ -106,12 +110,10 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     known = np.isfinite(temperature_C)
     if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
         return fit
-    groups, span = groups_of(session[known]), np.ptp(temperature_C[known])
-    columns = (fit.residual_m[known], temperature_C[known], fit.load_N[known])
-    residual, warmth, load = (groups.within(column) for column in columns)
-    if load @ load > 0:
-        residual, warmth = (each - load * float(load @ each) / float(load @ load) for each in (residual, warmth))
-    dof, squares = len(residual) - len(groups) - 2, float(warmth @ warmth)
+    fitted, span = _fitted(fit, session, known), np.ptp(temperature_C[known])
+    columns = (column[known] for column in (fit.residual_m, temperature_C))
+    residual, warmth = (column - fitted @ (fitted.T @ column) for column in columns)
+    dof, squares = len(residual) - fitted.shape[1] - 1, float(warmth @ warmth)
     if dof < MIN_SLOPE_DOF or np.sqrt(squares / len(warmth)) < 0.1 * MIN_SPAN_K:
         return fit
     slope = float(warmth @ residual) / squares

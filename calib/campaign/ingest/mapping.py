@@ -1,35 +1,8 @@
 """The mapping: a TOML file, written once for a laboratory's export, that says which source column is which.
 
-::
-
-    name = "hall 3, spring"            # any key or section of campaign.toml: vehicle, encoder, model, ...
-    [vehicle]
-    track_mm = 700
-
-    [table]                            # calib column = column of the laboratory's run table
-    file = "runs.xlsx"                 # beside the mapping, where no table is among the sources
-    runs_in = "columns"                # where each run stands in a column of its own
-    sheet = "Runs"                     # sheet, header_row, units_row are found where not named
-    run_id = "Run no."
-    distance_m = {column = "Distance", unit = "mm"}
-    counts_left = {column = "Enc L", factor = -1}
-    load_left_N = {column = "Left", unit = "kg", sheet = "Payloads", by = "Label"}   # looked up, weighed
-    direction = {column = "Way", values = {hin = "out", zurueck = "back"}}
-    session = {value = "monday"}       # the same for every run; a list holds one value a run
-
-    [log]                              # the same for logs and recordings, and the file that holds a run's log
-    file = "run_{n:02}.csv"            # {run_id}, or {n}: the number in the run's name; {date}, {time}, *
-    files = {enc = "enc_{n}.csv", laser = "laser_{n}.csv"}   # or several, joined by time: counts_left = "enc:left"
-    swapped = ["Run 12"]               # runs whose left and right encoder were exchanged
-    t_s = {column = "time", unit = "ms"}
-    counts_left = "EncL"
-    counts_right = {column = "/joints:position.right", unit = "rad"}
-    range_m = {column = "/range:range", from_start = true}
-
-    [cut]                              # how a recording is cut into runs
-    by = "stops"                       # "stops", "length", "column" or "times"
-
-Columns that already carry calib's names, with any known unit, need no line.
+docs/ingest.md has an example of each line. Keys and sections of ``campaign.toml`` are those of the campaign; ``[table]``
+and ``[log]`` name a source column for a column of calib's; ``[cut]`` says how a recording is cut into runs. Columns that
+already carry calib's names, with any known unit, need no line.
 """
 
 from __future__ import annotations
@@ -294,7 +267,7 @@ class Mapping:
 def read_mapping(path: Path | None) -> Mapping:
     """Read a mapping.
 
-    `path`: TOML file as this module's text shows; None is an empty one. Raises BadFileError where a line cannot be
+    `path`: TOML file; None is an empty one. Raises BadFileError where a line cannot be
     used.
     """
     shown = str(path) if path else "mapping"
