@@ -1,8 +1,8 @@
 """The mapping: a TOML file, written once for a laboratory's export, that says which source column is which.
 
 docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a source column for a column of calib's,
-``[cut]`` says how a recording is cut into runs, and all else is of ``campaign.toml``. Columns that already carry calib's
-names, with any known unit, need no line.
+``[cut]`` says how a recording is cut into runs, all else is of ``campaign.toml``. Columns that already carry the names
+of calib, with any known unit, need no line.
 """
 
 from __future__ import annotations
