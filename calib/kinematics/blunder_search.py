@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -158,6 +158,8 @@ CLEAR: Final = 6.0
 EXPLAINED: Final = 0.5
 #: plays of a steering that are tried, rad: its size is found from the nearest
 PLAYS_RAD: Final = (0.005, 0.01, 0.02, 0.04, 0.08)
+#: shifts in time of a steering angle that are tried, s: from half the least on, which is no step of a log any more
+SHIFTS_S: Final = (0.1, 0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
 SizedChange = Callable[[Recording, float], Recording]
@@ -237,6 +239,8 @@ def _departures(model: Model) -> Iterator[Departure]:
     """Yield the departures that a recording can show."""
     if model.recording.steps.steer_rad is not None:
         yield from (Departure(_without_play, play_rad, _play) for play_rad in PLAYS_RAD)
+        for sign, shift_s in product((1.0, -1.0), SHIFTS_S):
+            yield Departure(partial(_shifted, sign=sign), shift_s, partial(_shift, sign=sign))
     if model.segments.are_runs_of(model.recording):
         # all begin at the same heading: an axis of the reference is then one of the vehicle, which may slide along it
         return
@@ -264,6 +268,23 @@ def _play(play_rad: float) -> Fault:
         "take the play out of the steering, or log the angle of the wheels"
     )
     return Fault("steering_play", text)
+
+
+def _shifted(recording: Recording, shift_s: float, sign: float) -> Recording:
+    """Return the recording with the steering angle a time later, or earlier where the sign is negative."""
+    steer = np.asarray(recording.steps.steer_rad).copy()
+    for first, last in pairwise(recording.offsets.tolist()):
+        t_s = recording.t_s[first:last]
+        steer[first:last] = np.interp(t_s - sign * shift_s, t_s, steer[first:last])
+    return recording.with_steering(steer)
+
+
+def _shift(shift_s: float, sign: float) -> Fault:
+    late = "after it: the wheels follow a command late" if sign > 0.0 else "before it: it is filtered or stamped late"
+    text = (
+        f"steer_rad: the vehicle steers {shift_s:.2g} s {late}; log the angle of the wheels by the clock of the counts"
+    )
+    return Fault("steering_shift", text)
 
 
 def _stretched(recording: Recording, share: float, axis: int, sign: float) -> Recording:

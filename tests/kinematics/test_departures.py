@@ -11,6 +11,7 @@ from calib.campaign.read import read_campaign
 from calib.kinematics.estimate import estimate_geometry
 from tests.blunders import plant
 from tests.blunders.blunders import TRICYCLE, Change, columns_times
+from tests.kinematics import steered
 
 
 def faults(folder: Path, change: Change | None) -> dict[str, str]:
@@ -38,3 +39,14 @@ def test_an_axis_that_is_squeezed_is_named(tmp_path: Path) -> None:
     """Or the other one as stretched, which is the same but for the scale of the wheels."""
     text = faults(tmp_path, columns_times(1.0, 0.95, 1.0))["axis_scale"]
     assert ("ref_y_m" in text and "short" in text) or ("ref_x_m" in text and "long" in text)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.2])
+def test_wheels_that_follow_their_angle_late_are_named(lag_s: float, tmp_path: Path) -> None:
+    """Where no route is driven twice too, with the delay to a quarter; a vehicle that steers at once is calibrated."""
+    folder = steered.write(tmp_path / "c", lambda angle, _: steered.late(angle, lag_s), radius_m=0.1005)
+    found = estimate_geometry(read_campaign(folder))
+    text = {fault.code: fault.text for fault in found.faults}.get("steering_shift", "")
+    assert found.passed is (lag_s == 0.0)
+    if lag_s:
+        assert float(text.partition("steers ")[2].partition(" s ")[0]) == pytest.approx(lag_s, rel=0.25)
