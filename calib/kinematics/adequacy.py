@@ -12,8 +12,9 @@ import numpy as np
 
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
-from calib.kinematics.joint_fit import Fitted, with_own_zeros
+from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
+from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -28,6 +29,9 @@ LACK_OF_FIT: Final = 3.0
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more than this share of the error on held-out runs explains nothing of it
 USELESS_SHARE: Final = 0.9
+#: where sessions differ, a calibration that leaves more than this share of the error is worth no more than one of each
+#: session: three quarters of the mean square then are what it has taken away
+WORTH_SHARE: Final = 0.5
 #: a residual above this share of the distance travelled, or of the rotation, is no calibration
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
@@ -76,6 +80,8 @@ class Residuals:
     travelled: float
     #: by the stated noise of the reference and the usual drift
     usual_noise: float = math.inf
+    #: what fits of each session leave, where sessions differ beyond chance
+    within: float = math.inf
     #: what differences between recordings that are part of the fit, such as their steering zeros, add to the noise
     between: float = 0.0
 
@@ -83,6 +89,12 @@ class Residuals:
     def expected(self) -> float:
         """What a further recording leaves: noise, and differences between recordings."""
         return math.hypot(self.noise, self.between)
+
+    @property
+    def apart(self) -> float:
+        """By how many times what is left within sessions they differ; 0 where that is no lack of fit."""
+        ratio = math.sqrt(max((self.after / self.within) ** 2 - 1.0, 0.0)) if self.within > 0.0 else 0.0
+        return ratio if ratio > LACK_OF_FIT else 0.0
 
     @property
     def figures(self) -> dict[str, float]:
@@ -113,6 +125,12 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
     small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
     worst = max(found.after, found.held_out)
+    if found.apart and (worst > small or found.held_out > WORTH_SHARE * found.before):
+        return DOUBTFUL, (
+            f"{what}: sessions differ by {found.apart:.2g} times what is left within each ({1e3 * found.within:.3g} "
+            f"{unit}), and {held_out} of {before} stay on held-out runs: radii, steering or reference changed in "
+            "between; calibrate each session by itself, 'calib diagnose' looks for what changed",
+        )
     if worst <= small:
         return CALIBRATED, ()
     if found.before > small and useless:
@@ -167,16 +185,21 @@ def judged(
     held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
     way_m, rotation_rad = travelled(whole, fitted.solution.values)
     replicates = _replicates(whole, way_m)
+    session = whole.recording.session
+    in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(replicates) + replicates
+    within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
         """Return the figures of a part of the pose."""
         at = used & seen[:, columns].any(axis=1)
-        scatter = _scatter(after[:, columns], replicates, at)
+        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, replicates))
+        scatter = next((one for one in scatters if one is not None), None)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         total = rms(travelled[at, None])
-        noise = usual if scatter is None else scatter
-        between = rms(by_zero[at, columns])
-        return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, between)
+        left = within[columns.start // 2]
+        # scatter over sessions that differ is no noise
+        noise = min(usual if scatter is None else scatter, left)
+        return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, left, rms(by_zero[at, columns]))
 
     reference = campaign.reference
     turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
@@ -279,10 +302,9 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
         away = of_whole == number
         if not len(rest) or not away.any():
             continue
-        seen = Model(model.drive, fitted.logged, rest)
+        # by angles from their own zeros; held-out runs have the common one
+        seen = Model(model.drive, model.recording, rest)
         fit = solve(seen, fitted.parameters, solution.values, solution.scales)
-        if fitted.zero_spread_rad:
-            fit = with_own_zeros(replace(fitted, model=seen, solution=fit)).solution
         residuals[away] = logged.predict(fit.values).residuals[away]
     return residuals
 
@@ -332,8 +354,9 @@ def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
     if not fitted.zero_spread_rad or heading.between <= SMALL_SHARE * heading.travelled:
         return []
     spread = f"{1e3 * fitted.zero_spread_rad:.2g} mrad"
+    what = "sessions" if len(np.unique(fitted.logged.session)) > 1 else "recordings"
     return [
-        f"{STEERING_ZERO} differs between recordings by {spread} (standard deviation), beyond chance: the steering has "
+        f"{STEERING_ZERO} differs between {what} by {spread} (standard deviation), beyond chance: the steering has "
         f"play, or does not follow its command; a further recording ends off by {heading.between:.2g} rad; log "
         "the angle of the wheels, or calibrate the zero before each drive"
     ]

@@ -23,6 +23,7 @@ from calib.kinematics.joint_fit import (
     Fitted,
     drive_of,
     fit_parameters,
+    loosest,
     own_delays,
     sought_delays,
     with_own_zeros,
@@ -30,6 +31,7 @@ from calib.kinematics.joint_fit import (
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunTrace, Transfer
+from calib.kinematics.sessions import left_within
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import FloatArray, IntArray, Progress, in_frame, silent, stepped
 
@@ -95,6 +97,9 @@ def estimate_geometry(
     if fit.geometry.misfit:
         fit = _without_blunder(task, recording) or fit
     free = sensor is None and using is None and not task.sensor
+    judgement = fit.geometry.judgement
+    # the place of a sensor explains nothing that differs between sessions
+    free = free and not (judgement.position.apart or judgement.heading.apart)
     if free and not (fit.geometry.passed or fit.geometry.faults):
         fit = _with_sensor(task, recording, fit) or fit
     geometry = fit.geometry if fit.geometry.faults else _without_departure(fit)
@@ -153,7 +158,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
             break
         chosen = other
     chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
-    chosen = with_own_zeros(chosen) if way == "windows" else chosen
+    chosen = _with_own_zeros(campaign, chosen, task)
     geometry = replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
     return _Fit(task, chosen, geometry)
 
@@ -223,6 +228,23 @@ def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[
         recording = replace(fitted.model.recording, own_delay_s=added)
         fitted = fit_parameters(campaign, fitted.model.drive, recording, fitted.model.segments, sensor, start=fitted)
     return fitted, delays
+
+
+def _with_own_zeros(campaign: Campaign, fitted: Fitted, task: _Task) -> Fitted:
+    """Return the fit with a steering zero for each recording; of end poses, for each session where sessions differ."""
+    model, free = fitted.model, fitted.parameters.free
+    if task.way == "windows":
+        return with_own_zeros(fitted)
+    if left_within(fitted.solution, free, model.segments, model.recording.session)[0] == np.inf:
+        return fitted
+    own = with_own_zeros(fitted)
+    if not own.zero_spread_rad or not own.dropped:
+        return own
+    # what the zeros hid may be determined beside them
+    again = fit_parameters(campaign, model.drive, own.model.recording, model.segments, task.sensor)
+    solution = replace(again.solution, prediction=model.predict(again.solution.values))
+    again = with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
+    return own if loosest(again.uncertainty.std, again.parameters) else again
 
 
 def _way(recording: Recording) -> Using:

@@ -12,6 +12,7 @@ import numpy as np
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Segments
 from calib.kinematics.recording import Recording
+from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import DEGREES, Shared, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
@@ -315,8 +316,9 @@ ALIKE: Final = 2.6
 def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Uncertainty:
     """Return the covariance of the free parameters, clustered by run or block, session or route.
 
-    Runs of one session, or of one route, whose scores are correlated form one group each: a shared error does not
-    average out over repeats. Of several such groupings the one with the widest intervals is used.
+    Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
+    differ: a shared error does not average out over repeats. Of several such groupings the one with the widest intervals
+    is used.
 
     `solution`: of the robust fit.
     """
@@ -333,7 +335,8 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     alone = best.by
     candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
     for name, group in candidates.items():
-        if len(np.unique(group)) >= FEWEST and _alike(scores, group) > ALIKE:
+        apart = name == "session" and left_within(solution, free, segments, recording.session)[0] < np.inf
+        if len(np.unique(group)) >= FEWEST and (apart or _alike(scores, group) > ALIKE):
             tried = sandwich(solution, free, group[block], name)
             if best.by == alone or _width(tried) > _width(best):
                 best = tried

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -44,24 +44,31 @@ def write(
     *,
     runs: int = 24,
     radius_m: float = RADIUS_M,
-    sessions: int = 4,
+    days: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
+    turned_rad: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     drive: str = "tricycle",
 ) -> Path:
-    """Write a campaign of end poses; `wheel`: angle of the wheels by that of the sensor, in a session."""
+    """Write a campaign of end poses in sessions.
+
+    `wheel`: angle of the wheels by that of the sensor, in a session; `days`: factors on the radius, by session;
+    `turned_rad`: by how much the reference's frame is turned, by session.
+    """
     rng = np.random.default_rng(1)
     (folder / "logs").mkdir(parents=True)
     rows = ["run_id,session,ref_x_m,ref_y_m,ref_theta_rad,log"]
     column = "counts_front" if drive == "tricycle" else "counts_rear"
     for number in range(runs):
-        session, sensor = number * sessions // runs, free_angle(rng)
+        session, sensor = number * len(days) // runs, free_angle(rng)
         rolled = np.full(len(sensor), rng.choice([0.4, 0.6, 0.8]) * STEP_S / RADIUS_M)
         angle = wheel(sensor, session)
-        way = radius_m * rolled
+        way = radius_m * days[session] * rolled
         ahead, turn = (way * np.cos(angle), way * np.sin(angle)) if drive == "tricycle" else (way, way * np.tan(angle))
         turn = turn / WHEELBASE_M + 3e-4 * np.sqrt(way) * rng.standard_normal(len(way))
         heading = np.cumsum(turn)
         middle = heading - 0.5 * turn
         end = np.array([np.sum(ahead * np.cos(middle)), np.sum(ahead * np.sin(middle)), heading[-1]])
+        c, s = np.cos(turned_rad[session]), np.sin(turned_rad[session])
+        end = np.array([c * end[0] - s * end[1], s * end[0] + c * end[1], end[2] + turned_rad[session]])
         x, y, theta = end + rng.normal(0.0, (SIGMA_M, SIGMA_M, SIGMA_RAD))
         counts = np.floor(np.append(0.0, np.cumsum(rolled)) * PER_REV / (2.0 * np.pi))
         logged = np.interp(np.arange(len(counts)), np.arange(len(sensor)) + 0.5, sensor)

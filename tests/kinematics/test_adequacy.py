@@ -13,8 +13,10 @@ from calib.coefficients.build import from_geometry
 from calib.errors import ImplausibleError, RefusedError
 from calib.kinematics.adequacy import GeometryVerdict, Residuals, judge
 from calib.kinematics.estimate import Using, estimate_geometry
+from calib.reporting.topics.geometry import verdict_sentences
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
+from tests.kinematics import steered
 
 TRUTH = {
     "radius_left_m": plant.RADIUS_LEFT_M,
@@ -106,3 +108,11 @@ def test_a_doubtful_geometry_gives_no_coefficients_without_a_reason(tmp_path: Pa
     assert accepted is not None
     assert accepted.reason == "wheels are omnidirectional"
     assert any("strafes" in finding for finding in accepted.findings)
+
+
+@pytest.mark.parametrize(("radius_m", "gained"), [(steered.RADIUS_M, False), (1.005 * steered.RADIUS_M, True)])
+def test_a_calibration_that_gains_nothing_says_so(radius_m: float, gained: bool, tmp_path: Path) -> None:
+    """A vehicle as it is stated, beside one whose radius is off by half a per cent."""
+    found = estimate_geometry(read_campaign(steered.write(tmp_path / "c", lambda angle, _: angle, radius_m=radius_m)))
+    assert found.passed
+    assert any("no better than the nominal values" in each for each in verdict_sentences(found)) is not gained

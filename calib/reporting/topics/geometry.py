@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.kinematics.adequacy import GeometryVerdict
+from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
@@ -65,7 +65,11 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
             sizes = (of.before, of.after, of.held_out, of.expected)
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
-    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in geometry.why)]
+    measured = [of for of in (judgement.position, judgement.heading) if of.before]
+    gained = any(of.held_out <= USELESS_SHARE * of.before for of in measured)
+    idle = ["On held-out runs it is no better than the nominal values: they do as well"] if not gained else []
+    why = (*(idle if geometry.passed else ()), *geometry.why)
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in why)]
 
 
 def geometry_sentences(geometry: Geometry) -> list[str]:
