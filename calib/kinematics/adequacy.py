@@ -29,8 +29,7 @@ LACK_OF_FIT: Final = 3.0
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more than this share of the error on held-out runs explains nothing of it
 USELESS_SHARE: Final = 0.9
-#: where sessions differ, a calibration that leaves more than this share of the error is worth no more than one of each
-#: session: three quarters of the mean square then are what it has taken away
+#: where sessions differ, one calibration for all is to take away three quarters of the mean square at least
 WORTH_SHARE: Final = 0.5
 #: a residual above this share of the distance travelled, or of the rotation, is no calibration
 WRONG_SHARE: Final = 0.05
@@ -192,13 +191,12 @@ def judged(
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
         """Return the figures of a part of the pose."""
         at = used & seen[:, columns].any(axis=1)
-        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, replicates))
-        scatter = next((one for one in scatters if one is not None), None)
+        scatter = _scatter(after[:, columns], in_session, at) or _scatter(after[:, columns], replicates, at)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         total = rms(travelled[at, None])
         left = within[columns.start // 2]
         # scatter over sessions that differ is no noise
-        noise = min(usual if scatter is None else scatter, left)
+        noise = min(scatter or usual, left)
         return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, left, rms(by_zero[at, columns]))
 
     reference = campaign.reference
@@ -321,7 +319,10 @@ def _implausible(fitted: Fitted) -> list[str]:
         change = value / nominal - 1.0
         if abs(change) > (PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE):
             away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
-            sentences.append(f"{away}, more than wheels can change: check lengths, counts per revolution and units")
+            also = "; play or lag of the steering acts alike: see 'calib diagnose'" if name == "wheelbase_m" else ""
+            sentences.append(
+                f"{away}, more than wheels can change: check lengths, counts per revolution and units{also}"
+            )
     return sentences
 
 
@@ -372,18 +373,18 @@ def _copied(position: Residuals) -> list[str]:
     ]
 
 
-def _lengths_alone(fitted: Fitted) -> list[str]:
-    """Return a sentence where both radii were estimated and nothing but the length of straight runs was measured.
+#: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side
+LENGTHS_ALONE: Final = (
+    "lengths of straight runs alone: they do not tell the wheels apart, nor the track, and neither radius holds by "
+    "itself; 'calib fit' takes the runs for straight, and end headings (ref_theta_rad, a gyro) or closed loops tell "
+    "the wheels apart"
+)
 
-    What then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side.
-    """
-    apart = {"radius_left_m", "radius_right_m"} <= set(fitted.parameters.free_names)
-    if not apart or fitted.model.segments.seen[:, 1:].any():
-        return []
-    return [
-        "lengths of straight runs alone do not tell the wheels apart: neither radius holds by itself; 'calib fit' "
-        "takes the runs for straight, and end headings (ref_theta_rad, a gyro) or closed loops tell the wheels apart"
-    ]
+
+def _lengths_alone(fitted: Fitted) -> list[str]:
+    """Return a sentence where the radius of a wheel was estimated from nothing but the length of straight runs."""
+    radii = {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names)
+    return [LENGTHS_ALONE] if radii and fitted.model.recording.lengths_alone else []
 
 
 def _at_odds(whole: Model, outliers: Sequence[str], large: BoolArray) -> list[str]:

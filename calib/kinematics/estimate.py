@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
-from calib.kinematics.adequacy import rms
+from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import Fault, corrected
@@ -89,12 +89,19 @@ def estimate_geometry(
     task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
     try:
         fit = _fitted(task, recording)
+    except np.linalg.LinAlgError as error:
+        if not recording.lengths_alone:
+            raise
+        raise RefusedError(f"geometry of {campaign.name!r}: found {LENGTHS_ALONE}") from error
     except RefusedError:
         corrected = _without_blunder(task, recording)
         if corrected is None:
             raise
         return corrected.geometry
-    if fit.geometry.misfit:
+    # of lengths alone a bend makes up for any reading, and for any place of a sensor
+    if recording.lengths_alone:
+        sensor = False
+    elif fit.geometry.misfit:
         fit = _without_blunder(task, recording) or fit
     free = sensor is None and using is None and not task.sensor
     judgement = fit.geometry.judgement

@@ -89,6 +89,11 @@ class Recording:
         counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
         return bool(np.mean(counts >= MANY_POSES) >= 0.5)
 
+    @property
+    def lengths_alone(self) -> bool:
+        """Whether nothing but the lengths of straight runs was measured."""
+        return not (np.isfinite(self.end_pose[:, 1:]).any() or np.isfinite(self.reference).any())
+
     def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
         """Return the recording with end headings corrected by whole turns, and the few runs that alone were off.
 

@@ -317,8 +317,8 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """Return the covariance of the free parameters, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
-    differ: a shared error does not average out over repeats. Of several such groupings the one with the widest intervals
-    is used.
+    differ: a shared error does not average out over repeats. Of several such groupings the one with the widest
+    intervals is used.
 
     `solution`: of the robust fit.
     """

@@ -50,3 +50,12 @@ def test_wheels_that_follow_their_angle_late_are_named(lag_s: float, tmp_path: P
     assert found.passed is (lag_s == 0.0)
     if lag_s:
         assert float(text.partition("steers ")[2].partition(" s ")[0]) == pytest.approx(lag_s, rel=0.25)
+
+
+def test_a_wheelbase_that_no_vehicle_has_leads_to_the_steering_too(tmp_path: Path) -> None:
+    """Play bends short changes of the angle most, as a longer wheelbase does."""
+    folder = steered.write(tmp_path / "c", lambda angle, _: 0.8 * angle, drive="ackermann", runs=8)
+    settings = folder / "campaign.toml"
+    settings.write_text(settings.read_text().replace("wheelbase_m = 1.0", "wheelbase_m = 0.7"))
+    found = estimate_geometry(read_campaign(folder))
+    assert any("play or lag of the steering acts alike: see 'calib diagnose'" in sentence for sentence in found.why)
