@@ -67,7 +67,7 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
             parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
     measured = [of for of in (judgement.position, judgement.heading) if of.before]
     gained = any(of.held_out <= USELESS_SHARE * of.before for of in measured)
-    idle = ["On held-out runs it is no better than the nominal values: they do as well"] if not gained else []
+    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] if not gained else []
     why = (*(idle if geometry.passed else ()), *geometry.why)
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in why)]
 
