@@ -124,7 +124,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
     small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
     worst = max(found.after, found.held_out)
-    if found.apart and (worst > small or found.held_out > WORTH_SHARE * found.before):
+    stays = worst > small or found.held_out > WORTH_SHARE * found.before
+    if found.apart and stays and worst <= WRONG_SHARE * travelled:
         return DOUBTFUL, (
             f"{what}: sessions differ by {found.apart:.2g} times what is left within each ({1e3 * found.within:.3g} "
             f"{unit}), and {held_out} of {before} stay on held-out runs: radii, steering or reference changed in "
