@@ -128,8 +128,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     if found.apart and stays and worst <= WRONG_SHARE * travelled:
         return DOUBTFUL, (
             f"{what}: sessions differ by {found.apart:.2g} times what is left within each ({1e3 * found.within:.3g} "
-            f"{unit}), and {held_out} of {before} stay on held-out runs: radii, steering or reference changed in "
-            "between; calibrate each session by itself, 'calib diagnose' looks for what changed",
+            f"{unit}), and held-out runs end off by {held_out} ({before} before): radii, steering or reference changed "
+            "in between; calibrate each session by itself, 'calib diagnose' looks for what changed",
         )
     if worst <= small:
         return CALIBRATED, ()

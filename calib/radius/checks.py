@@ -212,8 +212,14 @@ def tested(
 ) -> Check:
     """Return the check of a test.
 
-    `sentences`: without and with a finding; `fails`: whether a clear finding forbids the law; False where the intervals
-    allow for it.
+    Parameters
+    ----------
+    name, statistic, statistic_name, p_value
+        The check, and what the test gives.
+    sentences : tuple of str
+        Without and with a finding.
+    fails : bool
+        Whether a clear finding forbids the law; False where the intervals allow for it.
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
