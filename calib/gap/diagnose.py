@@ -116,7 +116,8 @@ def diagnose_in_full(
     planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
     given = _without(campaign, situation.omitted)
     campaign, observations = situation.campaign, situation.observations
-    simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() else None
+    # with effects of a model file the simulated motion is the model's
+    simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not applied else None
     nominal = predict(observations)
     if planted is None and simulator is None:
         _check_copied(campaign, nominal)

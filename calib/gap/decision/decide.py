@@ -28,7 +28,7 @@ from calib.gap.decision.diagnosis import (
     VerdictKind,
 )
 from calib.gap.decision.fix import beyond_vehicles, fix_of
-from calib.gap.decision.part import is_named_beside, sure_part
+from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
 from calib.gap.decision.sentences import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,
@@ -82,6 +82,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
     fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small, differing)
+    fix = as_delivered(evidence, causes, unexplained, fix)
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)
         causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]

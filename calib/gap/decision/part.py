@@ -95,6 +95,23 @@ def sure_part(
     )
 
 
+def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None, fix: Fix) -> Fix:
+    """Return a recommended fix as it is written: without what was fitted and is too small to be named, judged anew.
+
+    The sizes of the others change with it: those of the fit of all would lead astray alone.
+    """
+    names = {cause.effect for cause in causes}
+    if not fix.recommended or fix.corrects is not None or names.issuperset(evidence.search.effects):
+        return fix
+    fitted, improvement, tried = _tried(evidence, names, ())
+    why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
+    beside = ", ".join(sorted(set(evidence.search.effects) - names))
+    if why:
+        return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
+    corrects = tuple(cause.effect for cause in causes)
+    return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+
+
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:

@@ -28,8 +28,9 @@ HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
 HALF_CLOSURE: Final = 0.5
 #: closure from which on a gap counts as explained; below, part of it is unexplained
 FULL_CLOSURE: Final = 0.9
-#: and a residual of so many noise levels, in any channel, is said however large the gap was: the next cause is in it
-LARGE_RESIDUAL: Final = 3.0
+#: and a residual of so many noise levels, in any channel, is said however large the gap was: three quarters of its
+#: square are no noise, and the next cause is in it
+LARGE_RESIDUAL: Final = 2.0
 #: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
 SMALL_SHARE: Final = 0.05
 #: a cause with less than this share of what the largest one has is a hundredth of its size: no closer is the law of the
@@ -112,6 +113,9 @@ def kind_of(
     if gap_probability < REPORTED_GAP_PROBABILITY and misfit < BLUNDER_MISFIT:
         return VerdictKind.NO_GAP
     if not causes or misfit >= BLUNDER_MISFIT or (unexplained and high < HALF_CLOSURE):
+        return VerdictKind.UNKNOWN
+    if closure.fraction is not None and closure.fraction <= 0.0:
+        # what makes it worse on held-out runs explains nothing
         return VerdictKind.UNKNOWN
     if hides_causes(closure, unexplained_share):
         certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
