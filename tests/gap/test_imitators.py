@@ -13,6 +13,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.decision.part import as_delivered
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import MODEL, ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign
 
@@ -212,19 +213,19 @@ def test_laps_that_a_wrong_track_does_not_close_are_not_omitted(diagnosing: Diag
     assert "track_width" in {cause.effect for cause in verdict.causes}
 
 
-def curved(run: Run, now: Motion) -> None:
-    over_N = run.load_left_N - 300.0
-    now.left = now.right = (-1.2e-6 * over_N + 6e-10 * over_N**2) / 0.1
+def loaded_and_slipping(run: Run, now: Motion) -> None:
+    slipping(run, now)
+    now.left = now.right = now.left - SLOPE_M_PER_N / 0.1 * (run.load_left_N - 300.0)
 
 
-def test_a_recommended_fix_holds_the_named_causes_alone_and_is_judged_so(diagnosing: Diagnosing) -> None:
-    """Sizes of a fit with an effect that is not named would lead astray without it."""
-    runs = [replace(run, numbers={}) for run in loaded(36)]
-    loads = [(300.0, 500.0, 700.0, 900.0)[number // 3 % 4] for number in range(36)]
-    runs = [replace(run, load_left_N=load, load_right_N=load) for run, load in zip(runs, loads, strict=True)]
-    verdict = diagnosing(campaign(runs, truth=noisy(curved, 10), vehicle=DIFFERENTIAL))
-    named = {cause.effect for cause in verdict.causes}
-    if verdict.recommended:
-        assert {form.effect for form in verdict.correction.forms} <= named
-    else:
-        assert any("without" in reason for reason in verdict.fix.why) or named == set()
+def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -> None:
+    """Of a load law and slip the law alone is no fix, no matter what both together close; both are one as they are."""
+    loads = [(300.0, 500.0, 700.0)[(number + number // 3) % 3] for number in range(24)]
+    runs = [replace(run, load_left_N=load, load_right_N=load) for run, load in zip(driven_hard(), loads, strict=True)]
+    verdict = diagnosing(campaign(runs, truth=noisy(loaded_and_slipping, 10), vehicle=DIFFERENTIAL))
+    assert {cause.effect for cause in verdict.causes} == {"load_radius", "wheel_slip"} and verdict.recommended
+    evidence, law = verdict.evidence, [cause for cause in verdict.causes if cause.effect == "load_radius"]
+    assert evidence is not None
+    alone = as_delivered(evidence, law, None, verdict.fix)
+    assert not alone.recommended and all("without wheel_slip" in reason for reason in alone.why)
+    assert as_delivered(evidence, verdict.causes, None, verdict.fix) == verdict.fix
