@@ -345,6 +345,5 @@ def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> Float
 
 
 def _log_mean(logs: FloatArray) -> FloatArray:
-    """Return the log of the mean of exponentials along the second axis, shape (n,)."""
     largest = logs.max(axis=1)
     return np.asarray(largest + np.log(np.exp(logs - largest[:, None]).mean(axis=1)))

@@ -196,13 +196,11 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
 
 
 def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tuple[tuple[float, bool], ...]:
-    """Return the probability of each cause that has one, and whether it is at work."""
     stated = [cause for cause in causes if cause.get("probability") is not None]
     return tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated)
 
 
 def _family(effect: str) -> str:
-    """Return the family of an effect of the library; the effect itself where it has none to share."""
     kind = effect_class(effect)
     return effect if kind is None else kind.family.value
 
@@ -227,5 +225,4 @@ def _strong(truth: Truth) -> list[str]:
 
 
 def _grouped(effect: str, named: tuple[str, ...], groups: list[set[str]]) -> bool:
-    """Return whether an effect is named, or stands in a group with a named one."""
     return effect in named or any(effect in group and group & set(named) for group in groups)

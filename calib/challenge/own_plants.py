@@ -67,7 +67,6 @@ def _standard(values: FloatArray) -> FloatArray:
 
 
 def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
-    """Return the first two columns that vary, and do not vary together."""
     design, observations = replay.design, replay.observations
     order = np.arange(len(observations), dtype=np.float64)
     candidates = [
@@ -281,7 +280,6 @@ def signal_of(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | N
 def _sized(
     given: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
 ) -> tuple[list[Plant], str]:
-    """Return a given at each size, and why it is at none."""
     level = given.effect not in (*CALIBRATION, *STEERED)
     free = absorbed if level else None
 

@@ -149,7 +149,6 @@ def _of_group(group: Group, count: int, rng: np.random.Generator) -> list[Recipe
 
 
 def _crowd(number: int, rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Return three to six effects of the library at signals of 5 to 100, and an outside one at 5 to 15."""
     drawn = rng.choice([*_PAIRED, "unequal_radii", "track_width"], 3 + number % 4, replace=False)
     signals = np.exp(rng.uniform(np.log(5.0), np.log(100.0), len(drawn)))
     targets = (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0])))

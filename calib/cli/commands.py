@@ -25,7 +25,6 @@ ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make":
 
 @cache
 def _shared_options() -> list[Any]:
-    """Return the options of every command."""
     application = typer.Typer(add_completion=False)
 
     @application.command()

@@ -148,7 +148,6 @@ def _simulated(
 
 
 def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
-    """Refuse what is no effect of the campaign's library, its columns' and the user's own included."""
     from calib.gap.effects.library import REGISTRY, check_excluded
     from calib.gap.observations.from_campaign import observations_of
 

@@ -99,7 +99,6 @@ def export(
 
 
 def _of_other_format(source: Path, to: str, output: Path | None, accept: str) -> Sequence[Artifact]:
-    """Return the files of a format that needs the fit or the runs beside the coefficients."""
     from calib.reporting.exports import export_from
 
     if to in BINARY and output is None:
@@ -183,7 +182,6 @@ def _next_step(report: Report) -> str:
 
 
 def _tell(report: Report, target: Path, html: Path | None, drawn: str) -> None:
-    """Say what was written, and whether the law or the geometry can be used."""
     marked = ", simulated data" if report.simulated else ""
     terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
     terminal.wrote([] if html is None else [html])
@@ -210,7 +208,6 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
 
 
 def _page(report: Report, given: Fit | Campaign, tick: Progress) -> str:
-    """Return the page, with linked panels where there is a diagnosis to look into."""
     from calib.campaign.model import Campaign
     from calib.reporting.pages import to_html
 

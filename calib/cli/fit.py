@@ -84,7 +84,6 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
 
 
 def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[Block, ...]]:
-    """Return the fit held against the model, as plain values and as blocks."""
     from calib.coefficients.export import effects_left_out
     from calib.radius.result import compare_laws
     from calib.reporting.topics.fit import comparison_content

@@ -267,7 +267,6 @@ def _reopen() -> None:
 
 
 def _invoke(arguments: list[str]) -> int:
-    """Parse and call."""
     if _COMPLETE in os.environ:
         typed = next((os.environ[name].split() for name in _COMPLETE_WORDS if name in os.environ), [])
         build(typed[1:])(args=arguments, prog_name="calib", standalone_mode=False)

@@ -69,7 +69,6 @@ def finish(
 
 
 def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: list[str], written: list[Path]) -> None:
-    """Write a result with its notes and files as JSON, or show it."""
     from calib.reporting.blocks import items
 
     terminal.answer(document | {"notes": notes, "files": [str(path) for path in written]}, [*content, *items(notes)])

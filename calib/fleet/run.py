@@ -21,15 +21,24 @@ from calib.campaign.settings_file import read_settings
 from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet import comparison
-from calib.fleet.comparison import Labels, Outlier, Quantities, SharedCause, VehicleResult, quantities_of, shared_causes
-from calib.fleet.population import Population, any_false
+from calib.fleet.comparison import (
+    Labels,
+    Outlier,
+    Population,
+    Quantities,
+    SharedCause,
+    VehicleResult,
+    any_false,
+    quantities_of,
+    shared_causes,
+)
 from calib.fleet.store import SUMS, Kept, Keys, Member, Part, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
 from calib.fleet.workers import engine
 from calib.radius.effective import effective_radii
 from calib.types import FloatArray, Progress, StrArray, silent
 
-#: column of the run table that gives the day of a run; any origin
+#: column of the run table that gives the day of a run, from any origin
 DAY: Final = "day"
 
 
@@ -87,7 +96,7 @@ def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
 
 
 def sums_given_up(part: Part, why: str) -> Kept:
-    """Return the record of a file that took its worker down; it is tried again by the next run."""
+    """Return the record of a file that took its worker down: without a key, so that the next run tries it again."""
     return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
 
 
@@ -126,21 +135,10 @@ class Fleet:
 
 
 def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
-    """Fit every vehicle of a fleet.
+    """Fit every vehicle of a fleet, with the same result for any engine, number of workers and order.
 
-    The result is the same for any engine, number of workers and order.
-
-    Parameters
-    ----------
-    folder
-        See `calib.fleet.store.members_of`.
-    into
-        Result folder; holds the sums of what was read, so that only new or changed files are read the next time and an
-        interrupted run goes on where it was.
-    workers, scheduler
-        Processes of this machine, or the address of a Dask scheduler in their place.
-    progress
-        Called as files are done.
+    `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, which holds the sums of what
+    was read, so that only new or changed files are read the next time.
     """
     # workers start while this process lists the files
     with engine(workers, scheduler) as opened:
@@ -161,10 +159,7 @@ DUE_RELATIVE: Final = 5e-4
 
 @dataclass(frozen=True, slots=True)
 class DriftingVehicle:
-    """A vehicle whose radius drifts: how fast, and the day on which it is due for recalibration.
-
-    `per_day_m` and its 95 % half width; `due_day` counts as the journeys' days do.
-    """
+    """A vehicle whose radius drifts: how fast, and when it is due for recalibration, in the count of its days."""
 
     vehicle: str = field(metadata={"json": "id"})
     wheel: str
@@ -264,34 +259,13 @@ class Survey:
 def survey_fleet(
     folder: Path, into: Path, what: str, *, workers: int = 1, scheduler: str = "", progress: Progress = silent
 ) -> Survey:
-    """Do a task for every vehicle.
-
-    The result is the same for any engine, number of workers and order.
-
-    Raises BadInputError where the task is not known.
-
-    Parameters
-    ----------
-    folder, into, workers, scheduler, progress
-        As in `calib.fleet.run.fit_fleet`.
-    what
-        One of `TASKS`.
-    """
+    """Do a task of `TASKS` for every vehicle; see `fit_fleet`."""
     if what not in TASKS:
         raise BadInputError(f"what: found {what!r}; expected fit or one of {', '.join(TASKS)}; choose one")
     members = {member.vehicle: member for member in members_of(folder)}
     with engine(workers, scheduler) as opened:
         path, task = into / f"{what}.jsonl", partial(_results, what)
-        kept, n_new = renewed(
-            path,
-            members,
-            opened,
-            task,
-            lambda member, why: Kept.of(VehicleResult(member.vehicle, "", why=why)),
-            progress,
-            "vehicles",
-            lambda _member: WEIGHT,
-        )
+        kept, n_new = renewed(path, members, opened, task, _given_up, progress, "vehicles", lambda _member: WEIGHT)
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = shared_causes(records, labels)
@@ -309,6 +283,10 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
         except (CalibError, OSError) as error:
             results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
     return [Kept.of(result) for result in results]
+
+
+def _given_up(member: Member, why: str) -> Kept:
+    return Kept.of(VehicleResult(member.vehicle, "", why=why))
 
 
 def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:

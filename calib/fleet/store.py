@@ -140,10 +140,7 @@ def any_simulated(folder: Path) -> bool:
 
 
 def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, str]]:
-    """Return what is known of vehicles beside their journeys (hall, type, ...): column -> label of each that has one.
-
-    `folder`: may hold ``vehicles.csv``, a column ``vehicle`` and further columns of labels.
-    """
+    """Return the labels of vehicles in ``vehicles.csv`` (hall, type, ...): column -> label of each that has one."""
     path = folder / LABELS
     if not path.is_file():
         return {}
@@ -172,10 +169,7 @@ SEAL: Final = "seal"
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """A record as it is kept: its name, the key by which its source is known again, its line with a seal.
-
-    The name is unique in the store; the key is empty where the record shall be made anew.
-    """
+    """A record as it is kept: its unique name, the key of its source (empty: to be made anew), its line with a seal."""
 
     name: str
     key: str
@@ -210,23 +204,11 @@ def renewed(
     stage: str,
     weigh: Callable[[Source], int] = lambda _source: 1,
 ) -> tuple[dict[str, Kept], int]:
-    """Do a task for each source that is new or has changed; records of the others are kept.
+    """Do a task for each source that is new or has changed; return the records of all, and how many were done now.
 
-    Returned are the records of all sources by name, and how many were new or had changed.
-
-    Parameters
-    ----------
-    path
-        File of records, one line each, appended as they come: an interrupted run goes on where it was. In the end in
-        the order of their names, so that the bytes are the same for any order of arrival.
-    sources
-        By the names of their records.
-    opened, task, given_up
-        As `calib.fleet.workers.Engine.run` takes them.
-    progress, stage
-        Called as sources are done, with this name of the stage.
-    weigh
-        As `calib.fleet.workers.Engine.run` takes it.
+    `path`: file of records, a line each, appended as they come: an interrupted run goes on where it was. In the end in
+    the order of their names, so that the bytes are the same for any order of arrival. `sources`: by the names of their
+    records; for `task`, `given_up` and `weigh` see `Engine.run`.
     """
     before, keys = _read(path), Keys()
     records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}
@@ -285,10 +267,7 @@ class Keys:
         self._settings: dict[Path, str] = {}
 
     def of(self, source: Part | Member) -> str:
-        """Return the key of a file of journeys with its settings and logs, or of all files of a vehicle.
-
-        Raises OSError where it cannot be read, CalibError where it may not be.
-        """
+        """Return the key of a file of journeys with its settings and logs, or of all files of a vehicle."""
         if isinstance(source, Member):
             return "|".join(f"{part.name}:{self.of(part)}" for part in source.parts)
         if source.why:

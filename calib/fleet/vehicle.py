@@ -1,10 +1,10 @@
 """The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
 
 The sums by session can be added, and a wheel's line follows from them. They are taken in the order driven, so that
-intervals allow for runs that scatter alike, as those of `calib.radius.sessions` do. A first-order autoregression
-within each session, its lag-one autocorrelation freed of the bias that the session means give it. The slope's
-variance is that of two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation
-of the loads (Bartlett 1935).
+intervals allow for autocorrelated runs as those of `calib.radius.sessions` do: a first-order autoregression within each
+session, its lag-one autocorrelation freed of the bias that the session means give it. The slope's variance is that of
+two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett
+1935).
 """
 
 from __future__ import annotations
@@ -102,9 +102,8 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     """Return a vehicle's record from the sums of its files.
 
     Failed where a file could not be used, files count from different origins, or the runs carry no line.
-
-    `parts` are in the order of their names, so that the sums do not depend on who read what first.
     """
+    # sums shall not depend on who read what first
     parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")
     origins = {(part.reference_load_N, part.radius_m) for part in parts}
@@ -253,7 +252,7 @@ class _Blocks:
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
     """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
 
-    The autocorrelation is 0 where none is significant, else its upper bound of one standard deviation.
+    It is 0 where none is significant, else its upper bound of one standard deviation.
     """
     from scipy.special import ndtr
 
@@ -360,10 +359,9 @@ class SessionSums:
 
 
 def line_from_sums(sums: SessionSums) -> LineEstimate | None:
-    """Return the session-aware line, or None where these runs cannot carry one.
+    """Return the line as `stratified_line` gives it, without HC3; the plain one with one session, or one run in each.
 
-    As `stratified_line` gives it, without HC3; the plain line where there is one session, or one
-    run a session. None with fewer than three runs or a single load.
+    None with fewer than three runs or a single load.
     """
     n, n_sessions = sums.n_runs, len(sums.session)
     if n < 3:

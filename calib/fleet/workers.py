@@ -39,11 +39,10 @@ _ADDRESS: Final = re.compile(r"(tcp|tls)://([^\s/:]+|\[[0-9a-fA-F:]+\]):\d{1,5}"
 
 @contextmanager
 def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
-    """Open an engine: this process, processes of this machine, or the workers of a Dask scheduler.
+    """Open an engine: this process, `workers` processes of this machine, or the workers of a Dask scheduler.
 
-    `workers`: processes; 1 is this process. `scheduler`: address of a Dask scheduler (``tcp://host:port``), in place of
-    `workers`. Raises BadInputError for what is no address, MissingExtraError where Dask is not installed, RefusedError
-    where the scheduler does not answer, at the start or later.
+    Raises BadInputError for what is no address (``tcp://host:port``), MissingExtraError where Dask is not installed,
+    RefusedError where the scheduler does not answer, at the start or later.
     """
     opened = DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()
     try:
@@ -55,18 +54,10 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
-    """Cut items into batches in their order.
+    """Cut items into batches in their order, none of them empty; for `weigh` see `Engine.run`.
 
-    None of them is empty.
-
-    Parameters
-    ----------
-    items, weigh
-        What to do, and how many pieces of work an item stands for.
-    largest, smallest
-        Pieces of work in a batch, at most (a single item may stand for more) and at least (but for the last).
-    workers
-        How many share them.
+    `largest`, `smallest`: pieces of work in a batch, at most (a single item may stand for more) and at least (but for
+    the last); `workers`: how many share them.
     """
     weights = [max(weigh(item), 1) for item in items]
     remaining = sum(weights)
@@ -132,8 +123,8 @@ class Engine:
         worker is found and the others go through.
 
         `task`: takes some items and returns a result for each; a module's function, since it is sent to others by name;
-        `items`: what to do; `given_up`: makes the result of an item that took its worker down twice, from the item and
-        the reason; `weigh`: pieces of work that an item stands for, so that batches are alike.
+        `given_up`: makes the result of an item that took its worker down twice, from the item and the reason; `weigh`:
+        pieces of work that an item stands for, so that batches are alike.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []

@@ -290,7 +290,6 @@ def travel_from_counts(
 
 
 def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
-    """Spread radii over samples."""
     if radius.ndim == 0 or len(radius) == n:
         return radius
     if len(radius) == len(edges) - 1:

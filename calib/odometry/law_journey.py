@@ -16,8 +16,7 @@ import numpy as np
 
 from calib.errors import SWEEP_VALUES, BadInputError
 from calib.odometry.paper import Axle, end_of_route, wheel_travel
-from calib.odometry.pose_covariance import jacobian, steps
-from calib.odometry.poses import COMPONENTS, pose_errors, rows_of
+from calib.odometry.poses import COMPONENTS, jacobian, pose_errors, rows_of, steps
 from calib.odometry.routes import Route
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, floats

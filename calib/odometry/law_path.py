@@ -12,8 +12,18 @@ import numpy as np
 from calib.errors import BadInputError
 from calib.odometry.integrate import radii_under_load
 from calib.odometry.paper import SPACING_M
-from calib.odometry.pose_covariance import RandomWalk, ellipses, jacobian, steps
-from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
+from calib.odometry.poses import (
+    COMPONENTS,
+    POSE,
+    PoseErrors,
+    Poses,
+    RandomWalk,
+    ellipses,
+    jacobian,
+    pose_errors,
+    rows_of,
+    steps,
+)
 from calib.odometry.routes import Route
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
@@ -272,7 +282,6 @@ def _ratio_interval(
 
 
 def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
-    """Return the standard uncertainty of each component of the error."""
     cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     along = cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy
@@ -282,5 +291,4 @@ def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
 
 
 def _from_start(values: FloatArray) -> FloatArray:
-    """Put zeros, the start, before the first point."""
     return np.concatenate((np.zeros_like(values[:1]), values))

@@ -184,7 +184,6 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
 
 
 def _write_beside(folder: Path, halls: Mapping[str, str], truth: FleetTruth | PosedTruth) -> None:
-    """Write ``vehicles.csv``, the hall of each vehicle, and ``truth.json``."""
     lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in halls.items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")

@@ -102,7 +102,6 @@ def simulated_poses(world: World, record: Record) -> FloatArray:
 def _columns(
     world: World, draw: NoiseDraw, record: Record, end_counts: FloatArray, end_pose: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the columns of the run table: what was set, counted, weighed and measured."""
     design = world.design
     laser = world.laser_scale * record.last(record.x_m) + world.laser_offset_m + draw.laser_m
     posed = design.posed

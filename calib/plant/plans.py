@@ -21,8 +21,6 @@ _TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_ri
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """One run of a design; the columns are those of `Design`."""
-
     kind: str = "corridor"
     direction: str = ""
     session: str = "s1"
@@ -37,7 +35,6 @@ class _Run:
 
 
 def _design(runs: Sequence[_Run], **settings: Any) -> Design:
-    """Return the design of runs."""
     columns = {field.name: np.array([getattr(run, field.name) for run in runs]) for field in fields(_Run)}
     return Design(**(settings | columns))
 

@@ -169,7 +169,6 @@ def report_of(
 def _without_law(
     campaign: Campaign, refusal: RefusedError, issued: str, accept: str, seed: int | None, progress: Progress
 ) -> Report:
-    """Return the report on runs that allow no law: of their geometry, and of the diagnosis where it is asked for."""
     from calib.coefficients.build import from_geometry
     from calib.gap.diagnose import diagnose_in_full
     from calib.kinematics.estimate import estimate_geometry, traces_of
@@ -280,7 +279,6 @@ def report_without_law(
 
 
 def _limits(campaign: Campaign, geometry: Geometry | None, coefficients: bytes | None) -> Section:
-    """Return what the report does not cover."""
     sentences = [
         "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
         "The verdict holds for the vehicle, routes, loads and conditions of these runs.",

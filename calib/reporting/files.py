@@ -197,7 +197,6 @@ def _pages(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, head
 
 
 def _sections(blocks: Sequence[Block]) -> tuple[Section, ...]:
-    """Return a section for each heading with what follows it."""
     starts = [number for number, block in enumerate(blocks) if isinstance(block, Heading)]
     parts = (blocks[first:last] for first, last in pairwise([*starts, len(blocks)]))
     return tuple(Section(head.text, tuple(inner)) for head, *inner in parts if isinstance(head, Heading))

@@ -29,6 +29,15 @@ _PROSE: Final = (
 )
 
 
+def natural(names: Iterable[object]) -> list[str]:
+    """Return distinct names sorted as people count: r2 before r10."""
+
+    def key(name: str) -> list[tuple[int, str]]:
+        return [(int(part) if k % 2 else -1, part) for k, part in enumerate(re.split(r"([0-9]+)", name))]
+
+    return sorted({str(name) for name in names}, key=key)
+
+
 def places(std: float, digits: int = 2) -> int:
     """Return the decimals at which `std` shows `digits` significant digits, 0 at least and 12 at most."""
     if not math.isfinite(std) or std <= 0:

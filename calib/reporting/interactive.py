@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import base64
 import gzip
+from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -16,11 +18,12 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.reporting import panel_data
-from calib.reporting.figures.gap import GapArrays
-from calib.reporting.formatting import percent
-from calib.reporting.panel_data import LABELS, channel_units, covariate_titles, first_channel, labels_of, noise_limits
-from calib.types import FloatArray
+from calib.gap.localise.along_run import traces_of
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path
+from calib.reporting.figures.gap import GapArrays, rms
+from calib.reporting.formatting import natural, percent, with_unit
+from calib.types import FloatArray, evenly
 
 try:
     from bokeh import models
@@ -36,7 +39,7 @@ except ImportError as error:
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 #: stops of the scale for numbers, light to dark (matplotlib's viridis, reversed)
 RAMP: Final = ("#FDE725", "#7AD151", "#22A884", "#2A788E", "#414487", "#440154")
-#: a path's line and mark, and its name in the legend
+#: paths of a run (by the model alone, with the causes that the fix corrects, measured): line, mark, name in the legend
 PATH_STYLES: Final = {
     "before": ("dashed", "circle", "simulated"),
     "after": ("solid", "square", "simulated with the causes"),
@@ -53,13 +56,10 @@ LEGEND_NAMES: Final = 24
 
 
 def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened.
-
-    Scripts are packed, so that a page can be sent by mail; the browser unpacks them.
-    """
+    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened."""
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    gap, along = GapArrays.of(diagnosis), panel_data.gap_along_runs(diagnosis.observations, campaign)
-    columns = panel_data.panel_columns(gap, along, panel_data.run_paths(diagnosis, campaign), COLOURS)
+    gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
+    columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
     layout = _layout(gap, along, ColumnDataSource(columns, name="observations"), diagnosis)
     script, div = components(layout, wrap_script=False)
     packed = "\n".join(map(_packed, [*resources.js_raw, script]))
@@ -73,7 +73,7 @@ def _script(name: str) -> str:
 
 
 def _packed(script: str) -> str:
-    """Return a script as packed text, the same for the same script."""
+    """Return a script as text that the browser unpacks, so that a page can be sent by mail; the same for the same."""
     data = base64.b64encode(gzip.compress(script.encode("utf-8"), 9, mtime=0)).decode("ascii")
     return f'<script type="application/gzip">{data}</script>'
 
@@ -84,7 +84,7 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     legend = _legend(gap)
     figures = [by_covariate, after]
     tools = [_session_choice(gap, source), _colour_choice(gap, source, legend), *tools]
-    places = panel_data.ALONG.items()
+    places = ALONG.items()
     shown = [name for name, place in places if any(np.isfinite(path[:, place]).any() for path in along)]
     runs = [_along_panel(source, name) for name in shown]
     if gap.offset_m is not None:
@@ -92,7 +92,7 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
         figures = [plan, *figures]
         tools += [slider, _moment_slider(source)]
     if runs:
-        axes = list(panel_data.RUN_AXES)
+        axes = list(RUN_AXES)
         choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
         tools.append(_changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in runs]))
     figures += runs
@@ -102,19 +102,16 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
 
 
 def _changed(control: Any, script: str, **arguments: Any) -> Any:
-    """Return a control that runs a script of the page when its value changes."""
     control.js_on_change("value", models.CustomJS(args=arguments, code=_script(script)))
     return control
 
 
 def _wrapped(children: list[Any]) -> Model:
-    """Return models side by side, in as many rows as the page's width asks for."""
     sheet = models.InlineStyleSheet(css=":host { flex-wrap: wrap; gap: 0.6rem; }")
     return row(*children, sizing_mode="stretch_width", stylesheets=[sheet])
 
 
 def _figure(title: str, x: str, y: str, **further: Any) -> figure:
-
     plot = figure(
         title=title,
         x_axis_label=x,
@@ -133,7 +130,6 @@ def _figure(title: str, x: str, y: str, **further: Any) -> figure:
 
 
 def _hover(plot: figure, renderer: Model) -> None:
-
     plot.add_tools(models.HoverTool(renderers=[renderer], tooltips=[(name, f"@{name}") for name in LABELS]))
 
 
@@ -150,10 +146,9 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
     """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
-    for which in panel_data.PATHS:
+    for which, (dash, mark, name) in PATH_STYLES.items():
         if not any(len(path) for path in data[f"{which}_x"]):
             continue
-        dash, mark, name = PATH_STYLES[which]
         lines = _lines(
             plot, f"{which}_x", f"{which}_y", source, line_alpha=0.6, line_dash=dash, legend_label=f"{name} ({dash})"
         )
@@ -178,13 +173,12 @@ def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]
 
 
 def _moment_slider(source: ColumnDataSource) -> Model:
-    """Return the slider that moves the marks along the paths to a time since the start of the run."""
     longest = max(float(path[-1]) for path in source.data["before_t"])
     slider = Slider(
         name="moment", start=0.0, end=longest, value=longest, step=longest / 200, title="time since the start (s)",
         width=220, format="0.0",
     )  # fmt: skip
-    return _changed(slider, "moment", source=source, paths=panel_data.PATHS)
+    return _changed(slider, "moment", source=source, paths=list(PATH_STYLES))
 
 
 def _covariate_panel(
@@ -204,7 +198,6 @@ def _covariate_panel(
 
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
-    """Draw the gap after the correction against that before; the noise level as a band, the diagonal as a line."""
     first = first_channel(gap)
     unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
     plot = _figure(
@@ -221,14 +214,12 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
 
 
 def _along_panel(source: ColumnDataSource, name: str) -> figure:
-    """Draw how the gap grows along the run, where the log has a continuous reference or range."""
-    plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(panel_data.RUN_AXES)), name)
+    plot = _figure(f"The gap along the run: {name.partition(' ')[0]}", next(iter(RUN_AXES)), name)
     _hover(plot, _lines(plot, "way", f"gap {name}", source, line_alpha=0.6))
     return plot
 
 
 def _cause_panel(verdict: Diagnosis) -> figure:
-    """Draw each named cause's share of the gap with its 95 % interval, and its probability."""
     causes = verdict.causes[::-1]
     # in words, so that a small share can be read too
     sizes = [f"{percent(cause.share)}, probability {percent(cause.probability)}" for cause in causes]
@@ -250,7 +241,6 @@ def _with_aliases(effect: str, verdict: Diagnosis) -> str:
 
 
 def _legend(gap: GapArrays) -> Model:
-    """Return the colours of the kinds in words; another choice of colours rewrites it."""
     names = labels_of(gap)["kind"]
     marks = [
         f'<span style="white-space:nowrap"><span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> '
@@ -262,7 +252,6 @@ def _legend(gap: GapArrays) -> Model:
 
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:
-    """Return the choice of the column that colours all panels: a label, or a number on a scale."""
     titles = covariate_titles(gap)
     columns = {name: name for name in LABELS} | {f"by {name}": title for name, title in titles.items()}
     choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
@@ -271,8 +260,140 @@ def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> M
 
 
 def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
-    """Return a list of sessions, kinds and runs whose choice highlights their runs in every panel."""
     named = labels_of(gap)
     options = [f"{label} {name}" for label in ("session", "kind", "run") for name in named[label]]
     choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
     return _changed(choice, "highlight", source=source)
+
+
+#: points of all drawn paths together, of one path at most, and of a gap along a run: more make the page heavy
+ALL_POINTS: Final = 12_000
+PATH_POINTS: Final = 60
+TRACE_POINTS: Final = 120
+#: gap along a run -> its column in the arrays of `gap_along_runs`
+ALONG: Final = {"along (mm)": 1, "heading (mrad)": 2}
+#: what the gap along a run is drawn against -> its column there
+RUN_AXES: Final = {"travelled distance (m)": 0, "time (s)": 3}
+#: labels that panels are coloured by and runs are chosen by
+LABELS: Final = ("kind", "session", "run")
+
+
+def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> dict[str, list[FloatArray]]:
+    """Return the paths of the observations by `PATH_STYLES`: time, x, y from the start, shape (n_samples, 3)."""
+    observations = diagnosis.observations
+    limit = int(np.clip(ALL_POINTS // max(len(observations), 1), 8, PATH_POINTS))
+    return {
+        "before": _predicted(diagnosis.nominal, limit),
+        "after": _predicted(diagnosis.correction.path, limit),
+        "reference": _measured(observations, campaign.included(), limit),
+    }
+
+
+def _predicted(path: Path, limit: int) -> list[FloatArray]:
+    s = path.s
+    end_s = s.time_s - _start_s(s)[s.unit]
+    middle_s = end_s - 0.5 * s.duration_s
+    paths = []
+    for trace, (first, last) in zip(path.traces(), pairwise(s.starts), strict=True):
+        times = np.concatenate(([0.0], middle_s[first:last], end_s[last - 1 : last]))
+        paths.append(np.column_stack((times, trace[:, :2]))[evenly(len(trace), limit)])
+    return paths
+
+
+def _start_s(s: Observations) -> FloatArray:
+    return np.asarray((s.time_s - s.duration_s)[s.starts[:-1]])
+
+
+def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArray]:
+    sensor = campaign.reference
+    lever_m = complex(sensor.sensor_x_m, sensor.sensor_y_m)
+    paths = []
+    for unit, (run, start_s, last) in enumerate(zip(s.run.tolist(), _start_s(s), s.starts[1:], strict=True)):
+        log = campaign.logs.of(run)
+        t_s, place_m, heading = np.zeros(0), np.zeros(0, complex), np.zeros(0)
+        if {"t_s", "ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys() and s.from_log[unit]:
+            t_s = log["t_s"] - log["t_s"][0] - start_s
+            heading = log["ref_theta_rad"] - sensor.sensor_yaw_rad
+            place_m = log["ref_x_m"] + 1j * log["ref_y_m"] - lever_m * np.exp(1j * heading)
+        seen = np.isfinite(place_m) & (t_s >= -1e-9) & (t_s <= s.time_s[last - 1] - start_s + 1e-9)
+        if seen.sum() < 2:
+            paths.append(np.zeros((0, 3)))
+            continue
+        place_m = (place_m[seen] - place_m[seen][0]) * np.exp(-1j * heading[seen][0])
+        path = np.column_stack((t_s[seen], place_m.real, place_m.imag))
+        paths.append(path[evenly(len(path), limit)])
+    return paths
+
+
+def gap_along_runs(observations: Observations, campaign: Campaign) -> list[FloatArray]:
+    """Return distance (m), gap along (m) and in heading (rad), and time (s) of each observation, shape (n_samples, 4).
+
+    Empty for observations without a continuous reference or range; NaN where not measured.
+    """
+    along: list[FloatArray] = [np.zeros((0, 4))] * len(observations)
+    first = {str(name): k for k, name in reversed(list(enumerate(observations.labels["run_id"])))}
+    for trace in traces_of(campaign, observations):
+        columns = np.stack((trace.way_m, trace.along_m, trace.heading_rad, trace.time_s), axis=1)
+        along[first[trace.run_id]] = columns[:: max(1, len(trace.way_m) // TRACE_POINTS)]
+    return along
+
+
+def panel_columns(
+    gap: GapArrays, along: list[FloatArray], paths: Mapping[str, list[FloatArray]], palette: tuple[str, ...]
+) -> dict[str, object]:
+    """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
+    names = natural(gap.labels["kind"])
+    columns: dict[str, object] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
+    columns["colour"] = [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]]
+    columns["by order driven"] = np.arange(1.0, len(gap.before) + 1)
+    columns |= {f"by {name}": values for name, values in gap.covariates.items()}
+    for channel, (name, _) in enumerate(gap.channels):
+        columns[f"before {name}"] = 1e3 * gap.before[:, channel]
+        columns[f"after {name}"] = 1e3 * gap.after[:, channel]
+    first = first_channel(gap)
+    columns["x"] = columns["by order driven"]
+    columns["y"] = columns["b"] = columns[f"before {first}"]
+    columns["a"] = columns[f"after {first}"]
+    if gap.offset_m is not None:
+        for place, axis in enumerate("txy"):
+            for which, drawn in paths.items():
+                columns[f"{which}_{axis}"] = [path[:, place].astype(np.float32) for path in drawn]
+                if place:
+                    columns[f"now_{which}_{axis}"] = [path[-1, place] if len(path) else np.nan for path in drawn]
+            if place:
+                columns[f"end_{axis}"] = np.array([path[-1, place] for path in paths["before"]])
+                columns[f"off_{axis}"] = gap.offset_m[:, place - 1]
+    if any(len(path) for path in along):
+        for name, place in RUN_AXES.items():
+            columns[f"way {name}"] = [np.round(path[:, place], 4) for path in along]
+        columns["way"] = columns[f"way {next(iter(RUN_AXES))}"]
+        columns |= {f"gap {name}": [1e3 * path[:, place] for path in along] for name, place in ALONG.items()}
+    return columns
+
+
+def first_channel(gap: GapArrays) -> str:
+    """Return the channel whose gap is largest against its noise level."""
+    ratios = [rms(column) for column in (gap.before / np.where(gap.noise_level > 0, gap.noise_level, np.nan)).T]
+    return gap.channels[int(np.nanargmax(ratios)) if np.isfinite(ratios).any() else 0][0]
+
+
+def channel_units(gap: GapArrays) -> dict[str, str]:
+    """Return the unit that each measured channel is drawn in, by its name."""
+    measured = np.asarray(np.isfinite(gap.before).any(axis=0))
+    return {name: f"m{unit}" for (name, unit), on in zip(gap.channels, measured, strict=True) if on}
+
+
+def noise_limits(gap: GapArrays) -> dict[str, float]:
+    """Return two standard deviations of the noise of each measured channel, in mm or mrad, by its name."""
+    limits = {name: 2e3 * rms(column) for (name, _), column in zip(gap.channels, gap.noise_level.T, strict=True)}
+    return {name: float(np.nan_to_num(limits[name])) for name in channel_units(gap)}
+
+
+def covariate_titles(gap: GapArrays) -> dict[str, str]:
+    """Return what the gap can be drawn against and coloured by: its name in the table -> with its unit."""
+    return {"order driven": "order driven"} | {name: with_unit(name) for name in gap.covariates}
+
+
+def labels_of(gap: GapArrays) -> Mapping[str, list[str]]:
+    """Return the distinct kinds, sessions and runs, sorted."""
+    return {label: natural(gap.labels["run_id" if label == "run" else label]) for label in LABELS}

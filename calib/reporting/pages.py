@@ -179,7 +179,6 @@ def blocks_html(blocks: Iterable[Block | Section]) -> str:
 
 
 def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
-    """Return the pictures among blocks as SVG in base64, by name."""
     pictures = (block for block in blocks if isinstance(block, Picture))
     return {one.name: base64.b64encode(render(one.draw(), "svg")).decode("ascii") for one in pictures}
 

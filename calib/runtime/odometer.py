@@ -293,7 +293,6 @@ class Odometer:
         return delta - span if delta >= span / 2 else delta
 
     def _step(self, turn_left: float, turn_right: float, radius_left: float, radius_right: float) -> None:
-        """Advance pose and covariance by the turns of the wheels in rad."""
         c = self.coefficients
         track = c.track_m
         travel_left, travel_right = turn_left * radius_left, turn_right * radius_right

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.fleet.population import any_false, difference_of, false_discovery, outlying, population
+from calib.fleet.comparison import any_false, difference_of, false_discovery, outlying, population
 
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
 CAMPAIGNS = 400

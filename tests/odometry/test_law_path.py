@@ -10,8 +10,7 @@ import pytest
 from calib.errors import BadInputError
 from calib.odometry.law_journey import law_journey
 from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
-from calib.odometry.pose_covariance import RandomWalk, ellipses
-from calib.odometry.poses import COMPONENTS
+from calib.odometry.poses import COMPONENTS, RandomWalk, ellipses
 from calib.odometry.routes import NAMED, Route, arc, find_route, straight
 from calib.radius.law import RadiusLaw, WheelLaw
 

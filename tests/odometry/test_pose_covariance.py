@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.pose_covariance import PathSteps, RandomWalk, ellipses, jacobian, steps
+from calib.odometry.poses import PathSteps, RandomWalk, ellipses, jacobian, steps
 from calib.radius.law import JOINT
 from calib.types import FloatArray
 

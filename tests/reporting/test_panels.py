@@ -14,7 +14,8 @@ from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.reporting.figures.gap import GapArrays, distinct
-from calib.reporting.panel_data import gap_along_runs, natural, panel_columns, run_paths
+from calib.reporting.formatting import natural
+from calib.reporting.interactive import gap_along_runs, panel_columns, run_paths
 from tests.kinematics.campaigns import Leg, Truth, campaign
 
 #: noise of the reference

@@ -267,7 +267,7 @@ def test_on_a_winding_path_the_random_walk_is_that_of_simulated_vehicles(file: C
 @pytest.mark.parametrize("band", ["mean", "prediction"])
 def test_the_runtimes_covariance_is_that_of_the_array_form(file: CoefficientFile, band: str) -> None:
     """Systematic, random and encoder parts together, with loads that change on the way."""
-    arrays = pytest.importorskip("calib.odometry.pose_covariance")
+    arrays = pytest.importorskip("calib.odometry.poses")
     left, right, loads = winding(300)
     radii = file.radius_m(loads[:, 0], loads[:, 1])
     rev = (4096.0, 4000.0)

@@ -147,7 +147,6 @@ def _child_link(joint: Node) -> Node | None:
 
 
 def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
-    """Add an element to those of a name, once."""
     known = candidates.setdefault(name, [])
     if node not in known:
         known.append(node)

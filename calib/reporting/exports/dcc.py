@@ -38,7 +38,6 @@ Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
 
 
 def _iso_date(value: object) -> object:
-    """Return the date of a text, as a result folder keeps it; anything else is checked by its field."""
     return date.fromisoformat(value) if isinstance(value, str) else value
 
 
@@ -229,7 +228,6 @@ def _printable(text: str) -> str:
 
 
 def _limits(source: Source, stated: Certificate) -> list[str]:
-    """Return what limits the result: simulated data, accepted failures of checks, assumed settings, traceability."""
     fit = source.fit
     texts = []
     if fit.simulated:
@@ -250,7 +248,6 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
 
 
 def _conditions(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[str, float, float, str]]:
-    """Return title, smallest and largest value, and unit of every condition that the run table has."""
     return [
         (title, factor * ranges[name][0], factor * ranges[name][1], unit)
         for name, (title, unit, factor) in CONDITIONS.items()

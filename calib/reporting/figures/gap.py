@@ -278,7 +278,6 @@ def rms(values: FloatArray) -> float:
 
 
 def _groups(group: StrArray) -> Groups:
-    """Return the kinds of runs (n,) for colours."""
     return Groups.of(np.char.replace(group, "_", " "), "(none)", limit=max(int(np.char.str_len(group).max()), 1))
 
 

@@ -136,7 +136,6 @@ def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
 
 
 def _limits(traces: Sequence[RunTrace]) -> list[float]:
-    """Return the limit of each channel: what the residuals after need, so that they can be seen."""
     left = np.concatenate([np.abs(trace.residual_after) for trace in traces])
     limits = []
     for values, (_, _, factor) in zip(left.T, CHANNELS, strict=True):

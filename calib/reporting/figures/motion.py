@@ -14,8 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.paper import Sweep
-from calib.odometry.pose_covariance import ellipses
-from calib.odometry.poses import COMPONENTS
+from calib.odometry.poses import COMPONENTS, ellipses
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
 
 if TYPE_CHECKING:
@@ -202,7 +201,6 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
 
 
 def _mark_changes(graph: Axes, path: LawPath) -> None:
-    """Draw a line where the load changes."""
     for place in path.loading.from_m[1:].tolist():
         graph.axvline(place, color=GREY, linestyle=":", linewidth=1.0)
 

@@ -72,7 +72,6 @@ def varies(load: FloatArray) -> bool:
 
 
 def _mark_sessions(axis: Any, sessions: Groups) -> None:
-    """Draw a line where the session changes, and name the sessions where there is room."""
     names = sessions.names
     changes = np.flatnonzero(np.diff(sessions.index)) + 1
     if len(changes) > len(names) + LEGEND_LIMIT:  # sessions that alternate

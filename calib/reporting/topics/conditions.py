@@ -152,7 +152,6 @@ def method_section(source: Source) -> Section:
 
 
 def _counted_wheels(source: Source) -> str:
-    """Return the wheels that are counted, driven where the vehicle's drive drives them."""
     return {
         "tricycle": "the free rear wheels",
         "differential": "the two driven wheels",

@@ -308,7 +308,6 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
 
 
 def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return the change of each channel that moves, by kind of run."""
     moved = [c for c in Channel if any(np.nan_to_num(rms[c]) > UNCHANGED for rms in entry.changes.values())]
     if not moved:
         return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
@@ -321,7 +320,6 @@ def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
 
 
 def _typical(entry: Entry) -> str:
-    """Return the typical sizes of the form's parameters, each once."""
     if entry.signature is None:
         return MISSING
     sizes = dict.fromkeys(

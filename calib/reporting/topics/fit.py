@@ -164,7 +164,6 @@ def checks_table(fit: Fit) -> Table:
 
 
 def _statistics(checks: list[Check]) -> str:
-    """Return the statistics of a check on one wheel or both, by one name."""
     values: dict[str, list[str]] = {}
     for check in checks:
         if check.statistic is not None and check.statistic_name:

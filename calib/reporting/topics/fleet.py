@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from calib.challenge.score import TARGETS, clopper_pearson, wilson
-from calib.fleet.comparison import shown_quantity
-from calib.fleet.population import Population
+from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
 from calib.reporting.formatting import MISSING
@@ -50,7 +49,6 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
 
 
 def _counted(title: str, lines: Sequence[str]) -> list[Block]:
-    """Return lines under a title that says how many there are; nothing where there are none."""
     return [Heading(f"{title} ({len(lines)})"), Items(tuple(lines[:MAX_ROWS]))] if lines else []
 
 

@@ -65,7 +65,6 @@ def _covariates(where: GapLocation) -> Table:
 
 
 def _run(run: str, lines: Sequence[RunDeviation]) -> str:
-    """Return a run with all channels in which it stands out."""
     parts = (
         f"{line.channel.label} {'+' * (line.value >= 0)}{three_digits(1e3 * line.value)} m{line.channel.unit} "
         f"({abs(line.z):.0f} times its noise level)"

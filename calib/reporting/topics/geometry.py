@@ -48,7 +48,6 @@ def route_tables(geometry: Geometry) -> tuple[Table, ...]:
 
 
 def _heading(geometry: Geometry) -> str:
-    """Return the first line: drive, runs and clusters."""
     stretches = "end poses" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
     of, n = geometry.clusters
     mark = " - SIMULATED DATA" if geometry.simulated else ""
@@ -100,7 +99,6 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
 
 
 def _cells(estimate: Estimate) -> tuple[str, ...]:
-    """Return the cells of a parameter's row: the estimate with the digits that its uncertainty allows."""
     digits = places(estimate.std)
     low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
@@ -109,7 +107,6 @@ def _cells(estimate: Estimate) -> tuple[str, ...]:
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
-    """Return the cells of a route's row, in mm and mrad."""
     sizes = [(math.hypot(along, across), turn) for along, across, turn in (route.before_rms, route.after_rms)]
     errors = [f"{1e3 * size:.1f}" for pair in sizes for size in pair]
     means = (f"{1e3 * mean:+.1f}" for mean in route.after_mean)
@@ -150,7 +147,6 @@ def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Secti
 
 
 def _estimated_from(geometry: Geometry) -> tuple[tuple[str, str], ...]:
-    """Return what the estimate was made from."""
     of, n = geometry.clusters
     stretches = "end poses of whole runs" if geometry.using == "end_poses" else f"{geometry.n_segments} windows"
     return (

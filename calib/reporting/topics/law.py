@@ -280,7 +280,6 @@ def law_budget(fit: Fit) -> Table:
 
 
 def _scatter(fit: Fit) -> tuple[Text, ...]:
-    """Say by how much runs scatter more than the instruments explain; nothing where they do not."""
     known = [float(np.sqrt(np.mean(std**2))) for std in (fit.radii.std_left_m, fit.radii.std_right_m)]
     scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
     if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):

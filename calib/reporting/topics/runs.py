@@ -260,13 +260,11 @@ def _facts(report: CheckReport) -> list[tuple[str, str]]:
 
 
 def _first(names: Iterable[str]) -> str:
-    """Return the first names of a list, and that there are more."""
     listed = list(names)
     return ", ".join(listed[:MAX_NAMES] + ["..."] * (len(listed) > MAX_NAMES))
 
 
 def _grouped(notes: Sequence[Note]) -> list[str]:
-    """Return one line for notes of the same text on several runs."""
     by_text: dict[str, list[Note]] = {}
     for note in notes:
         by_text.setdefault(note.text, []).append(note)

@@ -26,12 +26,12 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.diagnose import diagnose_in_full
 from calib.plant.make import make_campaign
-from calib.reporting.exports.nav2 import motion_noise
-from calib.reporting.exports.pose_spread import (
+from calib.reporting.exports.nav2 import (
     POSE,
     UPDATE_MIN_A_RAD,
     UPDATE_MIN_D_M,
     fitted,
+    motion_noise,
     spread_of,
 )
 from tests.real.recordings import optiodom_differential

@@ -16,8 +16,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from calib.reporting.exports import pose_spread
-from calib.reporting.exports.pose_spread import MODELS, Spread, amcl_components, fitted, form_ratios
+from calib.reporting.exports import nav2
+from calib.reporting.exports.nav2 import MODELS, Spread, amcl_components, fitted, form_ratios
 from tests.reporting.exports.form_bound import least_deviation
 
 #: a pose every so often
@@ -141,14 +141,14 @@ def omni_components(path: np.ndarray) -> np.ndarray:
     Between two updates the way has the variance alpha3 way^2 + alpha1 turn^2, the turn alpha4 turn^2 + alpha2 way^2,
     and the motion aside alpha1 turn^2 + alpha5 way^2.
     """
-    knots = path[pose_spread._updates(path)]
+    knots = path[nav2._updates(path)]
     step, end = np.diff(knots, axis=0), knots[-1]
     way2, turn2 = step[:, 0] ** 2 + step[:, 1] ** 2, step[:, 2] ** 2
     course = np.where(way2 > 0.0, np.arctan2(step[:, 1], step[:, 0]), knots[:-1, 2])
-    along, aside = (pose_spread._directions(course + turned, end) for turned in (0.0, 0.5 * np.pi))
+    along, aside = (nav2._directions(course + turned, end) for turned in (0.0, 0.5 * np.pi))
     # as the filter adds them: the way along the direction before the turn is drawn, the turn at the end of the step
-    turned = pose_spread._levers(knots[1:], end)
-    outer = pose_spread._outer
+    turned = nav2._levers(knots[1:], end)
+    outer = nav2._outer
     return np.stack(
         (
             outer(along, turn2) + outer(aside, turn2),
@@ -178,7 +178,7 @@ def bounds(noise: Noise) -> list[str]:
     share = np.array([RUNS["corridor"], RUNS["square_ccw"] + RUNS["square_cw"]]) / sum(RUNS.values())
     lines = []
     for name, (components, steps) in FORMS.items():
-        with patch.multiple(pose_spread, UPDATE_MIN_D_M=steps[0], UPDATE_MIN_A_RAD=steps[1]):
+        with patch.multiple(nav2, UPDATE_MIN_D_M=steps[0], UPDATE_MIN_A_RAD=steps[1]):
             made = [np.einsum("cii->ci", components(poses(route(kind)))) for kind in true]
         seen, known = list(true.values()), REFERENCE**2
         mixed = least_deviation(np.einsum("k,kci->ci", share, made), known, share @ seen)

@@ -14,15 +14,18 @@ import yaml
 from calib.cli.main import run
 from calib.errors import RefusedError
 from calib.reporting.exports import export_from
-from calib.reporting.exports.nav2 import MotionNoise, is_beyond, kind_noise, parameters_text
-from calib.reporting.exports.pose_spread import (
+from calib.reporting.exports.nav2 import (
     ALPHAS,
     DEFAULT_ALPHA,
     Fitted,
+    MotionNoise,
     Spread,
     _updates,
     amcl_components,
     constant_components,
+    is_beyond,
+    kind_noise,
+    parameters_text,
     ratios,
     sizes_of,
     undetermined,
