@@ -1,9 +1,8 @@
 """A case from its recipe: first its truth, then its campaigns.
 
-The truth says the best that any diagnosis can do there: how often the likeliest effect is the true one, all being
-known. From the Gram matrix of whitened signatures, a recalibration projected out: an effect is drawn from the library,
-it acts at the wanted signal, noise is added, and the posterior probability of each effect is computed exactly. The mean
-of the largest is the share of cases that the best rule gets right; no rule gets more, near-aliases being what they are.
+The truth says the best that any diagnosis can do there, all being known: an effect is drawn from the library, it acts
+at the wanted signal, noise is added, and the posterior probability of each effect is computed exactly from whitened
+signatures, a recalibration projected out. No rule gets a larger share of cases right than the mean of the largest.
 """
 
 from __future__ import annotations
@@ -211,18 +210,10 @@ def ceiling_of(
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling | None:
-    """Return the ceiling of a campaign, the effects of the library being as likely as each other.
+    """Return the ceiling of a campaign, the effects being equally likely; None where none leaves anything.
 
-    None where no effect leaves anything.
-
-    Parameters
-    ----------
-    signatures
-        Effect -> what each of its forms can do, whitened, a recalibration projected out: shape (n_rows, n_directions).
-    signal, one_sign
-        Norm at which the true effect acts; effects of which only positive sizes have a meaning.
-    rng, draws
-        Draws effects, directions and noise, so many times.
+    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm at which the true effect acts; `one_sign`: effects
+    of which only positive sizes have a meaning.
     """
     spaces = _spaces(signatures, one_sign)
     if not spaces:
@@ -248,17 +239,8 @@ def ceiling_of_truth(
 ) -> Ceiling:
     """Return how often the same rule names one effect, as it acts in one case: what it misses there is nobody's.
 
-    Of effects that leave exactly the same it names each as often as the others.
-
-    Parameters
-    ----------
-    signatures, signal, rng, one_sign, draws
-        As for `ceiling_of`.
-    effect
-        The true one.
-    left : array of float, shape (n_rows,)
-        What it leaves in this case, whitened, a recalibration projected out. Of an effect that is not among the
-        signatures the rule knows this direction.
+    Of effects that leave exactly the same it names each as often as the others. `left` (n_rows,): what the effect
+    leaves in this case, a direction that the rule knows of an effect without signatures; else see `ceiling_of`.
     """
     known = signatures if effect in signatures else {**signatures, effect: [left[:, None]]}
     number = list(known).index(effect)
@@ -280,9 +262,9 @@ def _weighed(
 
 
 def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
-    """Return the effects present, and their spaces in the frame (n_rows, n) that all of it happens in.
+    """Return the effects present, and their spaces in a frame (n_rows, n) that holds them and `further` vectors.
 
-    The rest of the noise says the same of every effect. `further` vectors (n_rows,) are in the frame too.
+    The rest of the noise says the same of every effect.
     """
     present = sorted({space.effect for space in spaces})
     every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]

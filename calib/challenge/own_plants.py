@@ -177,18 +177,9 @@ class _Candidate:
 def plants_of(
     diagnosis: Diagnosis, replay: Replay, wanted: Sequence[str], sizes: Sequence[Size], rng: np.random.Generator
 ) -> tuple[list[Plant], dict[str, str]]:
-    """Return what is planted, and the reason of what is not.
+    """Return what is planted, and the reason of what is not; see `Plant`.
 
-    Raises BadInputError where an effect is unknown.
-
-    Parameters
-    ----------
-    diagnosis, replay
-        The campaign's own: its library, its noise, its route.
-    wanted, sizes
-        Effects and outside causes (empty: all that these runs can show), and how large.
-    rng
-        Draws what else there is to choose of a form.
+    `wanted`: effects and outside causes (empty: all that these runs can show); BadInputError where one is unknown.
     """
     candidates, left_out = _candidates(diagnosis, replay, rng)
     known = {*left_out, *(candidate.effect for candidate in candidates)}

@@ -75,8 +75,7 @@ TURNED_STD: Final = 6.0
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
     """Return the wheel's true angles, shape (n_steps_most, n_units): what the world's sensor would read as logged.
 
-    Zero, scale, play and delay of the sensor are the world's. Beyond the end of a log (the unit's last step), where a
-    late sensor's last angles would be, the last one holds.
+    Zero, scale, play and delay of the sensor are the world's. Beyond the end of a log the last angle holds.
     """
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():

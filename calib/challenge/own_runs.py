@@ -44,10 +44,7 @@ class Answer:
 
 
 def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
-    """Hold a verdict in the shape of ``calib diagnose --json`` against what was planted.
-
-    `effect` is empty where nothing was planted, or a cause outside the library.
-    """
+    """Hold a verdict in the shape of ``calib diagnose --json`` against the effect planted, if any."""
     word = str(verdict["verdict"])
     causes = list(verdict.get("causes", ()))
     named = [str(cause["effect"]) for cause in causes]
@@ -213,8 +210,6 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
 
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
     its own. The same answer comes out for any number of workers, as long as the time is enough.
-
-    `asked` says what to plant; `progress` is called as diagnoses are done.
 
     Raises RefusedError where the campaign has a blunder of the counters, or cannot be diagnosed; BadInputError where an
     effect is unknown.

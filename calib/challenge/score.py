@@ -147,10 +147,7 @@ def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, 
 
 
 def score(folder: Path, *, truth_file: Path | None = None) -> Score:
-    """Score the verdicts of a set; see `Score`.
-
-    A case without a verdict counts as a miss.
-    """
+    """Score the verdicts of a set; a case without a verdict counts as a miss."""
     truths, digest = open_truth(folder, truth_file)
     judged = []
     for case in read_public(folder)["cases"]:
@@ -220,10 +217,7 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
-    """Return what the best rule reaches at a signal, and how much of it the verdicts do, on the same cases.
-
-    First for any effect of the library on these runs, then for the true one of each case.
-    """
+    """Return what the best rule reaches at a signal, and what of it the verdicts do: for any effect, the true one."""
     cases = [case for case in singles if case.signal == signal]
     any_effect = _reached([(case.ceiling, case.first) for case in cases])
     true_one = _reached([(case.own_ceiling, case.first) for case in cases])

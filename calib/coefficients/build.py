@@ -60,10 +60,9 @@ def from_fit(
 ) -> CoefficientFile:
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
-    `outside` ({"refuse", "clamp"}): what the vehicle does with a load that was not measured; `created`: date as
-    YYYY-MM-DD; passed in, so that the same input gives the same file; `inputs`: path of an input -> its SHA-256; None:
-    those of the fit's provenance. Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is
-    damaged; ImplausibleError where the fit is beyond the bounds of its vehicle and the user does not accept that.
+    `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: those of the fit's provenance.
+    Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where
+    it is beyond the bounds of its vehicle and the user does not accept that.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -88,9 +87,8 @@ def from_fit(
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the load points of runs as lines of a load table: name -> mean wheel loads left and right in N.
 
-    Runs whose loads agree to a newton are one point. Empty where there are more than 64 points: no table is then meant.
-
-    `load_left_N`, `load_right_N` (shape (n_runs,)): wheel loads; runs where one is not finite are ignored.
+    Runs whose loads agree to a newton are one point; runs without loads are ignored. Empty where there are more than
+    `LOAD_TABLE_LINES` points: no table is then meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -140,16 +138,8 @@ def from_law(
 ) -> CoefficientFile:
     """Return the coefficient file of a law, a vehicle and an encoder; see `from_fit`.
 
-    Parameters
-    ----------
-    law, vehicle, encoder, header
-        What the file holds.
-    load_table
-        Name of a line -> wheel loads left and right in N; lines outside the valid range are omitted.
-    effects, noise
-        Diagnosed effects in the model, and the random walk of the pose.
-    load_margin_N
-        How far the valid range reaches beyond the loads measured. None: 1 % of their span, 1 N at least.
+    `load_table`: name of a line -> wheel loads left and right in N; lines outside the valid range are omitted;
+    `load_margin_N`: how far that reaches beyond the loads measured; None: by `LOAD_MARGIN`.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(
@@ -202,26 +192,13 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
 def from_geometry(
     geometry: Geometry, campaign: Campaign, *, outside: Outside = "refuse", created: str | None = None, accept: str = ""
 ) -> CoefficientFile:
-    """Return the coefficient file of a geometry.
+    """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
     Where no loads were driven the slope is 0 and its standard deviation what is usual (1 % of the radius per kN), about
     the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
     then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
 
-    Raises ImplausibleError where the geometry is doubtful or wrong and no reason is given.
-
-    Parameters
-    ----------
-    geometry
-        What was estimated.
-    campaign
-        The one it was estimated from.
-    outside : {"refuse", "clamp"}
-        What the vehicle does with a load outside the valid range.
-    created
-        Date as YYYY-MM-DD.
-    accept
-        Why a doubtful or wrong geometry is passed on all the same, written into the file.
+    Raises ImplausibleError where the geometry is doubtful or wrong and no reason to `accept` it is given.
     """
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)

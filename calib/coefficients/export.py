@@ -37,11 +37,9 @@ def coefficients_of(
 
     A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
-    `path`: the campaign's folder, the result folder or its ``fit.json``, or a coefficient file; `outside` ({"refuse",
-    "clamp"}): what happens outside the valid load range; None: as the coefficient file says, else refuse; `created`:
-    date as YYYY-MM-DD; None: as the coefficient file says, else none; `accept`: why a law beyond the bounds of its
-    vehicle is passed on all the same; empty: it is refused. Raises BadInputError where the path, `outside` or `created`
-    cannot be used; RefusedError where the campaign allows no law.
+    `outside`, `created`: see `calib.coefficients.build.Header`; None: as the coefficient file says, else refuse and no
+    date; `accept`: why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises
+    BadInputError where the path, `outside` or `created` cannot be used; RefusedError where the campaign allows no law.
     """
     from calib.radius.result import is_result, read_result
 
@@ -88,11 +86,7 @@ def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
-    """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none.
-
-    `file`: perhaps with effects beside its laws, as ``calib diagnose --apply`` writes them; `what`: what does not use
-    them, for example ``not simulated``.
-    """
+    """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none."""
     if not file.effects:
         return ()
     names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
@@ -110,12 +104,11 @@ def _is_coefficients(path: Path) -> bool:
 def export(
     file: CoefficientFile, to: str, loads: Sequence[LoadPair] = (), *, options: ExportOptions | None = None
 ) -> tuple[Artifact, ...]:
-    """Return the files of a coefficient file in another format.
+    """Return the files of a coefficient file in another format, of `calib.coefficients.formats.FORMATS`.
 
-    `to`: a name of `calib.coefficients.formats.FORMATS`; `loads`: load points, for formats that hold for single loads;
-    none: those of `options`, else the format's own choice. Raises BadInputError where there is no such format, or a
-    controller's choice is given for another format than ``ros2``; RefusedError where the format cannot say what the
-    file says.
+    `loads`: for formats that hold for single loads; none: those of `options`, else the format's own choice. Raises
+    BadInputError where there is no such format, or an option is another format's; RefusedError where the format cannot
+    say what the file says.
     """
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:
@@ -146,10 +139,7 @@ def export(
 
 
 def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
-    """Return load points from texts: ``600`` for both wheels, ``500,700`` for left and right, in N.
-
-    Raises BadInputError where a text is neither.
-    """
+    """Return load points from texts in N: ``600`` for both wheels, ``500,700`` for left and right."""
     pairs = []
     for text in texts:
         parts = text.split(",")
@@ -165,10 +155,10 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
 
 
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
-    """Write the files of an export.
+    """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.
 
-    `output`: a file where there is one artifact and `output` is no folder; else the folder that gets them. ``path`` and
-    ``sha256`` of each. Raises BadInputError where a file exists and `force` is False; nothing is written then.
+    Returns ``path`` and ``sha256`` of each. Raises BadInputError where a file exists and `force` is False; nothing is
+    then written.
     """
     single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
     targets = [output if single else output / artifact.name for artifact in artifacts]

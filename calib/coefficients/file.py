@@ -154,10 +154,7 @@ class CoefficientFile(Section):
 
 
 def load_coefficients(path: Path | str) -> CoefficientFile:
-    """Read a coefficient file and verify its schema and checksum.
-
-    Raises BadFileError where it cannot be read, breaks the schema, or is not what was written.
-    """
+    """Read a coefficient file and verify its schema and checksum; raises BadFileError."""
     path = Path(path)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
@@ -192,20 +189,13 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
 
 
 def sealed(**parts: Any) -> CoefficientFile:
-    """Return the coefficient file of its sections, as models or plain values, with the checksum of its content.
-
-    Raises BadInputError where they break the schema.
-    """
+    """Return the coefficient file of its sections, as models or plain values, with the checksum of its content."""
     file = validated(CoefficientFile, {**parts, "checksum": "sha256:" + "0" * 64})
     return file.model_copy(update={"checksum": checksum(file.to_dict())})
 
 
 def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
-    """Return the odometry's model of a coefficient file.
-
-    `file`: its laws, its track and, where a geometry was estimated, its steering or its four wheels;
-    `reference_load_N`: load on which the model is centred.
-    """
+    """Return the odometry's model of a coefficient file, centred on a load; with its steering or four wheels."""
     law, values, together = file.law, file.together, file.joint_geometry
     front = mecanum = None
     if together is not None and together.source in STEERED:

@@ -25,24 +25,10 @@ SCHEMES: Final = tuple(HEADING_BEHIND)
 MANY_STEPS: Final = 1_000_000
 
 
-def lay_flat(
+def _laid_flat(
     travel_left_m: ArrayLike, travel_right_m: ArrayLike, track_m: ArrayLike, offsets: ArrayLike | None, start: ArrayLike
 ) -> Flat:
-    """Check the input and lay it flat.
-
-    Raises BadInputError where shapes do not fit.
-
-    Parameters
-    ----------
-    travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
-        Travel of each wheel in each step.
-    track_m : array_like of float
-        Track; anything that broadcasts to the travel's shape.
-    offsets : array_like of int, shape (runs + 1,), or None
-        Where runs of unlike length begin and end.
-    start : array_like of float, shape (3,) or (runs, 3)
-        Start poses.
-    """
+    """Return the steps of `integrate` laid flat; raises BadInputError where shapes do not fit."""
     left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
     shape = left.shape
@@ -83,7 +69,7 @@ def lay_flat(
     )
 
 
-def halved(flat: Flat) -> tuple[Flat, ...]:
+def _halved(flat: Flat) -> tuple[Flat, ...]:
     """Return the steps in two parts, cut between two runs; whole where no such cut halves the work fairly."""
     middle = len(flat.left) // 2
     run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
@@ -121,7 +107,9 @@ def integrate(
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> Poses:
-    """Integrate the travel of the rear wheels into poses.
+    """Integrate the travel of the rear wheels into the pose after each step, of the travel's shape.
+
+    Raises BadInputError where shapes do not fit or the scheme is not known.
 
     Parameters
     ----------
@@ -141,23 +129,12 @@ def integrate(
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
     threads : {1, 2}, optional
-        Work on both halves of the runs at once, where a boundary of runs halves the steps; None: where there are two
-        processors and a million steps.
+        Work on both halves of the runs at once; None: where there are two processors and `MANY_STEPS`.
     compiled : bool, optional
         Whether exact arcs are drawn by machine code (extra ``fast``), which gives the same poses to 1e-9 m; None: where
-        it is installed and there are a million steps. Its first call in a process costs a second.
-
-    Returns
-    -------
-    Poses
-        Pose after each step, of the travel's shape.
-
-    Raises
-    ------
-    BadInputError
-        Where shapes do not fit or the scheme is not known.
+        it is installed and there are `MANY_STEPS`. Its first call in a process costs a second.
     """
-    flat = lay_flat(travel_left_m, travel_right_m, track_m, offsets, start)
+    flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     n = len(flat.left)
     if out is None:
         out = Poses(np.empty(flat.shape), np.empty(flat.shape), np.empty(flat.shape))
@@ -170,7 +147,7 @@ def integrate(
     if threads is None:
         threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
     fill = _fill_compiled if compiled and scheme == "exact" else partial(fill_arrays, scheme=scheme)
-    halves = halved(flat) if threads == 2 else (flat,)
+    halves = _halved(flat) if threads == 2 else (flat,)
     middle = len(halves[0].left)
     x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))
     with ThreadPoolExecutor(2) as pool:
@@ -190,16 +167,11 @@ def end_poses(
     start: ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
 ) -> Poses:
-    """Integrate the travel of the rear wheels and return the end pose of each run alone.
+    """Return the end pose of each run alone, shape (runs,), or () for one log.
 
     Parameters and errors are those of `integrate`; an empty run ends where it starts.
-
-    Returns
-    -------
-    Poses
-        End poses, shape (runs,), or () for one log.
     """
-    flat = lay_flat(travel_left_m, travel_right_m, track_m, offsets, start)
+    flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     poses = integrate(travel_left_m, travel_right_m, track_m, offsets=offsets, start=start, scheme=scheme, threads=1)
     end = flat.pose.copy()
     if len(flat.runs):
@@ -213,11 +185,8 @@ def end_poses(
 def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
     """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
 
-    A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded.
-
-    `run_N`: (runs,), load of each run: it holds until its log says otherwise; `logged_N`: (n,), load at each sample;
-    NaN where the log does not say: the load before then stays; `offsets`: (runs + 1,), samples of run i stand at
-    ``offsets[i]:offsets[i + 1]``.
+    A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded. That of the run
+    (`run_N`) holds until its log (`logged_N`) says otherwise, a load of the log until the next; NaN is none.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(floats(run_N), np.diff(edges))
@@ -259,20 +228,10 @@ def travel_from_counts(
     *,
     offsets: ArrayLike | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11).
+    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11), 0 at the first of each run.
 
-    It is 0 at the first sample of each run.
-
-    Parameters
-    ----------
-    counts_left, counts_right : array_like of float, shape (n,)
-        Unwrapped counter readings of one run, or of runs laid end to end.
-    encoder
-        Counts a revolution.
-    radius_left_m, radius_right_m : array_like of float
-        Radii: a number, one a run (with `offsets`), or one a sample.
-    offsets : array_like of int, shape (runs + 1,), optional
-        Samples of run i stand at ``offsets[i]:offsets[i + 1]``.
+    `counts_left`, `counts_right`: unwrapped counter readings (n,) of one run, or of runs laid end to end by `offsets`,
+    see `integrate`; radii: a number, one a run, or one a sample.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
     travels = []

@@ -114,26 +114,11 @@ def law_journey(
     draws: int,
     rng: np.random.Generator,
 ) -> Journey:
-    """Simulate a journey under a law without and with the correction.
+    """Simulate a journey under a law of wheels taken as independent, without and with the correction; see `Journey`.
 
-    Raises BadInputError where `band` is not known or `draws` below 100.
-
-    Parameters
-    ----------
-    law
-        Both wheels, fitted separately and taken as independent.
-    route
-        What the believed pose follows.
-    loads_N, reference_N : (float, float)
-        Loads (left, right) carried, and those that the uncorrected odometry stands on.
-    track_m
-        Track, believed and real.
-    band : {"mean", "prediction"}
-        Uncertainty of the real radii: of the regression mean, or of a single run.
-    draws
-        Draws of the Monte Carlo.
-    rng
-        Source of chance.
+    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
+    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
+    known or `draws` below 100.
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
@@ -278,18 +263,10 @@ def sweep_loads(
     span: tuple[float, float] = (0.0, 0.0),
     steps: int = 21,
 ) -> LoadSweep:
-    """Return the wheel loads of one payload, or of a sweep of its mass or place.
+    """Return the wheel loads of one payload, or of a sweep of its mass or place; see `LoadSweep`.
 
-    Raises RefusedError where the vehicle would tip or a wheel carry too much; names the payload at which.
-
-    Parameters
-    ----------
-    vehicle, payload_kg, payload_x_m, payload_y_m
-        The swept one is not used.
-    swept
-        What varies, of `SWEPT`; empty for a single payload.
-    span, steps
-        First and last value, and how many, both ends included.
+    `span`, `steps`: first and last value, and how many, both ends included. Raises RefusedError where the vehicle would
+    tip or a wheel carry too much; names the payload at which.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):

@@ -227,18 +227,10 @@ def law_path(
     draws: int = 20_000,
     rng: np.random.Generator | None = None,
 ) -> LawPath:
-    """Drive a route under a law, closed on the odometry, with and without the correction.
+    """Drive a route under a law, closed on the odometry, with and without the correction; see `LawPath`.
 
-    Raises BadInputError where the load changes beyond the end of the route.
-
-    Parameters
-    ----------
-    axle, route
-        Both wheels and the track between them, and what the believed pose follows.
-    loading, reference_N
-        Loads carried along it, and those (left, right) whose radii the uncorrected odometry uses all along.
-    draws, rng
-        Draws for the interval of the ratio; None: no interval.
+    `loading`, `reference_N`: loads carried along it, and those (left, right) whose radii the uncorrected odometry uses
+    all along. Raises BadInputError where the load changes beyond the end of the route.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(

@@ -194,14 +194,9 @@ def steps(
     radius_left_m: ArrayLike,
     radius_right_m: ArrayLike,
 ) -> PathSteps:
-    """Return a path in exact arcs with its derivatives, from (0, 0) along x.
+    """Return a path in exact arcs with its derivatives, from (0, 0) along x; see `PathSteps`.
 
-    Parameters
-    ----------
-    travel_left_m, travel_right_m : array_like of float, shape (..., n)
-        Travel of the wheels in each step.
-    track_m, radius_left_m, radius_right_m : array_like of float
-        Track, and the radii the travel was computed with; broadcast to the travel's shape.
+    Travel has shape (..., n); the track and the radii that it was computed with broadcast to that.
     """
     left, right = floats(travel_left_m), floats(travel_right_m)
     track = floats(track_m)

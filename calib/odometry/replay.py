@@ -109,22 +109,10 @@ def replay(
     scheme: str = "exact",
     runtime_runs: int = 20,
 ) -> Replay:
-    """Replay the logged runs of a campaign.
+    """Replay the logged runs of a campaign; see `calib.odometry.integrate.SCHEMES` for the schemes.
 
-    Raises RefusedError where no run has a log, a reference end pose and wheel loads within the valid range.
-
-    Parameters
-    ----------
-    campaign
-        Runs with logs and reference end poses.
-    coefficients
-        Law, track and vehicle.
-    rng
-        For the bootstrap.
-    scheme
-        Integration scheme; see `calib.odometry.integrate.SCHEMES`.
-    runtime_runs
-        How many runs the runtime is fed.
+    `rng`: for the bootstrap; `runtime_runs`: how many runs the runtime is fed. Raises RefusedError where no run has a
+    log, a reference end pose and wheel loads within the valid range.
     """
     chosen, left_out, notes = _usable(campaign, coefficients.law)
     if not len(chosen.runs):

@@ -112,22 +112,10 @@ def simulate(
     under: LawJourneys | None = None,
     rng: np.random.Generator,
 ) -> Simulation:
-    """Run a study by name, or ``custom`` with routes and cases of one's own.
+    """Run a study of `STUDIES` by name, or ``custom`` with routes and cases of one's own; see `Simulation`.
 
-    Raises BadInputError where the study, a route or a case cannot be used.
-
-    Parameters
-    ----------
-    study
-        A name of `STUDIES`, or ``custom``.
-    routes, cases
-        In place of the study's own.
-    track_m, real_track_m
-        Track that the odometry believes, and the real one (None: the same).
-    under
-        Adds Table 1, Fig. 15 and journeys under a law.
-    rng
-        Source of chance.
+    `track_m`, `real_track_m`: track that the odometry believes, and the real one (None: the same); `under`: adds Table
+    1, Fig. 15 and journeys under a law. Raises BadInputError where the study, a route or a case cannot be used.
     """
     known = STUDIES.get(study)
     if known is None and study != CUSTOM:

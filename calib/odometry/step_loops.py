@@ -52,17 +52,7 @@ class Flat:
 
 
 def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
-    """Write the poses after steps laid flat.
-
-    Parameters
-    ----------
-    flat
-        The steps.
-    x, y, theta : array of float, shape (n,)
-        Where the poses go.
-    scheme
-        How a step is drawn: one of `HEADING_BEHIND`.
-    """
+    """Write the poses after the steps into x, y and theta (n,), by a scheme of `HEADING_BEHIND`; see `Flat`."""
     n = len(flat.left)
     buffers = np.empty((4, min(BLOCK, n)))
     edges = np.append(np.arange(0, n, BLOCK), n)

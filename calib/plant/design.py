@@ -80,16 +80,9 @@ def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[Floa
 def tabulate(
     kinds: Sequence[str], *, length_m: float, side_m: float, radius_m: float, weaves: Sequence[tuple[float, float]]
 ) -> RouteTables:
-    """Tabulate the routes of all runs; equal routes share a table.
+    """Tabulate the routes of all runs, see `segments_of`; equal routes share a table.
 
-    Parameters
-    ----------
-    kinds : sequence of str, length n_runs
-        Route of each run.
-    length_m, side_m, radius_m
-        See `segments_of`.
-    weaves : sequence of (amplitude_m, wavelength_m), length n_runs
-        Weave about the line; amplitude 0 is none.
+    `weaves`: amplitude and wavelength of each run's weave about the line, in m; amplitude 0 is none.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[FloatArray] = []

@@ -70,16 +70,8 @@ def drive(
     on the true radii and track, and the floor's texture makes a random walk of every wheel. Frames stand every
     `design.log_period_s` (0.25 s where that is 0).
 
-    Parameters
-    ----------
-    world, noise
-        What is true, and one draw of everything random.
-    quantise
-        Whether counts are whole; for derivatives they keep their fractions.
-    step_s
-        Time step.
-    logged
-        Only the first so many runs have frames, `Record.end` has the ends of all; by default all have them.
+    Without `quantise` counts keep their fractions, as derivatives need. Only the first `logged` runs have frames, by
+    default all; for the ends of the others see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))

@@ -215,16 +215,7 @@ def make_posed_fleet(
 ) -> PosedTruth:
     """Write a fleet of one type: a folder a vehicle, ``vehicles.csv`` with their halls, and ``truth.json``.
 
-    Parameters
-    ----------
-    folder
-        New folder.
-    rng
-        Chance.
-    n_vehicles, n_runs
-        Vehicles, and runs of each.
-    n_outliers, n_common
-        Vehicles with a track of their own, and in hall B.
+    For the vehicles with a track of their own (`n_outliers`), and in hall B (`n_common`), see `PosedTruth`.
     """
     refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
     design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})

@@ -129,15 +129,10 @@ def _columns(
 
 
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
-    """Return the campaign in memory, as it would be read from its folder.
+    """Return the campaign in memory, as it would be read from its folder; see `make_campaign`.
 
-    Parameters
-    ----------
-    world, noise, draw, record
-        What is true, the scales of its noise (the campaign file states the instruments', not quite truly), and what was
-        driven.
-    n_runs
-        Runs after which names and lines begin again: those of one campaign, where several stand end to end.
+    The campaign file states the instruments' noise, not quite truly. After `n_runs` names and lines begin again: those
+    of one campaign, where several stand end to end.
     """
     design = world.design
     counts = counts_with_blunder(world, record.counts)
@@ -241,20 +236,10 @@ def make_campaign(
     model: OdometryModel | None = None,
     name: str = "campaign",
 ) -> Campaign:
-    """Drive a design in a world with a known truth.
+    """Drive a design in a world with a known truth, in memory; see `calib.campaign.write.write_campaign`.
 
-    It is in memory; ``calib.campaign.write.write_campaign`` puts it into a folder.
-
-    Parameters
-    ----------
-    design, rng
-        The runs, and all chance.
-    truth
-        ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap.
-    noise, model
-        Its noise, and what the simulator believes; drawn at random where missing.
-    name
-        Of the campaign.
+    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap. `noise`, `model`
+    (what the simulator believes): drawn at random where missing.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

@@ -1,8 +1,7 @@
 """How strongly an effect shows, and what else could have left the same on the same runs.
 
-The signal is the whitened norm of what an effect does, after what a recalibration would absorb. All is by the plant's
-own means: noise-free drives with and without the effect, the covariance of its own noise by linear propagation along
-the path driven.
+The signal is the whitened norm of what an effect does, after what a recalibration would absorb: by noise-free drives
+with and without the effect, and the covariance of the plant's noise by linear propagation along the path driven.
 """
 
 from __future__ import annotations
@@ -179,18 +178,9 @@ def strengths(
     step_s: float = 0.02,
     weigh: bool = True,
 ) -> Strength:
-    """Drive without noise, once without any cause and once with each, all in one stack, and weigh the differences.
+    """Drive without noise, once without any cause and once with each, all in one stack; see `Strength`.
 
-    Parameters
-    ----------
-    design, model, noise
-        The case.
-    causes
-        What to drive.
-    step_s
-        Time step.
-    weigh
-        Whether to weigh each, alone and beside the others; quadratic in the number of causes.
+    `weigh`: whether to weigh each, alone and beside the others, which is quadratic in the number of causes.
     """
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
@@ -236,16 +226,8 @@ def to_signal(
     Where that would take more than about three times the typical size, the case's noise is lowered first (to a
     quarter at most); where it would take hardly anything, the noise is raised (threefold at most).
 
-    Returned are the causes at their sizes, the noise of the case, and what was reached.
-
-    Parameters
-    ----------
-    design, model, noise
-        The case.
-    causes
-        At any size, their sign kept.
-    targets
-        Wanted signal of each; NaN leaves the cause as it is.
+    A target of NaN leaves a cause as it is. Returned are the causes at their sizes, the noise of the case, and what was
+    reached; see `Strength`.
     """
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])

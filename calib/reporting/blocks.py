@@ -153,20 +153,9 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, 
 
 
 def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
-    """Return a picture that a function of `calib.reporting.figures` draws, which is imported only then.
+    """Return a picture that ``module.function`` of `calib.reporting.figures` draws when it is needed.
 
-    Parameters
-    ----------
-    name
-        Name of the figure and of its file.
-    caption
-        What stands below it.
-    alt
-        What it shows, in words.
-    figure
-        ``module.function`` that draws it.
-    *values, **options
-        Arguments of that function.
+    `name`: of its file, too; `caption`: what stands below it; `alt`: what it shows, in words.
     """
     return Picture(name, caption, alt, partial(drawn, figure, *values, **options))
 

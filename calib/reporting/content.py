@@ -129,24 +129,10 @@ def report_of(
     where: Path | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
+    """Return the report on a fit or a campaign (fitted now); where its runs allow no law, on their geometry.
 
+    `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis of the gap, which is added; None: none is.
     Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.
-
-    Parameters
-    ----------
-    given
-        A campaign is fitted now.
-    issued
-        Date of issue, YYYY-MM-DD.
-    accept
-        Why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused.
-    seed
-        Of the diagnosis of the gap, which is added; None: none is.
-    where
-        Where a fit was read from, if it was.
-    progress
-        Told how far it is.
     """
     if not isinstance(given, Campaign):
         if seed is not None:
@@ -219,20 +205,8 @@ def report_without_law(
 ) -> Report:
     """Return the report on runs that give no radius law: their geometry, the diagnosis of their gap, or both.
 
-    Parameters
-    ----------
-    campaign
-        What was driven.
-    issued
-        Date of issue, YYYY-MM-DD.
-    why
-        Why the runs give no radius law, a sentence without its full stop.
-    geometry
-        Its estimate, with the traces of the runs in ``paths``; None where the runs allow none.
-    coefficients
-        Coefficient file, attached; None where the geometry is not passed on.
-    diagnosis
-        Has a section of its own and is attached.
+    `why`: a sentence without its full stop; `geometry`: with the traces of the runs in ``paths``; `coefficients`: None
+    where the geometry is not passed on. For `issued` see `source_of`.
     """
     from calib.reporting.topics.diagnosis import gap_section, page_one_notice
     from calib.reporting.topics.geometry import geometry_sections

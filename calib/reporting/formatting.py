@@ -72,7 +72,7 @@ def measured(value: float, std: float) -> tuple[str, str]:
 def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ...], ...]:
     """Return rows whose numbers, in the given columns, stand with their decimal points below each other.
 
-    Shorter fractions are filled up with blanks as wide as a figure, since they have fewer significant digits.
+    Shorter fractions, which have fewer significant digits, are filled up with blanks as wide as a figure.
     """
     padded = [list(row) for row in rows]
     for column in columns:

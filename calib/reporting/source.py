@@ -88,10 +88,7 @@ def number_of(kind: str, content: Mapping[str, Any]) -> str:
 
 
 def issue_date(text: str | None) -> str:
-    """Return the date of issue: `text`, checked, or today's where it is None.
-
-    Raises BadInputError where `text` is no date as YYYY-MM-DD.
-    """
+    """Return the date of issue: `text`, refused where it is no date, or today's where it is None."""
     if text is None:
         return date.today().isoformat()
     refuse_other_than_date(text, FIRST_YEAR)
@@ -99,10 +96,7 @@ def issue_date(text: str | None) -> str:
 
 
 def opened(path: Path, *, progress: Progress = silent) -> Fit | Campaign:
-    """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder.
-
-    Raises BadInputError where the path is neither, or cannot be used.
-    """
+    """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder."""
     from calib.campaign.read import read_campaign
     from calib.radius.result import is_result, read_result
 
@@ -200,10 +194,7 @@ def stated_of(campaign: Campaign) -> dict[str, str]:
 
 
 def texts_of(section: Any, where: Path | str) -> dict[str, str]:
-    """Return the texts of a ``[report]`` section; a list of texts is joined.
-
-    Raises BadFileError where it is no section, a key is unknown, or a value is no text.
-    """
+    """Return the texts of a ``[report]`` section, a list of texts joined; BadFileError names what is no such text."""
     if section is None:
         return {}
     remedy = f"write text under these keys: {', '.join(STATED)}"
@@ -222,11 +213,7 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
 
 
 def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
-    """Return the logo that a campaign states, as name in the page and bytes; None where it states none.
-
-    Raises BadFileError where the file leads out of the campaign, is missing, too large, or of a kind that no page can
-    carry.
-    """
+    """Return the logo that a campaign states, as name in the page and bytes; None where it states none."""
     name = stated_of(campaign).get("logo")
     if name is None or campaign.root is None:
         return None

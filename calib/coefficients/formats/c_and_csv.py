@@ -199,8 +199,6 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
 
     Effects of the simulator's model that no radius holds are named in a column of their own, which is there only then.
     A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
-
-    Raises RefusedError where a load asked for is valid for neither wheel.
     """
     sides = {"left": file.law.left, "right": file.law.right}
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]

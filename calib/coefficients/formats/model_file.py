@@ -331,22 +331,10 @@ def patched(
     wheel: FindWheel,
     plugins: Callable[[ModelFile], Iterator[tuple[str, Node]]] | None = None,
 ) -> tuple[Artifact, ...]:
-    """Return the user's model with both wheels and the drive plugins set, and what it cannot express.
+    """Return the user's model with both wheels and the drive plugins set, and what it cannot express; see `FindWheel`.
 
-    Raises BadInputError where model, names or loads cannot be used.
-
-    Parameters
-    ----------
-    file
-        Radii and track.
-    options
-        The model, the names of its wheels, and the load.
-    root_tag
-        Of the model's outermost element.
-    wheel
-        See `FindWheel`.
-    plugins
-        Yields name and element of parameters that may be those of `PLUGIN_KEYS`.
+    `plugins` yields name and element of parameters that may be those of `PLUGIN_KEYS`. Raises BadInputError where
+    model, names or loads cannot be used.
     """
     if options.model is None or not options.left or not options.right:
         raise BadInputError(

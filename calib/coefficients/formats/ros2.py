@@ -49,11 +49,7 @@ OF_FRONT: Final = ("tricycle_controller",)
 
 
 def render(file: CoefficientFile, options: formats.ExportOptions) -> tuple[Artifact, ...]:
-    """Return one YAML a load point, with the controllers of the vehicle's drive or those chosen.
-
-    Raises BadInputError where there is no such controller; RefusedError where a load lies outside the valid range and
-    the file says refuse, or a controller has no parameter for what is chosen.
-    """
+    """Return one YAML a load point, with the controllers of the vehicle's drive or those chosen."""
     together = file.joint_geometry
     steered = together is not None and together.source == "front"
     controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
@@ -127,11 +123,7 @@ class _Reading:
 
 
 def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
-    """Return the diagonals of odometry from two wheels on an axle, at a load point.
-
-    `file`: laws, track and random walks; `pair`: loads of the wheels; beyond the valid range its end counts, as for the
-    radius.
-    """
+    """Return the diagonals of odometry from two wheels on an axle at a load point, or the end of the valid range."""
     law, track = file.law, file.vehicle.track.value
     loads = within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
@@ -150,11 +142,10 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
-    """Return the diagonals of odometry from the speed of the traction wheels and the steering angle.
+    """Return the diagonals of odometry from the steering, assumed where the geometry lacks it, and traction wheels.
 
-    `file`: with the steering, where the geometry was estimated with it; else it is assumed; `pair`: loads of the rear
-    wheels; `traction` ({"front", "rear", "shaft"}): whether the front wheel's turning is measured, that of the rear
-    wheels, or that of the drive shaft behind.
+    `traction` ({"front", "rear", "shaft"}): whether the front wheel's turning is measured, that of the rear wheels, or
+    that of the drive shaft behind.
     """
     shaft = traction == "shaft"
     names = ("rear_radius_m" if shaft else "front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)

@@ -26,9 +26,8 @@ def export_from(
 ) -> tuple[Artifact, ...]:
     """Return the files of a campaign, or of a result folder, in a format of `FORMATS`.
 
-    `path`: the campaign's folder or the result folder; `to`: the format; `accept`: why a law whose checks failed is
-    passed on all the same; empty: it is refused. Raises BadInputError where the path cannot be used; RefusedError where
-    the format needs what the source does not have.
+    `accept`: why a law whose checks failed is passed on all the same; empty: it is refused. Raises BadInputError where
+    the path cannot be used; RefusedError where the format needs what the source does not have.
     """
     from calib.types import silent
 

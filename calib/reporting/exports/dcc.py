@@ -173,11 +173,7 @@ CONDITIONS: Final = {
 
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
-    """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`.
-
-    Raises RefusedError where a check failed and no reason is given, or the campaign does not state what a certificate
-    needs.
-    """
+    """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`."""
     # the date of issue is not written: it only has to be a date until the end of the measurement is known
     given = opened(path, progress=progress)
     source = source_of(given, issued="2000-01-01", accept=accept, where=path)

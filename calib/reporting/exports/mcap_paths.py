@@ -71,10 +71,7 @@ class ShownRun:
 
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
-    """Diagnose a campaign and return the recording of its runs; see `export_from`.
-
-    Raises BadInputError where `path` is a result folder, which has no runs; MissingExtraError without ``calib[ros]``.
-    """
+    """Diagnose a campaign and return the recording of its runs; see `export_from`."""
     campaign, diagnosis = diagnosed(path, progress)
     named = ", ".join(cause.effect for cause in diagnosis.causes) or "no cause named"
     notes = (f"corrected: with {named}; gap_corrected: on runs held out",)

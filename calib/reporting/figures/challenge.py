@@ -145,10 +145,7 @@ def confusion_figure(score: Score) -> Figure:
 
 
 def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
-    """Save a figure as PNG, SVG or PDF, whole.
-
-    Raises BadInputError where the suffix is another, or the file exists and `force` is False.
-    """
+    """Save a figure as PNG, SVG or PDF, whole; raises BadInputError for another suffix, or a file that exists."""
     path = Path(path)
     form = path.suffix.lower()[1:]
     if form not in style.FORMS:

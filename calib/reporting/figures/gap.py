@@ -87,9 +87,7 @@ class GapArrays:
 def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray) -> Figure:
     """Draw the floor plan with every run's path, and its gap as an arrow from simulated to measured end.
 
-    `paths_m` (shape (n_samples, 2)): path of each run, x and y; an end position alone is a path of one sample;
-    `offset_m` (shape (n, 2)): measured minus simulated end position; NaN where unknown; `group` (shape
-    (n,)): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
+    `group` (n,): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
     """
     ends, points = np.array([path[-1] for path in paths_m]), np.concatenate(list(paths_m))
     known = np.asarray(np.isfinite(np.hstack((offset_m, ends))).all(axis=1))
@@ -144,18 +142,8 @@ def gap_by_covariate(
 ) -> Figure:
     """Draw one channel's gap against each covariate, with the mean of up to eight classes and its 95 % interval.
 
-    Parameters
-    ----------
-    residual : array of float, shape (n,)
-        Measured minus simulated; NaN where a run lacks the channel.
-    channel, unit
-        Name of the channel; ``m`` or ``rad``.
-    covariates : mapping of str to array of float, shape (n,)
-        By name with unit suffix; at most six are drawn.
-    noise_level
-        Standard deviation of repeats, as a band about zero.
-    group : array of str, shape (n,)
-        Route or kind of each run, for colours.
+    `residual` (n,) of a channel, `covariates`: see `GapArrays`; `noise_level`: a band about zero; `group` (n,): route
+    or kind of each run, for colours.
     """
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
@@ -191,12 +179,9 @@ def gap_by_covariate(
 def before_after(
     channels: Sequence[tuple[str, str]], before: FloatArray, after: FloatArray, noise_level: FloatArray
 ) -> Figure:
-    """Draw the gap of every run before and after the fix, channel by channel, with the noise level.
+    """Draw the gap of every run before and after the fix, channel by channel, with the noise level; see `GapArrays`.
 
-    `channels`: name and unit (``m`` or ``rad``) of each channel; `before`, `after` (shape (n, n_channels)):
-    measured minus simulated without and with the named cause, on held-out runs; NaN where there is none; `noise_level`
-    (shape (n, n_channels)): standard deviation that repeats give. One panel a channel that any run has; the dots
-    are runs, the bars their mean and standard deviation, the numbers root mean squares.
+    The dots are runs, the bars their mean and standard deviation, the numbers root mean squares.
     """
     used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
     figure, axes = panels(len(used), 1.2, 4.8)

@@ -108,10 +108,7 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
 
 @styled
 def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
-    """Return the ratio of the 95 % bands' limits to the mean radius over load, both wheels (Fig. 15).
-
-    `rows`: the table of radii; `measured`: load ranges that the left and the right wheel were measured in.
-    """
+    """Return the ratio of the 95 % bands' limits to the mean radius over load, with the ranges measured (Fig. 15)."""
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])
     first, second = figure.subplots(1, 2, sharey=True)

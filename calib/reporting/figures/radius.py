@@ -36,8 +36,8 @@ LOADS_ALIKE: Final = 0.05
 def runs_by_series(radii: EffectiveRadii) -> Figure:
     """Draw each wheel's radius by run, in the order driven (Fig. 10).
 
-    `radii`: of a fit. One panel a wheel, one vertical scale; coloured by load where it varies, with lines between the
-    sessions, else by session.
+    One panel a wheel, one vertical scale; coloured by load where it varies, with lines between the sessions, else by
+    session.
     """
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
@@ -123,10 +123,9 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
 @styled
 def path_deviation(radii: EffectiveRadii) -> Figure:
-    """Draw the weave's relative excess by amplitude and wavelength (Fig. 9) with the runs on it.
+    """Draw the weave's excess by amplitude and wavelength (Fig. 9) with the runs on it, and each run's correction.
 
-    `radii`: of a fit; runs of unknown amplitude are missing in the first panel. Left the curves and runs, right the
-    correction of each run and wheel.
+    Runs of unknown amplitude are missing in the first panel.
     """
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
@@ -210,10 +209,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
 @styled
 def budget_bars(budget: Sequence[Component]) -> Figure:
-    """Draw each contribution to the standard uncertainty of a single radius, left and right, with the total.
-
-    `budget`: of `calib.radius.effective.EffectiveRadii`. One pair of bars a contribution, the total last.
-    """
+    """Draw each contribution to the standard uncertainty of a single radius, left and right, with the total."""
     names = [style.legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
     sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]
     figure = canvas(2.2 + 0.62 * len(names))

@@ -174,11 +174,7 @@ def colour(number: int) -> str:
 
 
 def render(figure: Figure, form: str) -> bytes:
-    """Return a figure as bytes.
-
-    `figure`: as the figure functions make it; `form`: ``svg``, ``png`` or ``pdf``. The same for the same figure: no
-    date, fixed ids.
-    """
+    """Return a figure as bytes of ``svg``, ``png`` or ``pdf``, the same for the same figure: no date, fixed ids."""
     named = {"svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer"), "png": ("Software",)}
     metadata: Any = dict.fromkeys(named[form])
     out = io.BytesIO()
@@ -190,8 +186,7 @@ def render(figure: Figure, form: str) -> bytes:
 def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
     """Return a figure in several formats, laid out once: the layout takes as long as a drawing.
 
-    `figure`: as the figure functions make it; `forms`: of ``svg``, ``png`` and ``pdf``. By format; ``svg`` is as
-    `render` gives it, the others differ from that by less than a pixel.
+    ``svg`` is as `render` gives it, the others differ from that by less than a pixel.
     """
     layout = figure.get_layout_engine()
     drawn: dict[str, bytes] = {}
@@ -217,10 +212,9 @@ def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
 def write_figures(
     figures: Mapping[str, Figure], folder: Path, *, force: bool = False, progress: Progress = silent
 ) -> list[Path]:
-    """Write figures in every format of `FORMS`; the same figure gives the same bytes.
+    """Write figures, by the name of their files, into a folder in every format of `FORMS`.
 
-    `figures`: by the name of their files, without suffix; `folder`: made where it is missing. Raises BadInputError
-    where a file exists and `force` is False; nothing is then written.
+    Raises BadInputError where a file exists and `force` is False; nothing is then written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():

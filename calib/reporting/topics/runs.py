@@ -31,10 +31,7 @@ MOST_NAMED: Final = 12
 
 
 def left_out_table(fit: Fit) -> Table:
-    """Return one row a reason, since a campaign of many routes has hundreds of runs that are not used.
-
-    A dozen of them are named; the fit's JSON names them all.
-    """
+    """Return one row a reason, with a dozen runs named of hundreds that are not used; the fit's JSON names them all."""
     by_reason: dict[str, list[str]] = {}
     for run in fit.radii.left_out:
         by_reason.setdefault(run.reason, []).append(run.run_id)
