@@ -191,8 +191,8 @@ def with_default(arguments: Sequence[str]) -> list[str]:
 def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     """Return the application.
 
-    `arguments`: with a command's name in it, only that command is imported; with none, names and summaries alone.
-    Without arguments every command is there in full. Heavy imports happen inside the body of a command.
+    With a command's name in `arguments` only that command is imported; with none, names and summaries alone. Without
+    arguments every command is there in full.
     """
     application = typer.Typer(
         name="calib",

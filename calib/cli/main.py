@@ -158,11 +158,7 @@ _FLAG = re.compile(r"\bforce=True\b")
 
 
 def as_typed(message: str, options: Collection[str]) -> str:
-    """Return a message whose argument names are the options that were typed.
-
-    `message`: of the library: ``draws: found 0; expected 100 or more``; `options`: options of the command, ``--draws``
-    and so on; other names stay as they are.
-    """
+    """Return a message of the library (``draws: found 0; ...``) whose argument names are options as typed."""
     named = _LEADING.match(message)
     if named and f"--{named[1].replace('_', '-')}" in options:
         message = f"--{named[1].replace('_', '-')}{message[named.end() :]}"

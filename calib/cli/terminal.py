@@ -144,10 +144,9 @@ def say(text: str) -> None:
 
 
 def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str | Path]) -> None:
-    """Print what to do now as one line, never wrapped, so that its command can be copied.
+    """Print what to do now (see `next_step`) as one line, never wrapped, so that its command can be copied.
 
-    `step`, `names`: see `calib.reporting.present`; `aside`: on standard error, also where no JSON takes standard
-    output.
+    `aside`: on standard error, also where no JSON takes standard output.
     """
     from calib.reporting.present import next_step
 
@@ -160,10 +159,7 @@ def note(text: str) -> None:
 
 
 def wrote(paths: Iterable[Path | str], *, what: str = "") -> None:
-    """Say which files were written, and keep that for the line after an interruption.
-
-    `what`: what they are, in place of their names, where they are many: ``18 figure files in FOLDER``.
-    """
+    """Say which files were written, or `what` they are where they are many, and keep that for an interruption."""
     stream = sys.stderr if wants_stdout() else sys.stdout
     for text in [what] if what else [str(path) for path in paths]:
         _write(stream, f"wrote {text}")
@@ -264,10 +260,7 @@ def _is_coloured(stream: Any) -> bool:
 
 
 def visible(text: str) -> str:
-    """Return a text in which nothing steers the terminal: controls, overrides of direction and half pairs as escapes.
-
-    What stands in data is data: a run id with an escape sequence is shown as it is written, not obeyed.
-    """
+    """Return a text in which controls, overrides of direction and half pairs do not steer the terminal, but are shown."""
     return _STEERING.sub(
         lambda found: found.group().encode("ascii", "backslashreplace").decode("ascii"), text
     ).translate(_CONTROLS)
@@ -288,10 +281,7 @@ Texts = list[str] | None
 
 
 def opt(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
-    """Return an option: how its value is called in the help, the help, and its names where its parameter says no other.
-
-    `metavar` is None for a switch, and for a value called by its type; `limits` are those of `typer.Option`.
-    """
+    """Return an option: its value in the help (None: a switch, or called by its type), the help, names, and limits."""
     return typer.Option(*names, metavar=metavar, help=text, **limits)
 
 
@@ -321,10 +311,7 @@ Seed = Annotated[int, opt("N", "Seed of everything that is drawn.", "--seed")]
 
 
 def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
-    """Return the numbers of a text such as ``300,1100``.
-
-    `count`: how many are expected; None: one or more. Raises BadInputError where the text holds something else.
-    """
+    """Return the numbers of a text such as ``300,1100``, `count` of them; None: one or more."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:

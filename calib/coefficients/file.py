@@ -141,11 +141,10 @@ class CoefficientFile(Section):
         )
 
     def radius_m(self, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the effective radii of both wheels, obeying the file outside the valid range.
+        """Return the effective radii (left, right) for loads of any shape, obeying the file outside the valid range.
 
-        `load_left_N`, `load_right_N`: wheel loads, any shape each. Returns `left_m`, `right_m`: radii, of the shapes of
-        the loads. Raises RefusedError where a load lies outside the valid range and the file says ``refuse``;
-        BadInputError where a load is not finite.
+        Raises RefusedError where a load lies outside of it and the file says ``refuse``; BadInputError where it is not
+        finite.
         """
         return (
             _radius(self.wheels.left, load_left_N, self.outside, "left"),

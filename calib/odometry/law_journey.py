@@ -185,8 +185,7 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
 def _half_width(scales: FloatArray, dof: list[float]) -> float:
     """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
 
-    With few degrees of freedom this is wider than the Welch-Satterthwaite factor, which forgets that both standard
-    deviations were estimated.
+    Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.
     """
     from scipy.optimize import brentq
     from scipy.special import stdtr, stdtrit

@@ -208,10 +208,9 @@ class Sweep:
 def run_sweep(
     route: Route | str, cases: Sequence[Case], *, track_m: float = 0.7, real_track_m: float | None = None
 ) -> Sweep:
-    """Drive vehicles with different radii over a route (or one of that name).
+    """Drive vehicles with different radii over a route (or one of that name); the real track is `track_m` by default.
 
-    Only the ratios of real to believed radii matter. The odometry believes `track_m`; the real one is the same by
-    default.
+    Only the ratios of real to believed radii matter.
     """
     way = find_route(route) if isinstance(route, str) else route
     vehicles = tuple(cases)

@@ -268,8 +268,8 @@ class RandomWalk:
     def covariance(self, path: PathSteps) -> FloatArray:
         """Return the covariance of the pose after each step, shape (..., n, 3, 3).
 
-        A heading error in a step moves every later point about that step's centre; with running sums over the steps of
-        the noise, of the noise times the centre and times its squares, that is one pass for all later points.
+        A heading error in a step moves every later point about that step's centre; running sums over the noise, times
+        the centre and times its squares, make that one pass.
         """
         distance = np.abs(0.5 * (path.left_m + path.right_m))
         along = self.sigma_along_m_per_sqrt_m**2 * distance

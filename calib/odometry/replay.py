@@ -263,11 +263,10 @@ def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 
 
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
-    """Return the poses at all samples (n_samples,), each run from (0, 0, 0), and what was rolled in each step.
+    """Return the poses at all samples (n_samples,), each run from (0, 0, 0), and the axle's way in each step.
 
-    That is the way of the axle's middle, to the side included, since the sample before; 0 at the first of a run. The
-    campaign has no rear wheels, and each run a log; the model says what is believed of the front wheel or the four
-    wheels.
+    The campaign has no rear wheels, and each run a log; the model says what is believed of the front wheel or the four
+    wheels. The way, to the side included, is 0 at the first of a run.
     """
     axle = on_one_axle(campaign, model)
     columns, offsets = axle.logs.columns, axle.logs.offsets
@@ -322,7 +321,7 @@ NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
 def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
     """Feed the vehicle's runtime the logs of the first `runs` runs and compare it, sample by sample, with the arrays.
 
-    Refused samples are counted and omitted of the comparison of that run.
+    Refused samples are counted, and not compared.
     """
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)

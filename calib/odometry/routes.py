@@ -57,10 +57,7 @@ class Route:
         return float(np.abs(self.length_m).sum())
 
     def divided(self, spacing_m: float) -> Route:
-        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees).
-
-        Raises BadInputError where these are more than `calib.errors.ROUTE_POINTS`.
-        """
+        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees)."""
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
         pieces = np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0))
@@ -142,10 +139,9 @@ def driven_route(path: Path) -> Route:
 
 
 def read_route(path: Path) -> Route:
-    """Read a route file.
+    """Read a route file: ``format = "calib-route/1"``, a ``name`` where wanted, and a ``[[segment]]`` for each piece.
 
-    The file says ``format = "calib-route/1"``, a ``name`` where wanted, and one ``[[segment]]`` for each piece with
-    either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
+    Each has either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
     path = Path(path)
 

@@ -31,8 +31,7 @@ _STEER_STEP_RAD = 5e-4
 def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
     """Return what the pose reference says along the way, without its own reading noise, shape (3, n_frames, n_runs).
 
-    Latency reads the pose of a little earlier; a lever arm carries the target round; a mounting yaw turns the frame
-    that the target's own start pose defines.
+    Latency reads an earlier pose; a lever arm carries the target round; a mounting yaw turns the target's start frame.
     """
     late = world.latency_s * record.v_mps
     # no reading is from before the start

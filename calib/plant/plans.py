@@ -51,8 +51,7 @@ def _vehicle(rng: np.random.Generator) -> Vehicle:
 def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[str] = (), **settings: Any) -> Design:
     """Return a crossed design: routes, loads, sides, speeds, temperatures, dwell and sessions vary apart, with repeats.
 
-    `needs` is what an effect needs to be there at all, see `calib.plant.world.Form`; `settings` are fields of
-    `Design` that are given instead of drawn (``front=True``, ``log_period_s=0.1``, ...).
+    `needs`: see `calib.plant.world.Form`; `settings`: fields of `Design` that are given instead of drawn.
     """
     need = set(needs)
     n_sessions = int(rng.integers(3, 6))

@@ -335,10 +335,7 @@ def rivals(among: Alternatives) -> list[tuple[str, float]]:
 
 
 def signatures(among: Alternatives) -> dict[str, list[FloatArray]]:
-    """Return what each effect, without calibration, can do on a design: whitened, a recalibration projected out.
-
-    Effect -> its forms, each (n_rows, n_directions).
-    """
+    """Return what each form of an effect, without calibration, can do: whitened, a recalibration projected out."""
     by_effect: dict[str, list[FloatArray]] = {}
     for (effect, _), numbers in among.families().items():
         if not is_calibration(among.variants[numbers[0] - 1]):

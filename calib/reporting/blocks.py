@@ -153,10 +153,7 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, 
 
 
 def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
-    """Return a picture that ``module.function`` of `calib.reporting.figures` draws when it is needed.
-
-    `name`: of its file, too; `caption`: what stands below it; `alt`: what it shows, in words.
-    """
+    """Return a picture that ``module.function`` of `calib.reporting.figures` draws when it is needed; see `Picture`."""
     return Picture(name, caption, alt, partial(drawn, figure, *values, **options))
 
 

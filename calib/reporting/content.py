@@ -279,10 +279,9 @@ def file_name(name: str) -> str:
 
 
 def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
-    """Return the file that a report is written to.
+    """Return the file that a report is written to: a file ``.pdf``, or in a folder (None: ``reports/``).
 
-    `into`: a file ending in ``.pdf``, or a folder; None: ``reports/`` of the working directory. Raises BadInputError
-    where the file exists and `force` is False, or `into` is a file that is no PDF.
+    Raises BadInputError where the file exists and `force` is False, or `into` is a file that is no PDF.
     """
     if into is None:
         path = DEFAULT_FOLDER / file_name(name)

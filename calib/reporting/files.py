@@ -141,10 +141,7 @@ class Heads:
 
 
 def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Path]:
-    """Write a fleet's result, all of it or none; what an earlier run of the same folder wrote is replaced.
-
-    `into`: result folder; `heads`: for ``fleet.pdf`` and ``fleet.html``; without it they are not written.
-    """
+    """Write a fleet's result, all of it or none, in place of an earlier one; its pages where `heads` are given."""
     from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
     from calib.reporting.figures.style import render_all
 

@@ -200,11 +200,7 @@ def to_text(blocks: Iterable[Block | Section], width: int = WIDTH) -> str:
 
 
 def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Line]:
-    """Return blocks as lines of at most `width` columns.
-
-    Pictures and columns of detail are omitted. `width`: columns; a single word longer than
-    that is not broken.
-    """
+    """Return blocks as lines of at most `width` columns, longer words apart; without pictures and columns of detail."""
     lines: list[Line] = []
     for block in blocks:
         if isinstance(block, Section):
@@ -275,8 +271,7 @@ class _Fitted:
 def table_lines(table: Table, width: int) -> list[Line]:
     """Return header, rule and rows of a table, without columns of detail.
 
-    Where the table is wider than `width` its columns are dealt out to several tables below each other, the first
-    column in each.
+    A table wider than `width` is dealt out to several below each other, the first column in each.
     """
     shown = [(number, column) for number, column in enumerate(table.columns) if not column.detail]
     fitted = [_fit(column, [plain(row[number]) for row in table.rows]) for number, column in shown]

@@ -120,11 +120,7 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
 
 
 def to_html(report: Report, panels: str = "") -> str:
-    """Return a report as a self-contained page.
-
-    `panels` (see `calib.reporting.interactive.interactive_panels`) replace the figures of the diagnosis, which keeps
-    the page small.
-    """
+    """Return a report as a self-contained page, with linked panels in place of the figures of the diagnosis."""
     sections = report.sections
     if panels:
         sections = tuple(

@@ -183,10 +183,7 @@ STEPS: Final = {
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of `STEPS`; names of files stand in braces, quoted for the shell.
-
-    ``runs`` is the campaign `c`: a source that has no runs cannot be diagnosed.
-    """
+    """Return the line after a step of `STEPS`; ``runs`` is the campaign `c`, where that has runs to diagnose."""
     campaign = Path(str(names.get("c", "")))
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
     quoted = {name: shlex.join(map(str, [one] if isinstance(one, str | Path) else one)) for name, one in names.items()}

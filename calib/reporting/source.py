@@ -109,8 +109,7 @@ def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Pa
     """Return what a report on a fit is made from, or on a campaign, which is fitted now; it has no diagnosis.
 
     `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
-    empty: it is refused; `where`: where the fit was read from, if it was. Raises RefusedError where the runs allow no
-    law.
+    empty: it is refused; `where`: where the fit was read from, if it was.
     """
     from calib.coefficients.build import from_fit
     from calib.radius.fit import fit_campaign

@@ -1,9 +1,8 @@
 """C99 headers and the look-up table as CSV, for programs that read no coefficient file.
 
 One header holds the coefficients, with radius functions, integer form and odometry, the other the law with named
-effects; it takes wheel angles and gives wheel travel, the same motion as `calib.runtime.Effects`, for the loop of a
-simulator in C or C++. Effects on readings, at places of the floor, at stops and of the steering do not act on the
-wheels; the header names those of the file. What an effect does is a macro of its name in ``c_acts.j2``.
+effects, for the loop of a simulator in C or C++: the same motion as `calib.runtime.Effects`, with the same effects left
+out. What an effect does is a macro of its name in ``c_acts.j2``.
 """
 
 from __future__ import annotations
@@ -56,10 +55,7 @@ class FixedPoint:
 
 
 def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
-    """Return the integer form of the law of a wheel.
-
-    Raises RefusedError where radius or load do not fit 32 bits of nanometres and millinewtons.
-    """
+    """Return the integer form of the law of a wheel; refused where 32 bits of nanometres and millinewtons are too few."""
     # inwards to whole millinewtons, but for the last bits of a decimal that a double cannot hold
     low = math.ceil(Fraction(wheel.valid_load.min.value) * 1000 - LAST_BITS_MN)
     high = math.floor(Fraction(wheel.valid_load.max.value) * 1000 + LAST_BITS_MN)

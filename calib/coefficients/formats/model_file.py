@@ -216,10 +216,7 @@ class NewWheels:
 
 
 def numbers(text: str, where: str, count: int | None = None) -> tuple[float, ...]:
-    """Return the numbers of an attribute or text.
-
-    Raises BadInputError where it has others than finite numbers, as a macro that was not expanded, or not `count`.
-    """
+    """Return the finite numbers of an attribute or text, `count` of them where given; an open macro has none."""
     try:
         values = tuple(float(part) for part in text.split())
     except ValueError:
@@ -272,10 +269,7 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
 
 
 def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str) -> Node:
-    """Return the element of a name.
-
-    Raises BadInputError where there is none, or more than one.
-    """
+    """Return the only element of a name; raises BadInputError."""
     found = candidates.get(name, [])
     if len(found) == 1:
         return found[0]

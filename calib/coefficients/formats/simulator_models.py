@@ -32,7 +32,7 @@ def link_radii(
 ) -> tuple[float, tuple[Slot, ...]]:
     """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
 
-    `radius`: the number of a round shape; None where it states none. Raises RefusedError where the link has no radius.
+    `radius`: the number of a round shape; None where it states none.
     """
     found: dict[str, list[Slot]] = {"collision": [], "visual": []}
     for part in () if link is None else link.children:

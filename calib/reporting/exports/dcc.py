@@ -2,9 +2,8 @@ r"""A Digital Calibration Certificate, DCC 3.0.0 of PTB, of both wheels' radius 
 
 Numbers are in SI units, written as D-SI asks (``\metre\newton\tothe{-1}``; SI_Format 2.0.0). Of each wheel: the
 effective radius at the loads driven with its expanded uncertainty (95 %), and the two coefficients of the law with
-their covariance as an ellipsoidal region. The bytes depend on the inputs alone; no time of day is written. The
-document itself is ``dcc.xml.j2``; what it states beside its numbers is the ``[certificate]`` section of
-``campaign.toml``.
+their covariance as an ellipsoidal region. The bytes depend on the inputs alone. What ``dcc.xml.j2`` states beside its
+numbers is the ``[certificate]`` section of ``campaign.toml``.
 """
 
 from __future__ import annotations
@@ -114,10 +113,9 @@ class Certificate(_Section):
 
 
 def certificate_of(section: Any, where: str) -> Certificate:
-    """Return the ``[certificate]`` section, checked.
+    """Return the ``[certificate]`` section of ``campaign.toml`` or a result folder (dates as text), checked.
 
-    `section`: as ``campaign.toml`` has it, or as a result folder keeps it, dates as text; `where`: the file, for the
-    message. Raises RefusedError where something is not stated, all of it by name; BadInputError where a value is wrong.
+    Raises RefusedError where something is not stated, all of it by name; BadInputError where a value is wrong.
     """
     if not isinstance(section, Mapping):
         missing = ", ".join(_required(Certificate))

@@ -47,10 +47,7 @@ CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mr
 
 @styled
 def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure:
-    """Draw the sensor's paths by kind of route: nominal and calibrated odometry, and the reference.
-
-    The calibrated path is coloured by its distance from the reference. `simulated`: say that a program made the data.
-    """
+    """Draw the sensor's paths by kind of route: nominal, calibrated, coloured by its error, and the reference."""
     traces = [_thinned(trace) for trace in traces]
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
     rows = -(-len(kinds) // COLUMNS)
@@ -192,10 +189,10 @@ UNCHANGED = 1e-6
 
 @styled
 def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
-    """Draw a signature.
+    """Draw a signature beside the model alone on the same runs (`nominal`).
 
-    `nominal`: the model alone on the same runs. Left the floor plan, one run of each kind, without the effect in grey
-    and with it, enlarged, in colour; right the change of each channel at the typical size, a dot a run.
+    Left the floor plan, one run of each kind, without the effect in grey and with it, enlarged, in colour; right the
+    change of each channel at the typical size, a dot a run.
     """
     kinds = nominal.s.labels["kind"]
     names = list(np.unique(kinds))

@@ -81,10 +81,7 @@ def _shades(sweep: Sweep) -> dict[float, str]:
 
 @styled
 def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
-    """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16.
-
-    `error`: which error to draw: ``lateral_m``, ``global_x_m`` or ``distance_m``.
-    """
+    """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16."""
     labels = {
         "lateral_m": "error to the left of the route (m)",
         "global_x_m": "error in global x (m)",

@@ -177,10 +177,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
 
 @styled
 def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
-    """Draw the residuals of both wheels against load, in the order driven, and against normal quantiles.
-
-    `session` (shape (n_runs,)). Two rows (wheels) of three panels.
-    """
+    """Draw the residuals of both wheels against load, in the order driven, and against normal quantiles."""
     from scipy.special import ndtri
     from scipy.stats import rankdata
 

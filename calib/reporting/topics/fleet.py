@@ -21,10 +21,7 @@ MAX_ROWS = 40
 
 
 def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
-    """Return what the fit of a fleet says.
-
-    `pictures`: for a page: with the figures, without what was read now.
-    """
+    """Return what the fit of a fleet says; with `pictures`, for a page, without what was read now."""
     view = fleet.view
     counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
     read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
@@ -95,10 +92,7 @@ def _pictures(fleet: Fleet) -> list[Picture]:
 
 
 def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
-    """Return what a task over a fleet says.
-
-    `page`: for a page: without what was done now.
-    """
+    """Return what a task over a fleet says; for a page without what was done now."""
     failed = [record for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
     facts = [("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed")]
