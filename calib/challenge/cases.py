@@ -38,13 +38,13 @@ _TRIES: Final = 6
 class Truth:
     """What is true in a case; one entry of the sealed file."""
 
-    recipe: Recipe  #: what was asked for
+    recipe: Recipe
     #: seed, max_runs: from the seeds file
     seed: int
     max_runs: int
     redraw: int  #: how often the pair was drawn again because its two effects hid in one another
     causes: tuple[Cause, ...]  #: what is wrong, at its size
-    typical: tuple[float, ...]  #: typical size of each
+    typical: tuple[float, ...]
     #: signals, beside: signal of each alone, and after what the other could imitate was projected out
     signals: tuple[float | None, ...]
     beside: tuple[float | None, ...]
@@ -53,7 +53,7 @@ class Truth:
     #: noise, model: of the case
     noise: Noise
     model: OdometryModel
-    n_runs: int  #: runs
+    n_runs: int
     #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
     ceiling: tuple[float, float] | None = None
     #: the same for this effect as it acts here; None where a recalibration absorbs it

@@ -77,11 +77,10 @@ _OPEN: Final = ("unknown", "partly_explained")
 class Judged:
     """How one case went."""
 
-    #: case, group, design: which
     case: str
     group: str
     design: str
-    truth: tuple[str, ...]  #: true effects
+    truth: tuple[str, ...]
     deleted: str  #: effect deleted from the library
     signal: float | None  #: target signal; None where there is none or it is natural
     verdict: str  #: the verdict's word; ``error`` where the diagnosis failed, ``missing`` where there is no verdict
@@ -104,11 +103,11 @@ class Judged:
     #: predicted, achieved: closure on held-out runs as stated, and on the fresh campaign
     predicted: float | None
     achieved: float | None
-    seconds: float | None  #: what the diagnosis took
+    seconds: float | None
     #: in a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one
     strong: tuple[bool, ...] = ()
     decided: bool = False  #: the verdict is ``explained``, and what it names first is true or of a true effect's family
-    error: str = ""  #: why it failed
+    error: str = ""
     #: what the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken
     ceiling: tuple[float, float] | None = None
     own_ceiling: tuple[float, float] | None = None  #: the same for the true effect as it acts there

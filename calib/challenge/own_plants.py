@@ -126,7 +126,7 @@ _RELATIVE_STEP: Final = 1e-4
 class Size:
     """How large an effect is planted."""
 
-    value: float  #: the number
+    value: float
     scale: str  #: ``s``: the signal it is to have; ``x``: times the typical size; empty: as it is, in the effect's unit
 
 
@@ -149,10 +149,10 @@ class Plant:
     """One effect at one size."""
 
     effect: str  #: id of the effect, or name of the outside cause
-    form: str  #: the plant's form
+    form: str
     outside: bool  #: whether no library holds it
-    size: float  #: in the unit
-    unit: str  #: of the size
+    size: float
+    unit: str
     signal: float  #: how strongly it shows on these runs beside their noise, once a recalibration took its share
     #: shape (n_units, 6): what it does to distance, x, y, heading, path and turn; with either sign where both have a
     #: meaning

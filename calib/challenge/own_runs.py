@@ -34,8 +34,8 @@ NO_FAMILY: Final = ("own", "covariate", "")
 class Answer:
     """How one planted campaign went."""
 
-    verdict: str  #: the verdict's word
-    seen: bool  #: a gap is seen
+    verdict: str
+    seen: bool
     first: bool  #: the planted effect is named first
     in_group: bool  #: it is named, stands in a group with a named one, or its family is named
     open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
@@ -101,7 +101,7 @@ class Found:
 class Own:
     """What a lab's own data would find."""
 
-    campaign: str  #: its name
+    campaign: str
     simulated: bool  #: whether its data were made by a program
     own_verdict: str  #: of the campaign as it is
     #: runs, units, units_with_repeats: runs, units of the diagnosis, and those whose noise repeats give
@@ -114,8 +114,8 @@ class Own:
     #: asked, done: diagnoses wanted, and how many the time was enough for
     asked: int
     done: int
-    seed: int  #: of everything that was drawn
-    seconds: float  #: what it took
+    seed: int
+    seconds: float
 
     @property
     def raised(self) -> int:
@@ -176,9 +176,9 @@ class Asked:
     """What is asked for."""
 
     effects: tuple[str, ...] = ()  #: effects and outside causes to plant; empty: all that the campaign can show
-    sizes: tuple[Size, ...] = parse_sizes(SIZES)  #: how large
+    sizes: tuple[Size, ...] = parse_sizes(SIZES)
     planted: int = 5  #: how often each is planted at each size
-    workers: int = 2  #: processes
+    workers: int = 2
     #: time after which no further diagnosis is begun; each size is planted once before any is planted twice
     seconds: float = 900.0
     seed: int = 0  #: of everything that is drawn

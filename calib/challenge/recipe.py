@@ -51,7 +51,7 @@ class Seeds:
     """A seeds file; pydantic holds it against these types and bounds."""
 
     purpose: str  #: ``development``, ``scoring`` or ``ci``
-    seed: Annotated[int, Field(strict=True, ge=0)]  #: of everything
+    seed: Annotated[int, Field(strict=True, ge=0)]
     cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]  #: how many cases of each of `GROUPS`
     max_runs: Annotated[int, Field(strict=True, ge=20)] = 160  #: most runs of a case
 

@@ -105,7 +105,7 @@ class Score:
     reliability: tuple[Bin, ...]  #: stated probability against how often it was true
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases
     summary: Mapping[str, Any]  #: sizes of the 95 % sets, interval coverage, closure, seconds
-    cases: tuple[Judged, ...]  #: every case
+    cases: tuple[Judged, ...]
 
     @property
     def misses(self) -> tuple[Judged, ...]:

@@ -46,10 +46,10 @@ R = TypeVar("R")
 class Sealed:
     """What was made."""
 
-    folder: Path  #: the set
-    truth: Path  #: the sealed file
-    sha256: str  #: its hash
-    cases: int  #: how many cases
+    folder: Path
+    truth: Path
+    sha256: str
+    cases: int
 
 
 def truth_path(folder: Path) -> Path:

@@ -49,7 +49,7 @@ class Targets:
 def finish(
     simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
 ) -> None:
-    """Write what was asked for, and show the simulation; `law`: where the law that the vehicle drove under came from."""
+    """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
     from calib.reporting.files import simulation_trajectories, write_simulation
     from calib.reporting.topics.simulation import simulation_content
 

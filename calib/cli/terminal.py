@@ -260,7 +260,7 @@ def _is_coloured(stream: Any) -> bool:
 
 
 def visible(text: str) -> str:
-    """Return a text in which controls, overrides of direction and half pairs do not steer the terminal, but are shown."""
+    """Return a text in which controls, overrides of direction and half pairs are shown, and steer no terminal."""
     return _STEERING.sub(
         lambda found: found.group().encode("ascii", "backslashreplace").decode("ascii"), text
     ).translate(_CONTROLS)

@@ -110,8 +110,7 @@ class Header:
     simulated: bool
     #: what the vehicle does with a load that was not measured: ``refuse`` or ``clamp``
     outside: Outside = "refuse"
-    #: date, YYYY-MM-DD
-    created: str | None = None
+    created: str | None = None  #: YYYY-MM-DD
     #: path of an input -> its SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict)
 

@@ -69,12 +69,12 @@ class Loading:
 class AxleLaw:
     """The law of both wheels and the track between them, with the scatter of their odometry."""
 
-    radii: RadiusLaw  #: radii by load
+    radii: RadiusLaw
     #: track_m, track_std_m: track, believed and real, and its standard uncertainty
     track_m: float
     track_std_m: float = 0.0
     walk: RandomWalk | None = None  #: random part of the error; None: none
-    vehicle: Vehicle = field(default_factory=Vehicle)  #: geometry and mass
+    vehicle: Vehicle = field(default_factory=Vehicle)
     notes: tuple[str, ...] = ()  #: what the user should know about the source
 
 
@@ -154,7 +154,7 @@ class Driven:
 class LawPath:
     """A journey under a law, with and without the correction."""
 
-    loading: Loading  #: loads carried
+    loading: Loading
     reference_N: tuple[float, float]  #: loads whose radii the uncorrected odometry uses all along
     distance_m: FloatArray  #: shape (n,): distance along the route
     reference: Poses  #: the route, shape (n,)

@@ -91,9 +91,9 @@ WHICH: Final = ("right", "left", "both", "equal")
 class Study:
     """A study by name."""
 
-    title: str  #: what it shows
-    routes: tuple[str, ...]  #: routes driven
-    ratios: tuple[float, ...]  #: ratios of radii
+    title: str
+    routes: tuple[str, ...]
+    ratios: tuple[float, ...]
     which: tuple[str, ...]  #: which wheels are off, of `WHICH`
     figures: tuple[str, ...]  #: figures of the paper that it corresponds to, one a route
 
@@ -176,7 +176,7 @@ class Sweep:
 
     route: Route  #: the route, undivided
     track_m: float
-    cases: tuple[Case, ...]  #: vehicles
+    cases: tuple[Case, ...]
     distance_m: FloatArray  #: shape (n_points,): distance along the route at each point
     reference: Poses  #: route at the points, shape (n_points,)
     poses: Poses  #: real poses, shape (n_cases, n_points)

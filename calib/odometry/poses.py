@@ -26,7 +26,6 @@ COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "globa
 class Poses:
     """Poses of the middle of the rear axle."""
 
-    #: x_m, y_m: position
     x_m: FloatArray
     y_m: FloatArray
     theta_rad: FloatArray  #: heading, counter-clockwise from the x axis, not wrapped

@@ -46,7 +46,7 @@ RESAMPLES: Final = 2000
 class Replay(Result):
     """End poses of logged runs by each odometry, against the reference."""
 
-    campaign: str  #: name of the campaign
+    campaign: str
     simulated: bool  #: whether a program made its data
     #: run_id, kind: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
@@ -306,8 +306,8 @@ def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
 class RuntimeCheck:
     """The vehicle's runtime against the array odometry on the same logs."""
 
-    runs: int  #: runs fed
-    samples: int  #: samples fed
+    runs: int
+    samples: int
     #: largest_difference_m, largest_difference_rad: over all samples of these runs; NaN where none was accepted
     largest_difference_m: float
     largest_difference_rad: float

@@ -129,7 +129,7 @@ class Design:
     length_m: float = 20.0
     side_m: float = 2.5
     radius_m: float = 1.2
-    vehicle: Vehicle = field(default_factory=Vehicle)  #: its nominal geometry
+    vehicle: Vehicle = field(default_factory=Vehicle)
     counts_per_rev: float = 4096.0  #: encoder counts per wheel revolution
     slope_per_N: float = 0.0  #: relative load slope that truth and model share; 0 is a rigid wheel
     log_period_s: float = 0.2  #: time between rows of the logs; 0 means that there are no logs

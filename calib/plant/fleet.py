@@ -81,9 +81,9 @@ class FleetSize:
 class PlannedFleet:
     """A fleet drawn, its journeys still to be driven."""
 
-    size: FleetSize  #: as asked for
-    truth: FleetTruth  #: what was planted
-    names: tuple[str, ...]  #: ids
+    size: FleetSize
+    truth: FleetTruth
+    names: tuple[str, ...]
     #: radius_m, slope_m_per_N, rate_m_per_day: shape (n_vehicles, 2): of the left and right wheel: radius at 300 N, its
     #: change with load and with time
     radius_m: FloatArray
@@ -197,7 +197,7 @@ ZONE_SHARE: Final = 5e-3
 class PosedTruth:
     """What was planted."""
 
-    track_m: dict[str, float]  #: track of each vehicle
+    track_m: dict[str, float]
     #: track_mean_m, track_spread_m: normal population that the tracks of all but the outliers were drawn from
     track_mean_m: float
     track_spread_m: float

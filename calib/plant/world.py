@@ -181,7 +181,7 @@ class Moment:
 class World:
     """What is true, an array over runs each; effects change it before the drive."""
 
-    design: Design  #: the runs
+    design: Design
     model: OdometryModel  #: what the vehicle and the simulator believe
     #: load_left_N, load_right_N: shape (n_runs,): true static loads of the rear wheels
     load_left_N: FloatArray
@@ -331,8 +331,8 @@ class Form:
 
     effect: str  #: id of the effect; those outside any library begin with ``outside:``
     form: str  #: name of the form; ``plain`` is the textbook's
-    typical: float  #: typical size
-    unit: str  #: of the size
+    typical: float
+    unit: str
     act: Act
     #: what a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
     #: ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,

@@ -62,7 +62,6 @@ class Report:
 
     #: identification, on every page
     report_id: str = field(metadata={"json": "id"})
-    #: title and campaign
     title: str
     name: str
     #: date of issue, YYYY-MM-DD

@@ -51,7 +51,6 @@ ALIASES_NAMED: Final = 3
 FADED_ALPHA: Final = 0.12
 PANEL_LEAST_WIDTH: Final = 300
 PANEL_HEIGHT: Final = 380
-#: names in a legend
 LEGEND_NAMES: Final = 24
 
 

@@ -82,6 +82,10 @@ class _Change:
     aside_m: float = 0.0
     turn_rad: float = 0.0
 
+    def roll(self, left: float, right: float) -> None:
+        self.left += left
+        self.right += right
+
 
 @dataclass(frozen=True, slots=True)
 class _Step:
@@ -131,15 +135,11 @@ class _Effect:
 
 
 def _both(change: _Change, value: float) -> None:
-    change.left += value
-    change.right += value
+    change.roll(value, value)
 
 
 def _one(change: _Change, form: str, value: float) -> None:
-    if form.startswith("left"):
-        change.left += value
-    else:
-        change.right += value
+    change.roll(*((value, 0.0) if form.startswith("left") else (0.0, value)))
 
 
 def _temperature(effect: _Effect, step: _Step, change: _Change) -> None:
@@ -152,8 +152,7 @@ def _speed(effect: _Effect, step: _Step, change: _Change) -> None:
 
 def _wear(effect: _Effect, step: _Step, change: _Change) -> None:
     driven = effect.deviation(step.run.travelled_km)
-    change.left += effect.size("rate_left") * driven
-    change.right += effect.size("rate_right") * driven
+    change.roll(effect.size("rate_left") * driven, effect.size("rate_right") * driven)
 
 
 def _radius_scale(effect: _Effect, _step: _Step, change: _Change) -> None:
@@ -161,18 +160,24 @@ def _radius_scale(effect: _Effect, _step: _Step, change: _Change) -> None:
 
 
 def _unequal(effect: _Effect, _step: _Step, change: _Change) -> None:
-    change.left -= 0.5 * effect.size("relative")
-    change.right += 0.5 * effect.size("relative")
+    half = 0.5 * effect.size("relative")
+    change.roll(-half, half)
 
 
 def _track_width(effect: _Effect, _step: _Step, change: _Change) -> None:
     change.track += effect.size("relative")
 
 
+def _by_load(effect: _Effect, step: _Step, change: _Change, size: str, of: Callable[[float], float]) -> None:
+    """Let both radii grow with their loads, by a size for each wheel."""
+    left, right = of(step.run.load_left_N), of(step.run.load_right_N)
+    change.roll(
+        effect.size(f"{size}_left") * left / step.radii_m[0], effect.size(f"{size}_right") * right / step.radii_m[1]
+    )
+
+
 def _load(effect: _Effect, step: _Step, change: _Change) -> None:
-    run, (left, right) = step.run, step.radii_m
-    change.left += effect.size("slope_left") * (run.load_left_N - effect.reference_load_N) / left
-    change.right += effect.size("slope_right") * (run.load_right_N - effect.reference_load_N) / right
+    _by_load(effect, step, change, "slope", lambda load_N: load_N - effect.reference_load_N)
 
 
 def _load_curve(effect: _Effect, step: _Step, change: _Change) -> None:
@@ -182,8 +187,7 @@ def _load_curve(effect: _Effect, step: _Step, change: _Change) -> None:
     def shape(load_N: float) -> float:
         return reference * (math.pow(max(load_N, 0.0) / reference, exponent) - 1.0) / exponent
 
-    change.left += effect.size("slope_left") * shape(step.run.load_left_N) / step.radii_m[0]
-    change.right += effect.size("slope_right") * shape(step.run.load_right_N) / step.radii_m[1]
+    _by_load(effect, step, change, "slope", shape)
 
 
 def _creep(effect: _Effect, step: _Step, change: _Change) -> None:
@@ -207,8 +211,8 @@ def _curve_load(effect: _Effect, step: _Step, change: _Change) -> None:
     pull_mps2 = step.speed_mps * abs(step.speed_mps) * step.curvature_per_m(step.nominal)
     mass_kg = effect.vehicle.mass_kg + step.run.payload_kg
     moved_N = mass_kg * pull_mps2 * effect.cog_z_m / effect.vehicle.track_m
-    change.left -= effect.size("slope") * moved_N / step.radii_m[0]
-    change.right += effect.size("slope") * moved_N / step.radii_m[1]
+    grown_m = effect.size("slope") * moved_N
+    change.roll(-grown_m / step.radii_m[0], grown_m / step.radii_m[1])
 
 
 def _side_slip(effect: _Effect, step: _Step, change: _Change) -> None:

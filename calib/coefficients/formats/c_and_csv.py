@@ -55,7 +55,7 @@ class FixedPoint:
 
 
 def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
-    """Return the integer form of the law of a wheel; refused where 32 bits of nanometres and millinewtons are too few."""
+    """Return the integer form of the law of a wheel; refused where 32 bits of nm and mN are too few."""
     # inwards to whole millinewtons, but for the last bits of a decimal that a double cannot hold
     low = math.ceil(Fraction(wheel.valid_load.min.value) * 1000 - LAST_BITS_MN)
     high = math.floor(Fraction(wheel.valid_load.max.value) * 1000 + LAST_BITS_MN)
