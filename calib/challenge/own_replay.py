@@ -22,8 +22,8 @@ ENOUGH: Final = 8
 class OwnNoise:
     """Whitened residuals of each observation after the fit of the diagnosis, and which observations are exchangeable.
 
-    A unit's channels stay together, so that tails and correlations are the real ones. What the repeats of a condition
-    have in common is no noise and is taken out; a unit that has no repeats keeps what is left of it, with either sign.
+    A unit's channels stay together: tails and correlations are the real ones. What the repeats of a condition have in
+    common is no noise and is taken out; a unit without repeats keeps what is left of it, with either sign.
     """
 
     #: shape (n_units, 6): residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own
@@ -249,8 +249,8 @@ class Replay:
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
         """Return distance, x, y, heading, path and turn as read at the end of each unit, shape (n_units, 6).
 
-        Path and turn are what a front wheel sees. `act` changes the world; none is the model alone. `level` takes the
-        mean change of the static radii out, which a calibration takes up.
+        Path and turn are what a front wheel sees. Without `act` the model alone. `level` takes the mean change of the
+        static radii out, which a calibration takes up.
         """
         world = world_of(self.observations, self.design)
         if act is not None:

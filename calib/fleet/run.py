@@ -71,7 +71,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
     """Return the campaign of a file of journeys; tables of a dataset take the fleet's settings and have no logs.
 
-    `settings`: those read before, by folder; those read now are added. Raises CalibError where it cannot be used.
+    `settings`: those read before, by folder; those read now are added.
     """
     if part.path.parent == part.settings:
         return read_campaign(part.settings, lenient=lenient)

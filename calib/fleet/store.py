@@ -53,8 +53,8 @@ def members_of(folder: Path) -> tuple[Member, ...]:
     """Return the vehicles of a fleet, by id.
 
     `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
-    folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files whose columns are those of
-    ``runs.csv``. Raises BadFileError where the folder holds no vehicle.
+    folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files with the columns of
+    ``runs.csv``.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
@@ -257,10 +257,9 @@ DIGEST_BYTES: Final = 16
 
 
 class Keys:
-    """Makes keys of files; settings that several files share are read once.
+    """Makes keys of files: of the bytes and the version of calib that a result follows from, never of a file's time.
 
-    A key is that of the bytes which a result follows from, never of a file's time: copied, restored and corrected files
-    are told apart. A result of another version of calib is not kept.
+    Settings that several files share are read once.
     """
 
     def __init__(self) -> None:

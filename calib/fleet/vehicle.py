@@ -1,10 +1,9 @@
 """The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
 
-The sums by session can be added, and a wheel's line follows from them. They are taken in the order driven, so that
-intervals allow for autocorrelated runs as those of `calib.radius.sessions` do: a first-order autoregression within each
-session, its lag-one autocorrelation freed of the bias that the session means give it. The slope's variance is that of
-two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett
-1935).
+The sums by session can be added, and a wheel's line follows from them. Intervals allow for autocorrelated runs as those
+of `calib.radius.sessions` do: a first-order autoregression within each session, its lag-one autocorrelation freed of
+the bias that the session means give it. The slope's variance is that of two autoregressive series, ``(1 + rho phi) / (1
+- rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
 from __future__ import annotations

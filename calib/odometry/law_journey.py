@@ -1,8 +1,7 @@
 """The same journeys under a fitted law: with the radius of one load, and with the radius of the load carried.
 
-The law's own uncertainty is carried to the end pose twice: by linear propagation (Jacobians by the radii) and by Monte
-Carlo. Without correction the odometry computes with the radii at the reference loads; with it, with those of the loads
-carried. The real radii are those of the loads carried, uncertain by the law's mean or by the scatter of single runs.
+The law's uncertainty, of its mean or with the scatter of single runs, is carried to the end pose by linear propagation
+and by Monte Carlo. Without correction the odometry computes with the radii at the reference loads.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Logged runs replayed through odometry, against their reference poses: with and without the load correction.
 
-Three odometries are compared: with what the simulator believes, its load slopes included; with the law's radii at the
-unladen load, kept constant; and with the law's radii at the load of each run (Fig. 7), or, where a log has its own
-loads, of each step. The vehicle's own runtime is fed the same logs.
+Three odometries are compared: with what the simulator believes; with the law's radii at the unladen load, kept
+constant; and at the load of each run (Fig. 7), or, where a log has loads, of each step. The runtime is fed the same
+logs.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Poses after steps laid end to end: by array operations, block by block, or step by step in machine code.
 
-By arrays: what is in use stays in the processor's cache; sums run within a block and are carried from block to block,
-which keeps their rounding below that of a sample-by-sample loop. In machine code, where numba is installed (extra
-`fast`): a few steps at a time, their headings one after the other, then all their motions at once, then the sums.
-Headings are counted from the first of these steps, so that a short series gives their sine and cosine.
+By arrays: sums run within a block and are carried from block to block, which keeps their rounding below that of a
+sample-by-sample loop. In machine code, where numba is installed (extra `fast`): a few steps at a time, their headings
+counted from the first of them, so that a short series gives sine and cosine; then their motions at once; then the sums.
 """
 
 from __future__ import annotations

@@ -66,12 +66,10 @@ def drive(
 ) -> Record:
     """Drive all runs of a world.
 
-    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll
-    on the true radii and track, and the floor's texture makes a random walk of every wheel. Frames stand every
-    `design.log_period_s` (0.25 s where that is 0).
-
-    Without `quantise` counts keep their fractions, as derivatives need. Only the first `logged` runs have frames, by
-    default all; for the ends of the others see `Record.end`.
+    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll on
+    the true radii and track, and the floor's texture makes a random walk of every wheel. Without `quantise` counts keep
+    their fractions, as derivatives need. Only the first `logged` runs have frames, by default all, every
+    `design.log_period_s` (0.25 s where that is 0); for the ends of the others see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))

@@ -1,8 +1,7 @@
 """The coefficients as ROS 2 controller parameters: one YAML a load point.
 
-The controllers read their geometry once, when they are configured, so a file holds for one load. Each is an overlay:
-give it after the vehicle's own parameter file, which names the joints. A controller is a name in `CONTROLLERS` and a
-branch of ``ros2.yaml.j2``.
+The controllers read their geometry once, so a file holds for one load; it is an overlay of the vehicle's own parameter
+file, which names the joints. A controller is a name in `CONTROLLERS` and a branch of ``ros2.yaml.j2``.
 
 They hold constant diagonals of the covariance. Pose: after `PATH_M` straight ahead and `TURN_RAD` of turning, the
 mean of left and right turns. An error of the mean radius stretches the path; one that turns the vehicle steadily (the

@@ -1,7 +1,6 @@
 """Measured, simulated and corrected path, gap and noise of every run as ROS 2 messages in one MCAP file.
 
-Foxglove and RViz show these messages without set-up: a path and a moving pose for each of the three, numbers to plot, a
-line of log that names the run. The runs follow each other in time, each in the frame of its own start.
+Foxglove and RViz show these without set-up. The runs follow each other in time, each in the frame of its own start.
 """
 
 from __future__ import annotations

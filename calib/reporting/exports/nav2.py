@@ -1,16 +1,9 @@
 """Parameters of a navigation stack from the measured noise of the corrected odometry: AMCL's alphas, and covariances.
 
-The residuals of runs that the correction was not fitted on are what AMCL's motion model, and the process behind an
-extended Kalman filter's twist, have to spread over. AMCL's differential motion model (S. Thrun, W. Burgard, D. Fox,
-Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it) splits the motion between two updates into a turn, a way
-and a turn, each with a variance of its own::
-
-    turn: alpha1 turn^2 + alpha2 way^2      way: alpha3 way^2 + alpha4 (turn_1^2 + turn_2^2)
-
-so the covariance of an end pose is linear in the four alphas. The same holds of a random walk of distance and heading,
-whose variances grow with the way, and of errors that stay the same during a run (a radius that differs from run to
-run). The last cannot be drawn step by step: round a square they add up in heading and partly cancel in position, so no
-alphas spread as these runs do: `form_ratios`.
+The covariance of an end pose is linear in the four alphas of AMCL's differential motion model (S. Thrun, W. Burgard,
+D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it; docs/exports.md), as in the sizes of a random
+walk and of errors that stay the same during a run. All are estimated from end poses of runs that the correction has not
+seen, the uncertainty of the reference beside them. No alphas spread like the errors that stay: `form_ratios`.
 """
 
 from __future__ import annotations
