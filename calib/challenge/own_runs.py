@@ -210,9 +210,6 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
 
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
     its own. The same answer comes out for any number of workers, as long as the time is enough.
-
-    Raises RefusedError where the campaign has a blunder of the counters, or cannot be diagnosed; BadInputError where an
-    effect is unknown.
     """
     asked = asked or Asked()
     began = time.monotonic()

@@ -41,8 +41,7 @@ _ADDRESS: Final = re.compile(r"(tcp|tls)://([^\s/:]+|\[[0-9a-fA-F:]+\]):\d{1,5}"
 def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
     """Open an engine: this process, `workers` processes of this machine, or the workers of a Dask scheduler.
 
-    Raises BadInputError for what is no address (``tcp://host:port``), MissingExtraError where Dask is not installed,
-    RefusedError where the scheduler does not answer, at the start or later.
+    Raises RefusedError where the scheduler (``tcp://host:port``) does not answer, at the start or later.
     """
     opened = DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()
     try:

@@ -115,8 +115,7 @@ def integrate(
     ----------
     travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
         Travel of each wheel in each step: one log, a stack of runs of equal length, or, with `offsets`, runs of any
-        length laid end to end. For a log of counter readings give 0 at a run's first sample: the poses then stand at
-        the samples.
+        length laid end to end. With 0 at a run's first sample the poses stand at the samples.
     track_m : array_like of float
         Distance of the rear wheels' contact points: a number, or anything that broadcasts to the travel's shape.
     offsets : array_like of int, shape (runs + 1,), optional

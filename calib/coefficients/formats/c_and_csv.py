@@ -193,7 +193,6 @@ CHECKSUM_DIGITS: Final = 23  # sha256: and 16 digits, enough to find the file
 def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
     """Return radius against load, with its uncertainty, at the loads chosen, else at 41 over both wheels' valid ranges.
 
-    Effects of the simulator's model that no radius holds are named in a column of their own, which is there only then.
     A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
     """
     sides = {"left": file.law.left, "right": file.law.right}
