@@ -116,7 +116,6 @@ def diagnose_in_full(
     planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
     given = _without(campaign, situation.omitted)
     campaign, observations = situation.campaign, situation.observations
-    # with effects of a model file the simulated motion is the model's
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not applied else None
     nominal = predict(observations)
     if planted is None and simulator is None:
@@ -360,7 +359,10 @@ def _searched(
         # a channel that few runs have changes as well
         change = np.array([abs(np.log(np.median(ratio[use, k]))) for k, use in enumerate(usable.T) if use.any()])
         # where the runs end far off under any effect, the verdict is a blunder at any noise level
-        if not (change > np.log(NOISE_CHANGE)).any() or np.mean(misfit(best.path, nominal)) >= BLUNDER_MISFIT:
+        if (
+            not (change > np.log(NOISE_CHANGE)).any()
+            or np.mean(misfit(best.path, nominal, by_extent=True)) >= BLUNDER_MISFIT
+        ):
             break
         noise, base = again, fit(nominal, again, start=base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)

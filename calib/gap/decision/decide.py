@@ -51,6 +51,10 @@ NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, Verdi
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 
+#: what more than doubles the error on held-out runs explains nothing; less may be a run that alone tells a length
+MOST_GROWTH: Final = 2.0
+
+
 def decide(evidence: Evidence) -> Diagnosis:
     """Return the diagnosis, its sentence included; detection limits and runs to drive next are added by the caller."""
     confounded = confounding.groups_of(evidence)
@@ -127,6 +131,9 @@ def _kind(
     doubted: Collection[str],
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
+    improvement = evidence.held_out.improvement
+    if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
+        causes = []
     if not evidence.noise.supported and is_shown(causes, evidence.held_out.improvement):
         return VerdictKind.PARTLY_EXPLAINED
     return kind_of(

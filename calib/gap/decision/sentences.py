@@ -114,9 +114,6 @@ def kind_of(
         return VerdictKind.NO_GAP
     if not causes or misfit >= BLUNDER_MISFIT or (unexplained and high < HALF_CLOSURE):
         return VerdictKind.UNKNOWN
-    if closure.fraction is not None and closure.fraction <= 0.0:
-        # what makes it worse on held-out runs explains nothing
-        return VerdictKind.UNKNOWN
     if hides_causes(closure, unexplained_share):
         certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
         return VerdictKind.PARTLY_EXPLAINED if certain else VerdictKind.UNKNOWN

@@ -228,14 +228,15 @@ def bad_runs(nominal: Path) -> dict[str, float]:
     return dict(zip(nominal.s.labels["run_id"][bad].tolist(), off[bad].tolist(), strict=True))
 
 
-def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False) -> FloatArray:
+def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by_extent: bool = False) -> FloatArray:
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
     The length is the way driven, or how far it ended from its start where that is more; turns of less than a radian
     count as one. A straight run is judged by its length and by how far its wheels differ: over a long one a radius that
     is half a per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside. Of a
     campaign with simulated motion of its own, the change from the `nominal` path counts. `by_kind`: way and turns are
-    those of the middle run of its kind.
+    those of the middle run of its kind; `by_extent`: of a run that ends away from its start, how far that is, and a
+    radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal
@@ -247,13 +248,16 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False) ->
     for kind in np.unique(observations.labels["kind"]) if by_kind else ():
         mine = observations.labels["kind"] == kind
         way, turned = (np.where(mine, np.median(values[mine]), values) for values in (way, turned))
-    length = np.fmax(length, np.maximum(way, 0.5))
+    away = np.isfinite(length) & (length > 0.5) & by_extent
+    length = np.where(away, length, np.fmax(length, np.maximum(way, 0.5)))
     # measured to end ahead, headed as at the beginning
     measured, usable = observations.measured, observations.usable
     aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _STRAIGHT_ANGLE_RAD * np.abs(measured[:, 1]))
     straight = ~aside & ~(usable[:, 3] & ~(np.abs(measured[:, 3]) < _STRAIGHT_ANGLE_RAD))
     ways = np.where(straight, gap[:, :2].max(axis=1), gap[:, :3].max(axis=1)) / length
-    per_turn = np.where(straight, observations.model.track_m / length, 1.0 / np.maximum(turned, 1.0))
+    per_turn = np.where(
+        straight, observations.model.track_m / length, 1.0 / np.maximum(0.0 if by_extent else turned, 1.0)
+    )
     return np.asarray(np.minimum(np.maximum(ways, per_turn * gap[:, 3]), 1.0))
 
 
