@@ -90,15 +90,17 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
         return
     ratio, least = scatter / stated, max(PATH_TOLERANCE * float(fit.radius_m.mean()), stated)
     p_value, level = float(chdtrc(dof, dof * ratio**2)), OK
+    finding = p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2
     sentence = "Runs scatter no more than a straight path lets them."
-    if p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2:
+    if finding:
         level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
         sentence = (
             f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a "
             "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
             "amplitude_m and wavelength_m."
         )
-    yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value)
+    # within what a path may move it, more than the instruments explain is no finding, however sure
+    yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:

@@ -11,7 +11,7 @@ from calib.gap.effects.effect import Effect, Family, Form, Observations, Paramet
 from calib.gap.observations.arrays import Channel
 from calib.gap.steps import joined_perturbation
 from calib.kinematics.blunders import still_steering, straight_reading_rad
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 #: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another
 #: cause altogether (Ackermann, 4 and 12 runs)
@@ -289,6 +289,13 @@ def _bend_rad(observations: Observations) -> FloatArray:
     )
 
 
+def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
+    """Return the steps of all units side by side, shape (longest, n_units), the last repeated; each step's row."""
+    rows = np.arange(int(observations.lengths.max()))[:, None]
+    index = np.minimum(observations.starts[:-1] + rows, observations.starts[1:] - 1)
+    return index, np.arange(len(observations.unit)) - observations.starts[observations.unit]
+
+
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
@@ -296,15 +303,13 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     below `least` is taken up by the last move that stands out of the noise.
     """
     wide = max(play, least)
-    longest = int(observations.lengths.max())
-    index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
+    index, step = _side_by_side(observations)
     through = angle[index]
     now = np.zeros(through.shape[1])
     for row in through:
         # a NaN moves nothing
         now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
-    step = np.arange(len(angle)) - observations.starts[observations.unit]
     return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))
 
 
@@ -363,17 +368,15 @@ def _moves_within(observations: Observations, values: FloatArray, rate: FloatArr
 
 def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) -> FloatArray:
     """Return values less those that follow them with a lag of first order, from each start on, shape (n_steps,)."""
-    longest = int(observations.lengths.max())
-    index = np.minimum(observations.starts[:-1] + np.arange(longest)[:, None], observations.starts[1:] - 1)
+    index, step = _side_by_side(observations)
     steps = np.maximum(np.nan_to_num(observations.duration_s)[index] / lag_s, 1e-9)
     # exact where the angle moves evenly from the middle of one step to that of the next
     share = -np.expm1(-steps)
     behind = values[index]
     moved = np.diff(behind, axis=0) * (1.0 - share[1:] / steps[1:])
-    for row in range(1, longest):
+    for row in range(1, len(index)):
         before = values[index[row - 1]]
         behind[row] = behind[row - 1] + share[row] * (before - behind[row - 1]) + moved[row - 1]
-    step = np.arange(len(values)) - observations.starts[observations.unit]
     return np.asarray(values - behind[step, observations.unit])
 
 
