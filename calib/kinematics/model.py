@@ -251,11 +251,10 @@ def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArra
 def _through(derivative: FloatArray, moved: FloatArray, place: FloatArray) -> FloatArray:
     """Return derivatives of the sensor's displacement from those of the vehicle's."""
     x, y, yaw = place
-    turn, rotate = moved[:, 2], np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    turn, cosine, sine = moved[:, 2], np.cos(yaw), np.sin(yaw)
     d_forward = derivative[:, 0] + (-np.sin(turn) * x - np.cos(turn) * y)[:, None] * derivative[:, 2]
     d_left = derivative[:, 1] + (np.cos(turn) * x - np.sin(turn) * y)[:, None] * derivative[:, 2]
-    moved_by = np.stack([d_forward, d_left], axis=1)
-    return np.concatenate([rotate @ moved_by, derivative[:, 2:3]], axis=1)
+    return np.stack([cosine * d_forward + sine * d_left, cosine * d_left - sine * d_forward, derivative[:, 2]], axis=1)
 
 
 #: the curvature is tan(angle) / (L (1 + understeer v^2)): front tyres slip more than rear ones; see `lengthening`

@@ -81,28 +81,28 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray
     return walk, along
 
 
-def covariances(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> FloatArray:
-    """Return the covariance of each displacement, shape (n, 3, 3); 1 on the diagonal where nothing was measured."""
-    total = np.asarray(np.einsum("c,cnij->nij", scales, kernel), dtype=np.float64)
-    diagonal = np.arange(3)
-    total[:, diagonal, diagonal] += np.where(seen, 1e-18, 1.0)
-    return total
+#: where the entries of a lower triangle stand, row by row; symmetric matrices of many stretches are kept as these six,
+#: shape (6, n): products of matrices so small cost more in calls than in sums
+_ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
+_COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
+#: how often an entry stands in the whole matrix
+_TIMES: Final = np.where(_ROWS == _COLUMNS, 1.0, 2.0)[:, None]
 
 
 def update_scales(
-    kernel: FloatArray, scales: FloatArray, least: FloatArray, inverse: FloatArray, whitened: FloatArray
+    kernel: FloatArray, scales: FloatArray, least: FloatArray, inverse: FloatArray, pulled: FloatArray
 ) -> tuple[FloatArray, float]:
     """Return better variances, by a step that does not lower the likelihood (Zhou et al. 2019), and what it gains.
 
     Parameters
     ----------
-    kernel : array, shape (4, n, 3, 3)
-        Covariance of each displacement by each component of unit size.
+    kernel : array, shape (4, 6, n)
+        Lower triangles of the covariance of each displacement by each component of unit size.
     scales, least : array, shape (4,)
         Variances now, and at least.
-    inverse : array, shape (n, 3, 3)
-        Inverse covariances at `scales`.
-    whitened : array, shape (n, 3)
+    inverse : array, shape (6, n)
+        Lower triangles of the inverse covariances at `scales`.
+    pulled : array, shape (3, n)
         Inverse covariances times residuals, times the square root of the robust weights.
 
     Returns
@@ -112,9 +112,9 @@ def update_scales(
     float
         Log likelihood gained by the component that gains most.
     """
-    outer = (whitened[:, :, None] * whitened[:, None, :]).ravel()
     flat = kernel.reshape(len(kernel), -1)
-    size, trace = flat @ outer, flat @ inverse.ravel()
+    size = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel()
+    trace = flat @ (_TIMES * inverse).ravel()
     better = np.maximum(scales * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER, least)
     return better, float(np.max(0.5 * np.abs(scales * (size - trace) * np.log(better / scales))))
 
@@ -204,12 +204,13 @@ def solve(
     size = seen.sum(axis=1)
     prediction, converged = model.predict(values), False
     for number in range(rounds):
-        problem = _Linear(prediction.residuals, prediction.jacobian[:, :, free] * prior[free], seen, size)
+        by_spread = prediction.jacobian[:, :, free].transpose(1, 0, 2) * prior[free]
+        problem = _Linear(np.ascontiguousarray(prediction.residuals.T), by_spread, seen, size)
         if number < noise_rounds:
             kernel = _kernel(model, prediction, values)
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
-            scales = _noise(problem.part(some), kernel[:, some], scales, least, steady)
-            whitener = _inverse(kernel, scales, seen)[1]
+            scales = _noise(problem.part(some), np.ascontiguousarray(kernel[:, :, some]), scales, least, steady)
+            whitener = _whiteners(kernel, scales, seen)
         spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
         step[free] = spreads * prior[free]
@@ -219,42 +220,42 @@ def solve(
         values, prediction, moved = _advance(model, (values, prediction), step, prior, _judge(whitener, size))
         if not moved:
             break
-    weights, squares = _weights(whitener, prediction.residuals, size)
-    return Solution(values, prediction, scales, whitener, weights, _centred(squares, size), converged)
+    weights, squares = _weights(_whitened(whitener, prediction.residuals.T), size)
+    return Solution(values, prediction, scales, _whole(whitener), weights, _centred(squares, size), converged)
 
 
 def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
     """Return the solution that runs will have which are not driven yet, at known variances of the noise, shape (4,)."""
     prediction, seen = model.predict(values), model.segments.seen
-    whitener = _inverse(_kernel(model, prediction, values), scales, seen)[1]
+    whitener = _whiteners(_kernel(model, prediction, values), scales, seen)
     n = len(seen)
-    return Solution(values, prediction, scales, whitener, np.ones(n), np.zeros(n), True)
+    return Solution(values, prediction, scales, _whole(whitener), np.ones(n), np.zeros(n), True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
     """The problem made linear: residuals, derivatives by parameters in units of their spread, what was measured."""
 
-    residuals: FloatArray
-    jacobian: FloatArray
-    seen: BoolArray
-    size: IntArray
+    residuals: FloatArray  #: shape (3, n)
+    jacobian: FloatArray  #: shape (3, n, n_free)
+    seen: BoolArray  #: shape (n, 3)
+    size: IntArray  #: shape (n,)
 
     def part(self, some: slice) -> _Linear:
         """Return the problem of some of the stretches."""
-        return _Linear(self.residuals[some], self.jacobian[some], self.seen[some], self.size[some])
+        jacobian = np.ascontiguousarray(self.jacobian[:, some])
+        return _Linear(self.residuals[:, some].copy(), jacobian, self.seen[some], self.size[some])
 
 
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     """Return the solution of the linear problem at known noise, in prior spreads, and its length in sigmas."""
     n_free = problem.jacobian.shape[2]
-    jacobian = (whitener @ problem.jacobian).reshape(-1, n_free)
-    residuals = np.einsum("nij,nj->ni", whitener, problem.residuals).ravel()
+    jacobian = _whitened(whitener, problem.jacobian).reshape(-1, n_free)
+    residuals = _whitened(whitener, problem.residuals).ravel()
     step, moved = np.zeros(n_free), np.zeros(len(residuals))
     for _ in range(INNER):
-        rest = (residuals - moved).reshape(-1, 3)
-        squares = np.einsum("ni,ni->n", rest, rest)
-        step = _weighted(jacobian, residuals, (DEGREES + problem.size) / (DEGREES + squares))
+        weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
+        step = _weighted(jacobian, residuals, weights)
         before, moved = moved, jacobian @ step
         if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
@@ -262,8 +263,8 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the least-squares solution of whitened equations, three of one weight after another."""
-    scaled = jacobian * np.repeat(weights, 3)[:, None]
+    """Return the least-squares solution of whitened equations, the weights anew for each of their three parts."""
+    scaled = jacobian * np.tile(weights, 3)[:, None]
     normal = scaled.T @ jacobian
     normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
     return np.asarray(np.linalg.solve(normal, residuals @ scaled))
@@ -271,15 +272,16 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
     """Return the variances of the noise's components, estimated together with the linear problem's step."""
-    step = np.zeros(problem.jacobian.shape[2])
+    n_free = problem.jacobian.shape[2]
+    step = np.zeros(n_free)
     for _ in range(INNER):
-        inverse, whitener = _inverse(kernel, scales, problem.seen)
-        rest = problem.residuals - problem.jacobian @ step
-        weights = _weights(whitener, rest, problem.size)[0]
-        residuals = np.einsum("nij,nj->ni", whitener, problem.residuals).ravel()
-        step = _weighted((whitener @ problem.jacobian).reshape(-1, len(step)), residuals, weights)
-        rest = problem.residuals - problem.jacobian @ step
-        pulled = np.einsum("nij,nj->ni", inverse, rest) * np.sqrt(_weights(whitener, rest, problem.size)[0])[:, None]
+        whitener = _whiteners(kernel, scales, problem.seen)
+        jacobian = _whitened(whitener, problem.jacobian).reshape(-1, n_free)
+        residuals = _whitened(whitener, problem.residuals).ravel()
+        weights = _weights((residuals - jacobian @ step).reshape(3, -1), problem.size)[0]
+        step = _weighted(jacobian, residuals, weights)
+        rest = (residuals - jacobian @ step).reshape(3, -1)
+        inverse, pulled = _inverse(whitener), _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
         scales, gain = update_scales(kernel, scales, least, inverse, pulled)
         if gain < steady:
             break
@@ -287,29 +289,59 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
 
 
 def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
-    return kernels(prediction.path, model.motion(values).body, model.segments, float(values[-2]))
+    """Return the lower triangles of what a unit of each component adds, shape (4, 6, n)."""
+    whole = kernels(prediction.path, model.motion(values).body, model.segments, float(values[-2]))
+    return np.ascontiguousarray(whole[:, :, _ROWS, _COLUMNS].transpose(0, 2, 1))
 
 
-def _inverse(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return inverse covariances and whitening matrices."""
-    root = np.linalg.cholesky(covariances(kernel, scales, seen))
-    whitener = _inverse_of_triangles(np.asarray(root, dtype=np.float64))
-    return whitener.transpose(0, 2, 1) @ whitener, whitener
+def _whiteners(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> FloatArray:
+    """Return the triangles that make covariances ones of unit size; 1 on the diagonal where nothing was measured."""
+    total = (scales @ kernel.reshape(len(kernel), -1)).reshape(6, -1)
+    total[_ROWS == _COLUMNS] += np.where(seen.T, 1e-18, 1.0)
+    xx, yx, yy, tx, ty, tt = total
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = np.sqrt(xx)
+        b, c = yx / a, tx / a
+        d = np.sqrt(yy - b * b)
+        e = (ty - c * b) / d
+        f = np.sqrt(tt - c * c - e * e)
+    if not (a * d * f > 0.0).all():
+        raise np.linalg.LinAlgError("a covariance is not positive definite")
+    return np.stack([1.0 / a, -b / (a * d), 1.0 / d, (b * e - c * d) / (a * d * f), -e / (d * f), 1.0 / f])
 
 
-def _inverse_of_triangles(root: FloatArray) -> FloatArray:
-    """Return the inverses of lower triangles, shape (n, 3, 3), written out: for thousands of them far faster."""
-    a, d, f = root[:, 0, 0], root[:, 1, 1], root[:, 2, 2]
-    b, c, e = root[:, 1, 0], root[:, 2, 0], root[:, 2, 1]
-    inverse = np.zeros_like(root)
-    inverse[:, 0, 0], inverse[:, 1, 1], inverse[:, 2, 2] = 1.0 / a, 1.0 / d, 1.0 / f
-    inverse[:, 1, 0], inverse[:, 2, 1] = -b / (a * d), -e / (d * f)
-    inverse[:, 2, 0] = (b * e - c * d) / (a * d * f)
-    return inverse
+def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
+    """Return whitened values, shape (3, n) or (3, n, n_columns)."""
+    a, b, c, d, e, f = whitener if values.ndim == 2 else whitener[:, :, None]
+    x, y, turn = values
+    white = np.empty_like(values)
+    white[0], white[1], white[2] = a * x, b * x + c * y, d * x + e * y + f * turn
+    return white
 
 
-def _weights(whitener: FloatArray, residuals: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
-    squares = np.square(np.einsum("nij,nj->ni", whitener, residuals)).sum(axis=1)
+def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
+    """Return inverse covariances times residuals from whitened residuals, shape (3, n)."""
+    a, b, c, d, e, f = whitener
+    x, y, turn = white
+    return np.stack([a * x + b * y + d * turn, c * y + e * turn, f * turn])
+
+
+def _inverse(whitener: FloatArray) -> FloatArray:
+    """Return the lower triangles of inverse covariances."""
+    a, b, c, d, e, f = whitener
+    return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f])
+
+
+def _whole(whitener: FloatArray) -> FloatArray:
+    """Return triangles as matrices, shape (n, 3, 3)."""
+    whole = np.zeros((whitener.shape[1], 3, 3))
+    whole[:, _ROWS, _COLUMNS] = whitener.T
+    return whole
+
+
+def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the robust weights of whitened residuals, shape (3, n), and their squares."""
+    squares = np.square(white).sum(axis=0)
     return (DEGREES + size) / (DEGREES + squares), squares
 
 
@@ -317,7 +349,7 @@ def _judge(whitener: FloatArray, size: IntArray) -> Callable[[Prediction], float
     """Return the loss as a function of a prediction, at fixed noise."""
 
     def loss(prediction: Prediction) -> float:
-        squares = _weights(whitener, prediction.residuals, size)[1]
+        squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
         return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES)))
 
     return loss
