@@ -25,7 +25,7 @@ from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
-from calib.gap.inference.fit import Fitted, fit
+from calib.gap.inference.fit import Fitted, recalibrate
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
@@ -346,10 +346,10 @@ def _searched(
         progress(next(passes), 0, "search of causes")
 
     noise = estimate_noise(nominal, residuals(nominal, nominal))
-    base = fit(nominal, noise)
+    base = recalibrate(nominal, noise)
     if base.calibration.any():
         noise = estimate_noise(base.path, base.left)
-        base = fit(nominal, noise, start=base)
+        base = recalibrate(nominal, noise, base)
     searched = search(nominal, noise, base, effects, settings, passed=passed)
     for _ in range(NOISE_PASSES):
         best = searched.fitted
@@ -364,7 +364,7 @@ def _searched(
             or np.mean(misfit(best.path, nominal, by_extent=True)) >= BLUNDER_MISFIT
         ):
             break
-        noise, base = again, fit(nominal, again, start=base)
+        noise, base = again, recalibrate(nominal, again, base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
     return noise, base, searched
 

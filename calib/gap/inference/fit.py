@@ -28,6 +28,9 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
+#: how often noise alone makes a recalibration gain more than one has to about whose path all is linear: rarely, since
+#: a small one shows as well about the model's own path
+BY_CHANCE: Final = 0.001
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +168,8 @@ def fit(
     start : Fitted, optional
         Where to begin (its calibration; its parameters where the forms are the same).
     steps : int
-        Most Gauss-Newton steps; it ends when a step is below a hundredth of the standard uncertainty.
+        Most Gauss-Newton steps; it ends when a step is below a hundredth of the standard uncertainty. None: it stays
+        where it begins.
     theta_sd : float
         Prior standard deviation of each parameter in typical sizes; wide, it only keeps the solution finite.
 
@@ -193,8 +197,10 @@ def fit(
         path = hypothesis_path(s, calibration, forms, theta, nominal)
     now = np.concatenate([calibration / CALIBRATION_SD, *(t / f.typical for t, f in zip(theta, forms, strict=True))])
     reached, normal = misfit.cost(path, now), np.eye(len(now))
-    for _ in range(steps):
+    for _ in range(max(steps, 1)):
         normal, step = misfit.gauss_newton(path, now)
+        if not steps:
+            break
         largest = float((np.abs(step) * np.sqrt(np.diag(normal))).max())
         lower = np.inf
         for _ in range(_MAX_HALVINGS):
@@ -222,6 +228,26 @@ def fit(
         chi_square=float((white[row_mask] ** 2).sum()),
         left=left,
     )
+
+
+def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fitted:
+    """Return the recalibration alone; none where the model's own leaves no more than noise may.
+
+    Where routes say next to nothing of a direction (closed loops of one sense, of radii and track together), the best
+    recalibration is far off, and nothing that is linear about its path holds for the model's own.
+
+    `start`: where to begin.
+    """
+    alone, fitted = fit(nominal, noise, steps=0), fit(nominal, noise, start=start)
+    return fitted if is_gain(alone.chi_square - fitted.chi_square, alone) else alone
+
+
+def is_gain(squares: float, fitted: Fitted) -> bool:
+    """Return whether a recalibration takes more squares away than noise alone lets it."""
+    from scipy.special import chdtri
+
+    channels = fitted.path.s.usable[:, 4:].any()
+    return squares > float(chdtri(4 if channels else 3, BY_CHANCE))
 
 
 def linear_rest(fitted: Fitted, noise: Noise) -> float:

@@ -15,6 +15,7 @@ from calib.gap.inference.fit import (
     SIZE_SD,
     Fitted,
     hypothesis_path,
+    is_gain,
     recalibration_columns,
     signature_columns,
     whitened_rows,
@@ -135,7 +136,8 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     """Return a hypothesis fitted in the linear model about a path, and re-simulated.
 
     From the sizes at that path it goes as far as the picture holds: a step that leaves more than twice what was left
-    before, and than what it was to leave, is halved.
+    before, and than what it was to leave, is halved. Of the path's own hypothesis a step that leaves more than before
+    is not taken, nor one of a recalibration alone that promises no more than noise may: see `recalibrate`.
 
     `system`: about the path; `model`: forms of the hypothesis, by their numbers in the system; `weighting`: the lack of
     fit, and what effects may deviate by.
@@ -146,12 +148,17 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     if not system.path.s.usable[:, 4:].any():
         sizes[3] = 0.0
     present, before = _current_values(system, model) / units, weighting.square(system.left)
+    promised = weighting.square(system.gap - columns @ sizes)
+    stays = [id(system.forms[k]) for k in model] == [id(form) for form in system.fitted.forms]
+    if stays and not model and not weighting.scale and not is_gain(before - promised, system.fitted):
+        return system.fitted
     for halvings in range(_STEP_HALVINGS + 1):
         values = present + (sizes - present) / 2**halvings
         fitted, left = _simulated_at(system, model, values * units, covariance * np.outer(units, units))
-        if weighting.square(left) <= _MAX_MISFIT_RATIO * max(before, weighting.square(system.gap - columns @ values)):
-            break
-    return fitted
+        most = before if stays else _MAX_MISFIT_RATIO * max(before, weighting.square(system.gap - columns @ values))
+        if weighting.square(left) <= most:
+            return fitted
+    return system.fitted if stays else fitted
 
 
 def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:

@@ -249,24 +249,25 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     reference, model, per_rad = setup.campaign.reference, setup.model, setup.per_rad
     if not {"ref_x_m", "ref_y_m"} <= log.keys():
         return None
-    rows = log_rows(log)
-    there = np.isfinite(log["ref_x_m"][rows]) & np.isfinite(log["ref_y_m"][rows])
+    all_rows = log_rows(log)
+    there = np.isfinite(log["ref_x_m"][all_rows]) & np.isfinite(log["ref_y_m"][all_rows])
     heading = log.get("ref_theta_rad")
     if heading is not None:
-        with_heading = there & np.isfinite(heading[rows])
+        with_heading = there & np.isfinite(heading[all_rows])
         heading, there = (heading, with_heading) if with_heading.sum() >= MIN_POSES else (None, there)
-    rows = rows[there]
+    rows = all_rows[there]
     if len(rows) < MIN_POSES:
         return None
-    left = log["counts_left"][rows] / per_rad.left * model.radius_left_m
-    right = log["counts_right"][rows] / per_rad.right * model.radius_right_m
-    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))
+    # at every sample: between the poses of a slow reference the vehicle turns
+    left = log["counts_left"][all_rows] / per_rad.left * model.radius_left_m
+    right = log["counts_right"][all_rows] / per_rad.right * model.radius_right_m
+    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[there]
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
         course = CourseOverGround(
             positions=seen,
-            by_wheels=_by_wheels(left, right, model.track_m),
+            by_wheels=_by_wheels(left, right, model.track_m)[there],
             travelled_m=travelled,
             place_m=np.array([reference.sensor_x_m, reference.sensor_y_m]),
             sigma_xy_m=reference.sigma_xy_m,
