@@ -23,12 +23,13 @@ from calib.gap.decision.fix import (
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
-from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
+from calib.types import FloatArray
 
 
 def sure_part(
@@ -96,20 +97,32 @@ def sure_part(
 
 
 def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None, fix: Fix) -> Fix:
-    """Return a recommended fix as it is written: without what was fitted and is too small to be named, judged anew.
+    """Return a recommended fix as it is written: without what was fitted and is not named, judged anew.
 
-    The sizes of the others change with it: those of the fit of all would lead astray alone.
+    The sizes of the others change with it: those of the fit of all would lead astray alone. Radii and track are left as
+    they are but for what is named, or what another zero point of a named effect would look like.
     """
     names = {cause.effect for cause in causes}
-    if not fix.recommended or fix.corrects is not None or names.issuperset(evidence.search.effects):
+    free = names.issuperset(evidence.search.effects) and len(_along(evidence, names)) == len(DIRECTIONS)
+    if not fix.recommended or fix.corrects is not None or free:
         return fix
     fitted, improvement, tried = _tried(evidence, names, ())
     why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
-    beside = ", ".join(sorted(set(evidence.search.effects) - names))
+    beside = ", ".join(sorted(set(evidence.search.effects) - names)) or "other radii or another track"
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+
+
+def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
+    """Return the directions of the calibration that a fix of some causes may change, shape (k, 4).
+
+    What another zero point of a named effect would look like is among them, be it no part of the fix.
+    """
+    acting = {*names, *evidence.search.effects}.intersection(evidence.effects)
+    moved = {*names, *(shift for name in acting for shift in evidence.effects[name].shifts)}
+    return DIRECTIONS[[name in moved for name in NAMES]]
 
 
 def _tried(
@@ -120,8 +133,9 @@ def _tried(
     Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried.
     """
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
-    fitted = fit(evidence.nominal, evidence.noise, forms, start=evidence.fitted)
-    left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    along = _along(evidence, names)
+    fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
+    left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting, along)
     before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
     steps = left_out.contribution(stepping)
     stated = (before if as_counted is None else as_counted) - steps

@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from calib.gap.effects.effect import Form, Parameter, Perturbation
 from calib.gap.inference.noise import Noise
@@ -100,6 +99,18 @@ def recalibration_columns(path: Path) -> FloatArray:
     return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
 
 
+def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
+    """Return what a calibration and `n_others` sizes are made of that changes along some directions alone.
+
+    `along`: (k, 4), directions. Shape (4 + n_others, k + n_others), each of unit prior variance.
+    """
+    whole = np.zeros((4 + n_others, len(along) + n_others))
+    scaled = (along / CALIBRATION_SD).T
+    whole[:4, : len(along)] = scaled / np.linalg.norm(scaled, axis=0)
+    whole[4:, len(along) :] = np.eye(n_others)
+    return whole
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
     """The squares that a fit makes small; parameters over their prior standard deviation or typical size."""
@@ -110,6 +121,7 @@ class _Misfit:
     freedom: BoolArray  #: shape (4,): which of the calibration may change
     prior_sd: FloatArray  #: shape (n_parameters,): prior standard deviation of each scaled parameter
     rows: BoolArray  #: shape (n_rows,): which of the usable (unit, channel) rows count
+    along: FloatArray | None  #: shape (k, 4): directions that the calibration may change along; None: all
 
     def sizes(self, scaled: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Return calibration and sizes at scaled parameters."""
@@ -137,7 +149,11 @@ class _Misfit:
         normal = a.T @ a + np.diag(precision)
         # a small ridge keeps columns exactly alike solvable
         normal += 1e-11 * np.diag(np.diag(normal))
-        return normal, np.asarray(np.linalg.solve(normal, a.T @ r - precision * scaled), dtype=np.float64)
+        right = a.T @ r - precision * scaled
+        if self.along is None:
+            return normal, np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        basis = calibration_basis(self.along, len(scaled) - 4)
+        return normal, np.asarray(basis @ np.linalg.solve(basis.T @ normal @ basis, basis.T @ right), dtype=np.float64)
 
 
 def fit(
@@ -145,11 +161,10 @@ def fit(
     noise: Noise,
     forms: Sequence[Form] = (),
     *,
-    free: npt.ArrayLike = (True, True, True, True),
+    along: FloatArray | None = None,
     use: BoolArray | None = None,
     start: Fitted | None = None,
     steps: int = 10,
-    theta_sd: float = SIZE_SD,
 ) -> Fitted:
     """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
 
@@ -161,8 +176,9 @@ def fit(
         Covariance of each unit.
     forms : sequence of Form
         Effects to fit.
-    free : array of bool, shape (4,)
-        Which of left radius, right radius, track, front radius may change.
+    along : array, shape (k, 4), optional
+        Directions in which left radius, right radius, track and front radius may change, from the model's own; all by
+        default.
     use : array of bool, shape (n_units,), optional
         Units to fit on; all by default.
     start : Fitted, optional
@@ -170,23 +186,20 @@ def fit(
     steps : int
         Most Gauss-Newton steps; it ends when a step is below a hundredth of the standard uncertainty. None: it stays
         where it begins.
-    theta_sd : float
-        Prior standard deviation of each parameter in typical sizes; wide, it only keeps the solution finite.
 
     Returns
     -------
     Fitted
     """
     s = nominal.s
-    freedom = np.asarray(free, dtype=bool).copy()
-    if not s.usable[:, 4:].any():
-        freedom[3] = False
-    freedom &= not s.calibration_held
-    sizes_sd = np.full(sum(len(form.parameters) for form in forms), theta_sd)
+    freedom = np.array([True, True, True, bool(s.usable[:, 4:].any())]) & (not s.calibration_held)
+    sizes_sd = np.full(sum(len(form.parameters) for form in forms), SIZE_SD)
     mask = np.ones(len(s), dtype=bool) if use is None else use
     row_mask = np.repeat(mask[:, None], 6, axis=1)[s.usable]
-    misfit = _Misfit(nominal, noise, forms, freedom, np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd]), row_mask)
-    calibration = np.zeros(4) if start is None else np.where(freedom, start.calibration, 0.0)
+    misfit = _Misfit(
+        nominal, noise, forms, freedom, np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd]), row_mask, along
+    )
+    calibration = np.zeros(4) if start is None or along is not None else np.where(freedom, start.calibration, 0.0)
     known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
     theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
     if start is None:

@@ -14,6 +14,7 @@ from calib.gap.inference.fit import (
     CALIBRATION_SD,
     SIZE_SD,
     Fitted,
+    calibration_basis,
     hypothesis_path,
     is_gain,
     recalibration_columns,
@@ -186,10 +187,17 @@ class HeldOutFit:
     """Holds runs out of a fit in turn.
 
     `fitted`: the hypothesis, fitted on all runs; `nominal`: the model alone; `noise`: covariance of each unit;
-    `weighting`: of the lack of fit beside it; none by default.
+    `weighting`: of the lack of fit beside it; none by default; `along`: directions of the calibration, (k, 4).
     """
 
-    def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, weighting: Weighting | None = None) -> None:
+    def __init__(
+        self,
+        fitted: Fitted,
+        nominal: Path,
+        noise: Noise,
+        weighting: Weighting | None = None,
+        along: FloatArray | None = None,
+    ) -> None:
         self.fitted, self.nominal, self.noise = fitted, nominal, noise
         if weighting is None:
             system = LinearSystem(fitted, nominal, noise, fitted.forms)
@@ -197,8 +205,10 @@ class HeldOutFit:
         self.weighting = weighting
         system = weighting.system
         numbers = [next(k for k, form in enumerate(system.forms) if form is own) for own in fitted.forms]
-        self.columns = np.concatenate([system.calibration, *(system.of(k) for k in numbers)], axis=1)
-        self.precision = prior_precision(self.columns.shape[1])
+        columns = np.concatenate([system.calibration, *(system.of(k) for k in numbers)], axis=1)
+        basis = np.eye(columns.shape[1]) if along is None else calibration_basis(along, columns.shape[1] - 4)
+        self.columns, self.basis = columns @ basis, basis
+        self.precision = np.square(basis).T @ prior_precision(len(basis))
         self._solved: dict[bytes, tuple[FloatArray, FloatArray]] = {}
 
     @property
@@ -216,12 +226,13 @@ class HeldOutFit:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
         path = self.fitted.path
         parts = [recalibration_columns(path), *signature_columns(path, self.fitted.forms)]
-        return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2), 0.0)
+        return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2) @ self.basis, 0.0)
 
     def contribution(self, effects: Collection[str]) -> FloatArray:
         """Return what some effects do to the readings at their fitted sizes, shape (n_units, n_channels)."""
         wanted = [form.effect in effects for form in self.fitted.forms for _ in form.parameters]
-        contributed: FloatArray = self.derivative[:, :, 4:] @ (self.fitted.parameters * wanted)
+        first = self.derivative.shape[2] - len(wanted)
+        contributed: FloatArray = self.derivative[:, :, first:] @ (self.fitted.parameters * wanted)
         return contributed
 
     def after(self, out: BoolArray) -> FloatArray:

@@ -103,10 +103,10 @@ def test_what_is_not_free_stays_and_what_is_follows() -> None:
     """With the track held, only the radii move; with nothing free, nothing does and the gap stays whole."""
     nominal, gap = started(seen(loaded))
     noise = noise_at(nominal, {})
-    held = fit(nominal, noise, free=(True, True, False, False))
+    held = fit(nominal, noise, along=np.eye(4)[:2])
     assert held.calibration[2] == held.calibration[3] == 0.0
     assert np.abs(held.calibration[:2]).min() > 0
-    nothing = fit(nominal, noise, free=(False,) * 4)
+    nothing = fit(nominal, noise, along=np.zeros((0, 4)))
     np.testing.assert_array_equal(nothing.calibration, 0.0)
     np.testing.assert_allclose(nothing.left, gap, atol=1e-12)
 
