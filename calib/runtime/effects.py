@@ -204,7 +204,11 @@ def _load_track(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _scrub(effect: _Effect, step: _Step, change: _Change) -> None:
-    change.track += effect.size("widening") * abs(step.curvature_per_m(step.motion))
+    motion, half_m = step.motion, 0.5 * step.nominal.track_m
+    curvature = abs(step.curvature_per_m(motion))
+    if "spot" in effect.form:
+        curvature = 1.0 / half_m if abs(motion.turn_rad) * half_m > abs(motion.way_m) else 0.0
+    change.track += effect.size("widening") * curvature
 
 
 def _curve_load(effect: _Effect, step: _Step, change: _Change) -> None:

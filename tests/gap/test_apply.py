@@ -78,7 +78,7 @@ def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path
     s, notes = with_effects(observations_of(campaign, model), sections)
     nominal = predict(s)
     assert notes == ()
-    moved = (residuals(nominal, nominal) - found.fitted.left) / found.noise.floor
+    moved = (residuals(nominal, nominal) - found.correction.left) / found.noise.floor
     # recalibration and effect multiply in the file and add in the fit: 1e-3 of 1e-3, a hundredth of a floor at most
     assert np.abs(moved[:, :4]).max() < 0.01
 

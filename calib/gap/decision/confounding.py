@@ -84,14 +84,33 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
     groups = []
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
-        nuisance = Nuisance.of(np.concatenate([system.calibration, *others], axis=1))
         contribution = np.asarray(system.columns(form) @ (theta / form.typical))
-        near = aliases_of(system, nuisance, contribution, evidence.search.forms, evidence.named)
+        near: dict[str, float] = {}
+        for held in (False, True):
+            calibration = _undetected(evidence) if held else system.calibration
+            own = evidence.effects[form.effect].needs_calibration
+            compared = {
+                name: forms
+                for name, forms in evidence.search.forms.items()
+                if held == (own or evidence.effects[name].needs_calibration)
+            }
+            nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
+            near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
         for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
             if name not in evidence.named:
                 near.setdefault(name, SEPARATION_SD)
         groups.append([form.effect, *sorted(near, key=lambda name: near[name])])
     return groups
+
+
+def _undetected(evidence: Evidence) -> FloatArray:
+    """Return the recalibration, whitened: what is not off varies by what these runs do not separate from zero alone."""
+    columns = evidence.per_unit @ DIRECTIONS.T
+    limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    off = [name in evidence.calibration for name in NAMES]
+    return np.concatenate(
+        [columns * np.where(off, CALIBRATION_SD[0], limits), evidence.system.calibration[:, 3:]], axis=1
+    )
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:

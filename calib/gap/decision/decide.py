@@ -41,6 +41,7 @@ from calib.gap.decision.sentences import (
     kind_of,
     sentence,
 )
+from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -80,6 +81,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     # a calibration parameter that is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubted)
+    if kind is VerdictKind.NO_GAP and stands_off(evidence):
+        kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
     if kind in NOTHING_NAMED:
         causes = []
     elif hides_causes(closure, share) or not evidence.noise.supported:
@@ -114,6 +117,19 @@ def decide(evidence: Evidence) -> Diagnosis:
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
     return replace(diagnosis, sentence=said + _on_scatter(evidence) + _on_omitted(situation.omitted))
+
+
+def stands_off(evidence: Evidence) -> bool:
+    """Return whether every run of a condition stands off on one side by more than noise takes any of the readings.
+
+    Of few conditions one that stands off is no lack of fit, and its runs are no single runs: they agree.
+    """
+    usable, noise = evidence.observations.usable, evidence.noise
+    scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
+    reach = reach_of_noise(noise.dof, int(usable.sum()))
+    _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
+    agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
+    return bool((np.array(agree) & (count > 1)).any())
 
 
 def _misfit(evidence: Evidence) -> float:

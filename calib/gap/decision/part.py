@@ -107,8 +107,9 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
     if not fix.recommended or fix.corrects is not None or free:
         return fix
     fitted, improvement, tried = _tried(evidence, names, ())
+    unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
-    beside = ", ".join(sorted(set(evidence.search.effects) - names)) or "other radii or another track"
+    beside = unnamed or "other radii or another track"
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in causes)
@@ -162,10 +163,12 @@ def _parted(
     # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
     kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
-    # what differs between runs acts as something else: a weaker cause but radii and track may be a part of that
+    # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
+    # and track
     other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
     for cause in causes:
-        if other is not None and cause.effect not in (*NAMES, *dropped) and cause.signal < other.signal:
+        sure = cause.effect in NAMES and certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
+        if other is not None and not sure and cause.effect not in dropped and cause.signal < other.signal:
             dropped[cause.effect] = (
                 f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
                 "whose size differs between runs: it may be a part of that"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, RERUN, ChannelClosure, Closure, Improvement
-from calib.gap.decision.trials import FALSE_ALARM, Trial
+from calib.gap.decision.trials import Trial, reach_of_noise
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import effect_class, title_of
@@ -184,10 +184,7 @@ def _but_single_runs(diagnosis: Diagnosis) -> str:
 
     A run that nothing else resembles is no gap of a vehicle: it says something of that run.
     """
-    from scipy.special import stdtrit
-
-    n_readings = sum(line.n_units for line in diagnosis.where.channels)
-    reach = float(stdtrit(max(diagnosis.noise_level.dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
+    reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
     off = [
         f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})"
         for run in diagnosis.where.runs

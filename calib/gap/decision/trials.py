@@ -27,6 +27,13 @@ MOST_HELD_OUT: Final = 0.6
 SAME_VALUE: Final = 0.1
 
 
+def reach_of_noise(dof: float, n_readings: int) -> float:
+    """Return how many noise levels the furthest of so many readings stands off by, at a chance of `FALSE_ALARM`."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
+
+
 @dataclass(frozen=True, slots=True)
 class Trial:
     """The correction on one value that was held out: a route, speed, load, direction or session."""
@@ -93,7 +100,8 @@ def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
 def groupings(observations: Observations, *, by_balance: bool = False) -> dict[str, StrArray]:
     """Return the groups of what varies, a label for each observation, shape (n_units,).
 
-    `by_balance`: also by the difference of the wheel loads.
+    `by_balance`: also by the difference of the wheel loads, and by the two halves of the time: what is set anew or
+    drifts has no size.
     """
 
     def mean_speed(part: Observations) -> FloatArray:
@@ -118,6 +126,8 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
     }
     if by_balance:
         quantities["balance"] = _binned(np.nan_to_num(left - right), load_width, "{:+.0f} N left over right")
+        halves = np.array(["the first half of the runs", "the second half of the runs"])
+        quantities["time"] = halves[2 * np.arange(len(load)) // len(load)]
     return {name: _joined(values) for name, values in quantities.items() if len(np.unique(values)) > 1}
 
 

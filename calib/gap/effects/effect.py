@@ -145,6 +145,8 @@ class Effect(ABC):
     #: calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from 20
     #: degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it
     shifts: ClassVar[tuple[str, ...]] = ()
+    #: whether it looks like another effect only where radii and track are off with it
+    needs_calibration: ClassVar[bool] = False
     #: whether it is nothing at a known point (the model's reference load, no payload, a straight): then no shift is
     zero_known: ClassVar[bool] = False
     family: ClassVar[Family] = Family.OWN  #: effects that act through the same thing

@@ -46,6 +46,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     encoder.LostCounts,
     encoder.EncoderBlunder,
     reference.RangefinderScale,
+    reference.ReferenceScale,
     reference.RangefinderOffset,
     reference.BeamMisalignment,
     reference.GyroScale,

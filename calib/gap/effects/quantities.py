@@ -112,6 +112,21 @@ def shows_curves(observations: Observations) -> bool:
     return any((s.total(np.abs(curvature_per_m(s) * s.path_m)) > 0.1).any() for s in observations.parts())
 
 
+def on_the_spot(s: Observations, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
+    """Return the curvature of a turn about a rear wheel where the wheels roll against each other, shape (n_steps,)."""
+    tightest = 2.0 / s.model.track_m
+    return np.where(np.abs(turn_rad) > np.abs(path_m) * tightest, tightest, 0.0)
+
+
+def turns_both_ways(observations: Observations) -> bool:
+    """Return whether some observation turns on the spot, and some while it rolls, by more than a tenth of a radian."""
+    turned = np.zeros(2)
+    for s in observations.parts():
+        spot, turn = on_the_spot(s, s.turn_rad, s.path_m) > 0.0, np.abs(s.turn_rad)
+        turned = np.maximum(turned, [s.total(turn * on).max() for on in (spot, ~spot)])
+    return bool((turned > 0.1).all())
+
+
 def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Turn changes of x and y, each shape (n_obs,), into along and lateral in the end frame."""
     c, sn = path.frame_turned

@@ -165,6 +165,29 @@ class ReferenceYaw(Effect):
         return [form(*shape) for shape in shapes.items()]
 
 
+class ReferenceScale(Effect):
+    """The pose reference reads (1 + k) times every way; a distance by another instrument does not change."""
+
+    id = "reference_scale"
+    title = "a pose reference of wrong scale"
+    implausible = "both effective radii with the track"
+    family = Family.REFERENCE
+    needs = "end positions beside distances by another instrument"
+    separates = "a length taped on the floor, against the reference"
+    needs_calibration = True
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the single form; none without both: what alone measures lengths is their standard."""
+        if not (observations.usable[:, Channel.DISTANCE].any() and observations.usable[:, Channel.ALONG].any()):
+            return []
+
+        def perturbations(path: Path) -> list[Perturbation]:
+            along, lateral = start_to_end_frame(path, path.end[:, 0], path.end[:, 1])
+            return [Perturbation.on_readings(observations, along=along, lateral=lateral)]
+
+        return [Form(self.id, "", (Parameter("relative", "1", typical=1e-3, largest=1e-2),), perturbations)]
+
+
 class ReferenceLatency(Effect):
     """The reading is tau old (or, below 0, ahead of the counts): e_s = -tau v_end and e_theta = -tau omega_end.
 

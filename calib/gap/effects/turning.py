@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -13,11 +13,13 @@ from calib.gap.effects.load import slope_parameters
 from calib.gap.effects.quantities import (
     curvature_per_m,
     driven_speed_mps,
+    on_the_spot,
     path_curvature_per_m,
     reach,
     shows_curves,
     softness,
     standstill_mps,
+    turns_both_ways,
 )
 from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
 from calib.gap.observations.arrays import POSE
@@ -127,17 +129,31 @@ class CurveScrub(Effect):
     zero_known = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where nothing turns."""
-        if not shows_curves(observations):
-            return []
+        """Return a form that grows with the curvature and, beside turns on the spot, one of these; none without turns.
 
-        def perturbations(path: Path) -> list[Perturbation]:
-            return [Perturbation(track=np.abs(path_curvature_per_m(path)))]
-
+        Tyres that twist on the spot scrub where those that roll do not; it counts as a turn about a rear wheel.
+        """
+        shapes: dict[str, Callable[[Path], FloatArray]] = {}
+        if shows_curves(observations):
+            shapes[""] = lambda path: np.abs(path_curvature_per_m(path))
+        if turns_both_ways(observations):
+            shapes["on the spot"] = lambda path: on_the_spot(path.s, path.steps.turn_rad, path.steps.ds_m)
         # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
         size = reach(observations)
         parameter = Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size)
-        return [Form(self.id, "", (parameter,), perturbations, by_parts=True)]
+
+        def form(label: str, shape: Callable[[Path], FloatArray]) -> Form:
+            return Form(
+                self.id,
+                label,
+                (parameter,),
+                lambda path: [Perturbation(track=shape(path))],
+                {},
+                len(shapes),
+                by_parts=True,
+            )
+
+        return [form(*each) for each in shapes.items()]
 
 
 class BrakingSkid(Effect):

@@ -138,7 +138,7 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
 
     From the sizes at that path it goes as far as the picture holds: a step that leaves more than twice what was left
     before, and than what it was to leave, is halved. Of the path's own hypothesis a step that leaves more than before
-    is not taken, nor one of a recalibration alone that promises no more than noise may: see `recalibrate`.
+    is not taken. The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
 
     `system`: about the path; `model`: forms of the hypothesis, by their numbers in the system; `weighting`: the lack of
     fit, and what effects may deviate by.
@@ -149,9 +149,15 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     if not system.path.s.usable[:, 4:].any():
         sizes[3] = 0.0
     present, before = _current_values(system, model) / units, weighting.square(system.left)
-    promised = weighting.square(system.gap - columns @ sizes)
     stays = [id(system.forms[k]) for k in model] == [id(form) for form in system.fitted.forms]
-    if stays and not model and not weighting.scale and not is_gain(before - promised, system.fitted):
+    if not (present[:4].any() or weighting.scale):
+        held = weighting.solve(
+            columns, prior_precision(columns.shape[1]) * np.where(np.arange(len(sizes)) < 4, 1e12, 1.0)
+        )[0]
+        gained = weighting.square(system.gap - columns @ held) - weighting.square(system.gap - columns @ sizes)
+        if not is_gain(gained, system.fitted):
+            sizes = held * (np.arange(len(sizes)) >= 4)
+    if stays and np.array_equal(sizes, present):
         return system.fitted
     for halvings in range(_STEP_HALVINGS + 1):
         values = present + (sizes - present) / 2**halvings

@@ -98,24 +98,23 @@ def search(
         settings,
         passed,
     )
+    if begin is base and _near((local, fitted), base) is None:
+        local, fitted = copy(initial), base
     if local.weighting().scale > _SMALL_LACK_OF_FIT and initial.offered:
-        # several causes together may leave little where each alone leaves a large lack of fit, and about a path far off
-        # the true one cause looks like several: begin once without a lack of fit, and once with the best cause fitted
-        # alone
-        starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
-        starts = [_converge(start, noise, all_forms, settings, passed, greedy=False)[0] for start in starts]
-        # one that grows beyond bounds when fitted alone has no evidence
-        best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
-        for other, largest_scale in ((copy(initial), _SMALL_LACK_OF_FIT), (best, np.inf)):
-            settled, settled_fitted = _converge(other, noise, all_forms, settings, passed, largest_scale=largest_scale)
-            if settled.evidence() > local.evidence():
-                local, fitted = settled, settled_fitted
+        settled, settled_fitted = _begun_anew(initial, noise, all_forms, settings, passed)
+        if settled.evidence() > local.evidence():
+            local, fitted = settled, settled_fitted
     at_base = _weighed(initial, settings, shifts)
     local, fitted, weighed = _most_probable(
         local,
         fitted,
         at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY,
-        lambda other, left: _near(_converge(other, noise, all_forms, settings, passed, greedy=False), left),
+        # what no effect is taken from is known where it is nearest
+        lambda other, left: (
+            _near(_converge(other, noise, all_forms, settings, passed, greedy=False), left)
+            if other.current
+            else (copy(initial), base)
+        ),
         lambda other: _weighed(other, settings, shifts),
     )
     by_model = weighed.probability.sum(axis=0)
@@ -134,6 +133,29 @@ def search(
         weighting=local.weighting(),
         nothing=at_base.nothing,
     )
+
+
+def _begun_anew(
+    initial: LocalSearch,
+    noise: Noise,
+    all_forms: Sequence[Form],
+    settings: SearchSettings,
+    passed: Callable[[], None] | None,
+) -> tuple[LocalSearch, Fitted]:
+    """Return the best search of one begun without a lack of fit and one begun with the best cause fitted alone.
+
+    Several causes together may leave little where each alone leaves a large lack of fit, and about a path far off the
+    true one cause looks like several.
+    """
+    starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
+    starts = [_converge(start, noise, all_forms, settings, passed, greedy=False)[0] for start in starts]
+    # one that grows beyond bounds when fitted alone has no evidence
+    best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
+    ended = [
+        _converge(other, noise, all_forms, settings, passed, largest_scale=largest_scale)
+        for other, largest_scale in ((copy(initial), _SMALL_LACK_OF_FIT), (best, np.inf))
+    ]
+    return max(ended, key=lambda end: end[0].evidence())
 
 
 def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
@@ -284,10 +306,15 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
 def _near(moved: tuple[LocalSearch, Fitted], left: Fitted) -> tuple[LocalSearch, Fitted] | None:
     """Return where a search has moved to, None where that leaves far more than what it has left.
 
-    A payload's slope is read off the path: away from the law that gave it, the fit leaves what that had taken.
+    A payload's slope is read off the path: away from the law that gave it, the fit leaves what that had taken. Beside
+    no lack of fit a hypothesis with more forms leaves no more; where it does, its path is not that of its optimum.
     """
     local, fitted = moved
-    return moved if fitted.chi_square <= _OUTDONE * max(left.chi_square, float(len(local.system.gap))) else None
+    most = _OUTDONE * max(left.chi_square, float(len(local.system.gap)))
+    own = {id(form) for form in fitted.forms}
+    if own.issuperset(id(form) for form in left.forms) and not local.weighting().scale:
+        most = left.chi_square * (1.0 + _SETTLED_SHARE)
+    return moved if fitted.chi_square <= most else None
 
 
 def _most_probable(

@@ -167,8 +167,9 @@ def test_a_campaign_of_equal_straight_runs_has_forms_only_where_something_can_sh
     s = situation([Run(STRAIGHT, front=False) for _ in range(12)])
     offered = {effect.id for effect in library(s) if effect.forms(s)}
     wheels = {"radius_scale", "unequal_radii", "track_width", "wheel_eccentricity", "braking_skid", "wear"}
-    readings = {"lost_counts", "encoder_gross", "rangefinder_scale", "rangefinder_offset", "beam_misalignment"}
-    assert offered <= {*wheels, *readings, "reference_yaw", "reference_latency", "floor_zone"}
+    lengths = {"rangefinder_scale", "rangefinder_offset", "beam_misalignment", "reference_scale"}
+    readings = {"lost_counts", "encoder_gross", "reference_yaw", "reference_latency"}
+    assert offered <= {*wheels, *lengths, *readings, "floor_zone"}
 
 
 @pytest.mark.parametrize("missing", ["temperature_C", "minutes_under_load", "speed_mps", "payload_kg", "load_left_N"])

@@ -29,6 +29,11 @@ def _(run: Run, now: Motion) -> None:
     now.end_x_m, now.end_y_m = moved.real, moved.imag
 
 
+@case("reference_scale", "", 2e-3)
+def _(run: Run, now: Motion) -> None:
+    now.end_x_m, now.end_y_m = 2e-3 * end_pose(now.ds_m, now.turn_rad)[:2]
+
+
 @case("reference_yaw", "position alone", 4e-3)
 def _(run: Run, now: Motion) -> None:
     x, y, _ = end_pose(now.ds_m, now.turn_rad)

@@ -43,6 +43,18 @@ def _(run: Run, now: Motion) -> None:
     now.track = 1e-2 * np.abs(now.kappa)
 
 
+#: quarter turns on the spot, in pieces of nine degrees, beside bends
+ON_SPOT = [
+    replace(run, pieces=[*run.pieces, *[(0.01, 5.0 * np.pi * (-1) ** number)] * 10, (2.0, 0.0)])
+    for number, run in enumerate(LOGGED)
+]
+
+
+@case("curve_scrub", "on the spot", 1e-2, within=5e-2, runs=ON_SPOT)
+def _(run: Run, now: Motion) -> None:
+    now.track = np.where(np.abs(now.kappa) > 2.0 / TRACK_M, 1e-2 * 2.0 / TRACK_M, 0.0)
+
+
 @case("curve_load_transfer", "", 1e-6, within=5e-2, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     # roll moment of the centrifugal force, taken by the rear wheels alone
