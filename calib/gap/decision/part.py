@@ -46,38 +46,40 @@ def sure_part(
     `whole` is the fix of all causes, blunders apart, which is not recommended; the others are those of `fix_of`.
     """
     kept, dropped, by_odds = _parted(causes, certain, unexplained, differing)
+    if len(kept) > 1:
+        dropped |= _unclear(evidence, tied, kept, unexplained, whole, differing)
+        kept = [cause for cause in kept if cause.effect not in dropped]
     names = {cause.effect for cause in kept}
-    if any(
-        evidence.effects[cause.effect].family is Family.SIMULATOR
-        for cause in causes
-        if cause.effect in evidence.effects
-    ):
+    families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
+    if Family.SIMULATOR in families:
         # parameters of a simulator are set together, and judged by running it again
         return whole
     # a recalibration is part of every fit: what is not sure of it cannot be taken off
     if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
         return whole
-    if causes and not dropped and set(evidence.search.effects) <= names:
-        return whole
     # what the dropped causes explain is left by design: the closure is that of all of them
-    if causes and any(True for _ in remaining(whole.held_out, unexplained)):
+    all_kept = not dropped and set(evidence.search.effects) <= names
+    if causes and (all_kept or any(True for _ in remaining(whole.held_out, unexplained))):
         return whole
     stepping = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
     # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
     beside = {name for name in stepping if names.isdisjoint(evidence.effects[name].shifts)}
-    fitted, improvement, tried = _tried(evidence, names, beside)
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
-    why = [
-        *unhelpful(improvement),
-        # without a dropped cause, what is left is the unexplained residual
-        *(() if dropped else remaining(improvement, unexplained)),
-        *(needed(improvement) if by_odds else ()),
-        *harm(tried),
+    beyond = [
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
         *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
         *unsized(evidence, kept, unexplained),
     ]
+    # the calibration that a cause left out would look like is moved only where nothing else helps
+    for acting in (names, {*names, *evidence.search.effects}):
+        fitted, improvement, tried = _tried(evidence, names, beside, acting)
+        # without a dropped cause, what is left is the unexplained residual
+        left = () if dropped else remaining(improvement, unexplained)
+        odds = needed(improvement) if by_odds else ()
+        why = [*unhelpful(improvement), *left, *odds, *harm(tried), *beyond]
+        if not why:
+            break
     if why and stepping:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(stepping))}: {text}" for text in why)))
     if why:
@@ -96,6 +98,26 @@ def sure_part(
     )
 
 
+def _unclear(
+    evidence: Evidence,
+    tied: Sequence[Sequence[str]],
+    kept: Sequence[Cause],
+    unexplained: Unexplained | None,
+    whole: Fix,
+    differing: Mapping[str, SizeDifference] | None,
+) -> dict[str, str]:
+    """Return the causes that may be another one, whose correction differs or does not carry over, with the reason."""
+    unclear: dict[str, str] = {}
+    for group in tied:
+        apart_m = confounding.agreement_m(evidence, [group])
+        for text in (
+            *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, [group]),
+            *elsewhere((), alternatives(evidence, [group], unexplained, differing)),
+        ):
+            unclear |= {cause.effect: f"{cause.effect}: {text}" for cause in kept if cause.effect in group}
+    return unclear
+
+
 def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None, fix: Fix) -> Fix:
     """Return a recommended fix as it is written: without what was fitted and is not named, judged anew.
 
@@ -106,7 +128,7 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
     free = names.issuperset(evidence.search.effects) and len(_along(evidence, names)) == len(DIRECTIONS)
     if not fix.recommended or fix.corrects is not None or free:
         return fix
-    fitted, improvement, tried = _tried(evidence, names, ())
+    fitted, improvement, tried = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
     beside = unnamed or "other radii or another track"
@@ -117,24 +139,25 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
 
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
-    """Return the directions of the calibration that a fix of some causes may change, shape (k, 4).
+    """Return the directions of the calibration that a fix may change, shape (k, 4).
 
-    What another zero point of a named effect would look like is among them, be it no part of the fix.
+    These are the named ones and what another zero point of a named effect would look like.
     """
-    acting = {*names, *evidence.search.effects}.intersection(evidence.effects)
-    moved = {*names, *(shift for name in acting for shift in evidence.effects[name].shifts)}
+    named = evidence.effects.keys() & names
+    moved = {*names, *(shift for name in named for shift in evidence.effects[name].shifts)}
     return DIRECTIONS[[name in moved for name in NAMES]]
 
 
 def _tried(
-    evidence: Evidence, names: Collection[str], stepping: Collection[str]
+    evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:
     """Fit some causes, and return the fit with what it does on held-out runs.
 
-    Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried.
+    Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried; `acting`: causes
+    whose calibration may change.
     """
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
-    along = _along(evidence, names)
+    along = _along(evidence, acting)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
     left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting, along)
     before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
