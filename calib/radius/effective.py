@@ -37,7 +37,7 @@ class UnusedRun:
 class Component:
     """One line of the uncertainty budget of a single effective radius (GUM)."""
 
-    #: ``rangefinder``, ``quantisation``, ``path``, ``other_run_to_run``, ``session_to_session``
+    #: ``rangefinder``, ``quantisation``, ``path``, ``weave`` (of logs), ``other_run_to_run``, ``session_to_session``
     name: str
     #: GUM evaluation: ``A`` from repeats, ``B`` from other knowledge
     kind: str
@@ -194,8 +194,12 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         parts = {
             "rangefinder": radius * sigma / distance,
             "quantisation": radius * QUANTISATION_COUNTS / counts,
-            "path": radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
         }
+        off, logged = (
+            radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
+            path.source == "log",
+        )
+        parts |= {"path": np.where(logged, 0.0, off), "weave": np.where(logged, off, 0.0)}
         sides[side] = radius, parts, np.sqrt(sum(part**2 for part in parts.values()))
     notes.extend(_plausible(campaign, left=sides["left"][0], right=sides["right"][0]))
     return EffectiveRadii(
@@ -239,8 +243,10 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
         "rangefinder": ("normal", f"distance S_O, u = {1e3 * campaign.rangefinder.sigma_m:.2g} mm"),
         "quantisation": ("triangular", f"counts of a run, u = {QUANTISATION_COUNTS:.2f} counts"),
         "path": ("normal", "length of each wheel's path against S_O, and heading at the end"),
+        "weave": ("normal", "the same by logs, where every run may be off alike"),
     }
     return tuple(
         Component(name, "B", distribution, text, typical(left[name]), typical(right[name]))
         for name, (distribution, text) in what.items()
+        if name != "weave" or left[name].any()
     )

@@ -272,11 +272,16 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
 
 
 def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval."""
-    if not sources:
+    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval.
+
+    The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
+    """
+    rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
+    rows += [np.array([getattr(part, f"std_{wheel.wheel}_m"), 0.0]) for part in radii.budget if part.name == "weave"]
+    if not rows:
         return wheel
-    systematic = np.array([_gradient(source, wheel, radii.distance_m) for source in sources])
-    dof = np.array([source.dof for source in sources])
+    systematic = np.array(rows)
+    dof = np.array([source.dof for source in sources] + [math.inf] * (len(rows) - len(sources)))
     return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
 
 
