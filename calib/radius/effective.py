@@ -104,8 +104,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     if need_load and not any(np.isfinite(load).any() for load in loads.values()):
         unladen = campaign.vehicle.unladen_load_N
         notes.append(
-            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), so the radius "
-            "holds for that load only; add payload_kg, or load_left_N and load_right_N, to runs.csv."
+            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), which "
+            "they may not have been; add payload_kg, or load_left_N and load_right_N, to runs.csv."
         )
         loads = {side: np.full(len(runs), unladen) for side in loads}
     turn = _apparent_turn_rad(campaign)

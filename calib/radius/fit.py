@@ -38,12 +38,19 @@ CONDITIONS: Final = (
 )  # fmt: skip
 
 
-def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
+def fit_law(
+    radii: EffectiveRadii,
+    *,
+    reference_load_N: float,
+    name: str = "",
+    simulated: bool = False,
+    loads_given: bool = True,
+) -> Fit:
     """Fit both wheels' laws to effective radii.
 
     `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
-    carried over from the campaign. The fit has the checks of both wheels. Raises RefusedError with fewer than three
-    runs.
+    carried over from the campaign; `loads_given`: False where `radii` has assumed ones. The fit has the checks of both
+    wheels. Raises RefusedError with fewer than three runs.
     """
     wheels = {}
     driven = {
@@ -52,8 +59,8 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     }
     for wheel, (load, radius, std) in driven.items():
         unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
-        checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
-        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session)
+        checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id, loads_given=loads_given)
+        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session, loads_given=loads_given)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
     return Fit(
         name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
@@ -75,7 +82,9 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     try:
         radii = effective_radii(campaign)
         _refuse_far(reference, radii)
-        fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
+        given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
+        labels = {"name": campaign.name, "simulated": campaign.simulated}
+        fit = fit_law(radii, reference_load_N=reference, loads_given=given, **labels)
     except RefusedError as error:
         if findings:
             raise ImplausibleError(campaign.name, findings) from error
