@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 def fit(
     campaign: terminal.CampaignOrRecording,
     into: Annotated[Place, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
-    reference_load: Annotated[Number, opt("N", "Centre the coefficients on it, not on the campaign's own.")] = None,
+    reference_load: Annotated[
+        float | None,
+        opt("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
+    ] = None,
     model: Annotated[
         Path | None,
         opt("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),

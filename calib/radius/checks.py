@@ -49,9 +49,16 @@ class _Residuals:
 def with_checks(
     fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray, *, loads_given: bool = True
 ) -> WheelFit:
-    """Return `fit` with its checks; `session`, `direction`, `run_id` (shape (n_runs,)): labels of the same runs.
+    """Return a wheel's fit with its checks.
 
-    `loads_given`: False where all loads are assumed.
+    Parameters
+    ----------
+    fit
+        The fit.
+    session, direction, run_id : array of str, shape (n_runs,)
+        Labels of the same runs.
+    loads_given
+        False where all loads are assumed.
     """
     groups, n = groups_of(session), len(fit.load_N)
     by_session = 2 <= len(groups) < n

@@ -43,13 +43,12 @@ def fit_law(
     *,
     reference_load_N: float,
     name: str = "",
-    simulated: bool = False,
     loads_given: bool = True,
 ) -> Fit:
     """Fit both wheels' laws to effective radii.
 
-    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
-    carried over from the campaign; `loads_given`: False where `radii` has assumed ones. The fit has the checks of both
+    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`: the
+    campaign's; `loads_given`: False where `radii` has assumed ones. The fit has the checks of both
     wheels. Raises RefusedError with fewer than three runs.
     """
     wheels = {}
@@ -62,9 +61,7 @@ def fit_law(
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id, loads_given=loads_given)
         wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session, loads_given=loads_given)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
-    return Fit(
-        name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
-    )
+    return Fit(name=name, simulated=False, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes)
 
 
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
@@ -83,8 +80,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         radii = effective_radii(campaign)
         _refuse_far(reference, radii)
         given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
-        labels = {"name": campaign.name, "simulated": campaign.simulated}
-        fit = fit_law(radii, reference_load_N=reference, loads_given=given, **labels)
+        fit = fit_law(radii, reference_load_N=reference, name=campaign.name, loads_given=given)
     except RefusedError as error:
         if findings:
             raise ImplausibleError(campaign.name, findings) from error
@@ -100,6 +96,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     static, notes = _static(campaign, reference)
     return replace(
         fit,
+        simulated=campaign.simulated,
         left=wheels["left"],
         right=wheels["right"],
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),

@@ -29,9 +29,16 @@ EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 def with_instrument_checks(
     fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray, *, loads_given: bool = True
 ) -> WheelFit:
-    """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all.
+    """Return a wheel's fit with two more checks.
 
-    `loads_given`: False where all loads are assumed.
+    Parameters
+    ----------
+    fit
+        The fit.
+    distance_m, std_m, session : array, shape (n_runs,)
+        Of the same runs; `std_m`: of each radius by the instruments.
+    loads_given
+        False where all loads are assumed.
     """
     fitted, std = _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)), np.nan_to_num(std_m)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
