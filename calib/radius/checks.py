@@ -46,27 +46,15 @@ class _Residuals:
     sessions: FloatArray
 
 
-def with_checks(
-    fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray, *, loads_given: bool = True
-) -> WheelFit:
-    """Return a wheel's fit with its checks.
-
-    Parameters
-    ----------
-    fit
-        The fit.
-    session, direction, run_id : array of str, shape (n_runs,)
-        Labels of the same runs.
-    loads_given
-        False where all loads are assumed.
-    """
+def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
+    """Return `fit` with its checks; `session`, `direction`, `run_id` (shape (n_runs,)): labels of the same runs."""
     groups, n = groups_of(session), len(fit.load_N)
     by_session = 2 <= len(groups) < n
     residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
     sessions = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
     dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
-    checks = [_design(fit, groups, loads_given=loads_given), _session(fit, groups), _order(fit)]
+    checks = [_design(fit, groups), _session(fit, groups), _order(fit)]
     if fit.model == "line":
         checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
     checks += [_session_influence(fit, groups), _influence(runs), _normality(runs), _direction(runs)]
@@ -251,7 +239,7 @@ def p_of_t(statistic: float, dof: float) -> float:
     return float(2 * stdtr(dof, -abs(statistic)))
 
 
-def _design(fit: WheelFit, groups: Groups, *, loads_given: bool) -> Check:
+def _design(fit: WheelFit, groups: Groups) -> Check:
     """Say what the plan of loads and sessions allows."""
     loads = distinct_loads(fit.load_N)
     few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
@@ -265,8 +253,6 @@ def _design(fit: WheelFit, groups: Groups, *, loads_given: bool) -> Check:
         sentence = (
             f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
             "only, and no slope; drive two further loads at least."
-            if loads_given
-            else "No run's load is given: a constant radius and no slope; add load_left_N, load_right_N to runs.csv."
         )
     elif len(groups) == 1:
         sentence = ""

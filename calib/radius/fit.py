@@ -22,7 +22,7 @@ from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedE
 from calib.radius.checks import with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
-from calib.radius.regression import FAILED, Check, WheelFit, fit_wheel
+from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray
 
@@ -38,18 +38,12 @@ CONDITIONS: Final = (
 )  # fmt: skip
 
 
-def fit_law(
-    radii: EffectiveRadii,
-    *,
-    reference_load_N: float,
-    name: str = "",
-    loads_given: bool = True,
-) -> Fit:
+def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
     """Fit both wheels' laws to effective radii.
 
-    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`: the
-    campaign's; `loads_given`: False where `radii` has assumed ones. The fit has the checks of both
-    wheels. Raises RefusedError with fewer than three runs.
+    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
+    carried over from the campaign. The fit has the checks of both wheels. Raises RefusedError with fewer than three
+    runs.
     """
     wheels = {}
     driven = {
@@ -58,10 +52,12 @@ def fit_law(
     }
     for wheel, (load, radius, std) in driven.items():
         unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
-        checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id, loads_given=loads_given)
-        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session, loads_given=loads_given)
+        checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
+        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
-    return Fit(name=name, simulated=False, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes)
+    return Fit(
+        name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
+    )
 
 
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
@@ -79,8 +75,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     try:
         radii = effective_radii(campaign)
         _refuse_far(reference, radii)
-        given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
-        fit = fit_law(radii, reference_load_N=reference, name=campaign.name, loads_given=given)
+        fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
     except RefusedError as error:
         if findings:
             raise ImplausibleError(campaign.name, findings) from error
@@ -88,15 +83,15 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     sources = declared_sources(campaign)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
+    given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
     wheels = {}
     for name, line in fit.wheels.items():
-        wheel = with_systematic(line, radii, sources)
+        wheel = with_systematic(line if given else _without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal), *wheel.checks))
         wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
     static, notes = _static(campaign, reference)
     return replace(
         fit,
-        simulated=campaign.simulated,
         left=wheels["left"],
         right=wheels["right"],
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
@@ -116,6 +111,19 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             assumed=assumed_settings(campaign),
         ),
     )
+
+
+def _without_loads(wheel: WheelFit) -> WheelFit:
+    """Return a fit that says that no load was given, doubtful where runs scatter beyond the instruments."""
+    words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
+    for check in wheel.checks:
+        if check.name == "design":
+            # what stands behind the sentence on one load is on sessions
+            check = replace(check, sentence=words + check.sentence.partition("at least.")[2])
+        elif check.name == "scatter" and check.level != OK:
+            check = replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
+        checks.append(check)
+    return replace(wheel, checks=tuple(checks))
 
 
 def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:

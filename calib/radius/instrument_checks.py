@@ -26,24 +26,12 @@ PATH_TOLERANCE: Final = 5e-4
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 
 
-def with_instrument_checks(
-    fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray, *, loads_given: bool = True
-) -> WheelFit:
-    """Return a wheel's fit with two more checks.
-
-    Parameters
-    ----------
-    fit
-        The fit.
-    distance_m, std_m, session : array, shape (n_runs,)
-        Of the same runs; `std_m`: of each radius by the instruments.
-    loads_given
-        False where all loads are assumed.
-    """
+def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
+    """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
     fitted, std = _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)), np.nan_to_num(std_m)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
-        checks += _scatter(fit, std, len(std) - fitted.shape[1], loads_given)
+        checks += _scatter(fit, std, len(std) - fitted.shape[1])
     return replace(fit, checks=tuple(checks))
 
 
@@ -93,7 +81,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     yield tested("run_length", statistic, f"t({carrying:.3g})", p_value, sentences, fails=fails)
 
 
-def _scatter(fit: WheelFit, std_m: FloatArray, dof: int, loads_given: bool) -> Iterator[Check]:
+def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
     """Hold the scatter of runs, with so many degrees of freedom, against what the instruments say."""
     from scipy.special import chdtrc
 
@@ -105,15 +93,12 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int, loads_given: bool) -> I
     finding = p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2
     sentence = "Runs scatter no more than a straight path lets them."
     if finding:
-        level, times = NOTE if loads_given else FAILED, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
-        reason = (
-            "the cause (a weave, slip) is not known, and may move the law by as much, which no interval holds; add "
-            "logs, or amplitude_m and wavelength_m."
-            if loads_given
-            else "they may have had different loads, since none is given, and the radius is then that of none; add "
-            "load_left_N and load_right_N to runs.csv."
+        level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
+        sentence = (
+            f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a "
+            "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
+            "amplitude_m and wavelength_m."
         )
-        sentence = f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: {reason}"
     # within what a path may move it, more than the instruments explain is no finding, however sure
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
