@@ -52,3 +52,20 @@ def test_every_command_says_what_follows() -> None:
         functions = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
         called = {getattr(function, "attr", getattr(function, "id", "")) for function in functions}
         assert not commands or "then" in called, path.name
+
+
+def test_lengths_alone_lead_to_no_geometry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A corridor whose references are lengths: no advice to estimate a track, and no certificate that nobody stated."""
+    from types import SimpleNamespace
+
+    from calib.cli.main import main
+    from calib.reporting.present import after_geometry
+    from tests.campaign.making import campaign, write
+
+    folder = write(campaign(), tmp_path / "lengths")
+    table = (folder / "runs.csv").read_text(encoding="utf-8")
+    assert "ref_theta_rad" not in table
+    assert main(["check", str(folder)]) in (0, 1)
+    assert "calib geometry" not in capsys.readouterr().out
+    doubtful = SimpleNamespace(passed=False, why=("lengths of straight runs alone: they do not tell the wheels apart",))
+    assert after_geometry(doubtful, None) == "geometry lengths"

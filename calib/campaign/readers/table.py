@@ -262,17 +262,17 @@ def numbers(
 
 def _without_marks(text: str, marks: set[str]) -> str | None:
     """Return a number without the marks between its thousands, or one of base 16 in base 10; None for any other."""
-    if _HEX.fullmatch(text):
+    if "x" in marks and _HEX.fullmatch(text):
         return str(int(text, 16))
     parts = _GROUPED.fullmatch(text)
     return text.replace(parts[1], "") if parts and parts[1] in marks else None
 
 
 def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
-    """Return the marks that stand between thousands in a column; ``?`` where that or decimals are as likely."""
+    """Return the marks that stand between thousands in a column; ``?``: they may; ``x``: base 16."""
     texts = [cell.strip() for cell in cells if isinstance(cell, str)]
     parts = [found for text in texts if (found := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
-    marks = {found[1] for found in parts}
+    marks = {found[1] for found in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())
     for mark, form, other in ((".", _POINT, True), (",", _COMMA, False)):
         decimal = any(mark in text and form.fullmatch(text) and not _AMBIGUOUS.fullmatch(text) for text in texts)
         marks |= {mark} if decimal_comma is other and not decimal else set()
