@@ -29,6 +29,8 @@ _LIKE_OTHERS: Final = 2.0
 _SHORTEST_STEP_S: Final = 1e-9
 #: how the width of a counter is known
 _STATED: Final = "as the settings say"
+#: seconds that 32 bits of milliseconds and microseconds hold
+_FULL_CLOCKS_S: Final = (2**32 / 1e3, 2**32 / 1e6)
 _DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
 #: samples by which the columns grow at least, and the share of what they hold
 _GROWTH: Final = 1 << 16
@@ -157,8 +159,16 @@ def add_recognised(
 
 
 def from_first_sample(columns: dict[str, FloatArray], shown: str, border: Border) -> float:
-    """Let times that begin later than `LATE_START_S` count from the first sample, in place; return its time."""
-    start = float(columns["t_s"][0])
+    """Let times that begin later than `LATE_START_S` count from the first sample, in place; return its time.
+
+    Clocks of 32 bits, in ms or us, go on where they start again.
+    """
+    start, step = float(columns["t_s"][0]), np.diff(columns["t_s"])
+    for full in _FULL_CLOCKS_S:
+        again = np.abs(step + full) < _LIKE_OTHERS * np.median(np.abs(step)) if len(step) else np.zeros(0)
+        if again.any():
+            columns["t_s"] = columns["t_s"] + full * np.cumsum([0, *again])
+            border.say(shown, "its clock of 32 bits starts again, which was undone", "clock_wrap")
     if abs(start) > LATE_START_S:
         border.say(shown, f"times count from the first sample, which stood at {start:.10g} s", "start_time")
         columns["t_s"] = columns["t_s"] - start

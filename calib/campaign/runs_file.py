@@ -142,7 +142,9 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
         match = matched[name]
         cells = raw.columns[match.found]
         try:
-            column, comma = numbers(cells, shown=shown, column=match.found, line=raw.line, decimal_comma=evidence)
+            column, comma = numbers(
+                cells, shown=shown, column=match.found, line=raw.line, decimal_comma=evidence, notes=border.notes
+            )
         except BadFileError as error:
             if name in NUMERIC_COLUMNS:
                 raise

@@ -24,12 +24,12 @@ EncoderKind = Literal["counts", "speed"]
 #: distance of a count where the logs have speeds: far below what any reference can tell
 SPEED_COUNT_M: Final = 1e-6
 #: widths of counters
-_WIDTHS: Final = (8, 12, 13, 16, 20, 24, 32)
+_WIDTHS: Final = range(8, 33)
 
 
 def _width(bits: int) -> int:
     if bits not in _WIDTHS:
-        raise ValueError("16 or 32 (8, 12, 13, 20, 24 are read too)")
+        raise ValueError("8 to 32, mostly 16 or 32")
     return bits
 
 

@@ -147,10 +147,11 @@ COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
 #: commands of one word that share a module, where each is the function that bears its name
 TOGETHER: Final = {
-    **dict.fromkeys(("check", "init", "ingest"), "campaigns"),
+    **dict.fromkeys(("check", "fleet", "init", "ingest"), "campaigns"),
     **dict.fromkeys(("fit", "geometry", "deviation", "loads"), "fit"),
     **dict.fromkeys(("effects", "plan"), "diagnose"),
     **dict.fromkeys(("export", "report"), "export"),
+    "challenge": "simulate",
 }
 
 

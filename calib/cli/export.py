@@ -165,20 +165,22 @@ def report(
     if html is not None:
         write_text(html, page, force=terminal.forced())
     _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
-    terminal.then(_next_step(report), c=source)
+    terminal.then(_next_step(report, given), c=source)
     document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
     terminal.emit_json(document)
     return 0 if report.passed else 1
 
 
-def _next_step(report: Report) -> str:
+def _next_step(report: Report, given: Fit | Campaign) -> str:
+    from calib.campaign.model import Campaign
     from calib.reporting.present import after_diagnosis, after_geometry
 
     if report.diagnosis is not None:
         return after_diagnosis(report.diagnosis)
     if report.geometry is not None:
         return after_geometry(report.geometry, None)
-    return "report" if report.passed else "report failed"
+    stated = given.extra if isinstance(given, Campaign) else given.provenance
+    return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
 
 
 def _tell(report: Report, target: Path, html: Path | None, drawn: str) -> None:

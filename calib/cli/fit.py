@@ -182,7 +182,7 @@ def deviation(
     """
     from calib.campaign.read import read_campaign
     from calib.radius import deviation as table
-    from calib.radius.run_deviation import judge_runs
+    from calib.radius.effective import judge_runs
     from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):

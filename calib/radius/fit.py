@@ -22,7 +22,7 @@ from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedE
 from calib.radius.checks import with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
-from calib.radius.regression import FAILED, Check, WheelFit, fit_wheel
+from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray
 
@@ -83,9 +83,10 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     sources = declared_sources(campaign)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
+    given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
     wheels = {}
     for name, line in fit.wheels.items():
-        wheel = with_systematic(line, radii, sources)
+        wheel = with_systematic(line if given else _without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal), *wheel.checks))
         wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
     static, notes = _static(campaign, reference)
@@ -110,6 +111,19 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             assumed=assumed_settings(campaign),
         ),
     )
+
+
+def _without_loads(wheel: WheelFit) -> WheelFit:
+    """Return a fit that says that no load was given, doubtful where runs scatter beyond the instruments."""
+    words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
+    for check in wheel.checks:
+        if check.name == "design":
+            # what stands behind the sentence on one load is on sessions
+            check = replace(check, sentence=words + check.sentence.partition("at least.")[2])
+        elif check.name == "scatter" and check.level != OK:
+            check = replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
+        checks.append(check)
+    return replace(wheel, checks=tuple(checks))
 
 
 def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
@@ -272,11 +286,16 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
 
 
 def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval."""
-    if not sources:
+    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval.
+
+    The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
+    """
+    rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
+    rows += [np.array([getattr(part, f"std_{wheel.wheel}_m"), 0.0]) for part in radii.budget if part.name == "weave"]
+    if not rows:
         return wheel
-    systematic = np.array([_gradient(source, wheel, radii.distance_m) for source in sources])
-    dof = np.array([source.dof for source in sources])
+    systematic = np.array(rows)
+    dof = np.array([source.dof for source in sources] + [math.inf] * (len(rows) - len(sources)))
     return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
 
 

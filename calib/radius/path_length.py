@@ -2,8 +2,9 @@
 
 The weave about the line comes from the log. The wheels' paths give the heading against distance rolled. Two causes look
 the same in it: a steady arc, and wheels whose radii differ from those assumed; both are a straight trend. So the trend
-is fitted together with the weave and taken for unequal radii, and only the weave about it counts as path; a heading
-measured at the end adds the arc.
+is fitted together with the weave and taken for unequal radii, and only what the counts show about it is path; a heading
+measured at the end adds the arc. Weaves begin and end flatter than they are between: both ends count little in the fit,
+and a net turn within its own uncertainty is not corrected.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ PERIOD_STEP: Final = 0.25
 #: headings about the axis may be so many times those about a straight trend, before the fit counts as diverged
 MAX_TREND_RATIO: Final = 3.0
 TINY_RAD: Final = 1e-9
+#: powers with which the fields of `Weaves` grow with the radii
+SCALED: Final = (2, 1, 0, 2, 1, 1, 2)
 #: Gauss-Newton steps; the first without the wavelength
 GAUSS_NEWTON_STEPS: Final = 7
 #: a larger step, in periods over the run, would jump to another wave
@@ -74,15 +77,23 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
     )
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
+    # the measured distance says how far the radii are from those assumed: headings are too large by that, too
+    rolled = sum(
+        np.abs(runs.number(f"counts_{side}")) * size / 2
+        for side, size in zip(("left", "right"), metres_per_count, strict=True)
+    )
+    scale = distance * (1 + weaves.excess) / rolled
+    weaves = Weaves(*(part * scale**power for part, power in zip(weaves, SCALED, strict=True)))
     logged = weaves.known
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
 
     centre, centre_std = np.zeros(n), np.zeros(n)
     yaw, yaw_std = np.zeros(n), np.zeros(n)
-    centre[logged], yaw[logged] = weaves.excess[logged], weaves.yaw_rad[logged]
-    yaw_std[logged] = weaves.yaw_std_rad[logged]
-    centre_std[logged] = 0.5 * weaves.residual_rad[logged] ** 2
+    shown = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
+    centre[logged], yaw[logged] = weaves.excess[logged], np.where(shown, weaves.yaw_rad, 0.0)[logged]
+    yaw_std[logged] = np.hypot(weaves.yaw_std_rad, np.where(shown, 0.0, weaves.yaw_rad))[logged]
+    centre_std[logged] = weaves.excess_std[logged]
     if listed.any():
         slope = 2 * np.pi * amplitude[listed] / wavelength[listed]
         turns = 2 * np.pi * distance[listed] / wavelength[listed]
@@ -162,12 +173,12 @@ class Weaves(NamedTuple):
     phase_rad: FloatArray
     #: relative excess of the path of the axle's middle over its progress along the corridor
     excess: FloatArray
-    #: heading at the end minus heading at the start, of the weave alone
+    #: heading at the end minus heading at the start, by the counts, about the trend
     yaw_rad: FloatArray
     #: its standard uncertainty
     yaw_std_rad: FloatArray
-    #: root mean square heading that the weave does not explain
-    residual_rad: FloatArray
+    #: standard uncertainty of `excess`
+    excess_std: FloatArray
 
     @property
     def known(self) -> BoolArray:
@@ -235,6 +246,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
+    taper = np.sin(np.pi * u)
     periods = _best_periods(heading_rad, np.minimum(rolled_m, MAX_PERIODS))
     line, wave = np.zeros((2, n)), np.zeros((2, n))
     x, angle = u, 2 * np.pi * periods[:, None] * u
@@ -246,7 +258,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
         if number:
             columns.append(gain * 2 * np.pi * x * (wave[1, :, None] * co - wave[0, :, None] * si))
         wanted = heading_rad - line[0, :, None] - line[1, :, None] * u - np.arctan(slope)
-        step = _solve(np.stack(columns, axis=-1), wanted)
+        step = _solve(np.stack(columns, axis=-1) * taper[..., None], wanted * taper)
         line, wave = line + step[:2], wave + step[2:4]
         if number:
             changed = periods + np.clip(step[4], -MAX_PERIOD_CHANGE, MAX_PERIOD_CHANGE)
@@ -256,7 +268,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
         before, x = x[:, -1], _progress(weave)
         periods = periods * before / x[:, -1]
         angle = 2 * np.pi * periods[:, None] * x
-    line, wave = _without_diverged(heading_rad, u, line, wave)
+    line, wave = _without_diverged(heading_rad, u, line, wave, weave)
     weave = np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
     about_axis = heading_rad - line[0, :, None] - line[1, :, None] * u
     residual = about_axis - weave
@@ -271,28 +283,30 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
             wavelength,
             np.arctan2(-wave[1], wave[0]),
             1.0 / _progress(about_axis)[:, -1] - 1.0,
-            weave[:, -1] - weave[:, 0],
+            about_axis[:, -1] - about_axis[:, 0],
             # standard error of a straight trend over the run, times the run
             rms * np.sqrt(12.0 / independent),
-            rms,
+            # noise lengthens a path by half its square, and the axis is off by that trend
+            rms**2 * (0.5 * (1.0 - correlation) + 1.0 / independent),
         )
     )
 
 
 def _without_diverged(
-    heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray
+    heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return lines and waves; the straight trend alone where wave and line of a run diverged with opposite signs."""
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])
 
-    def about(axis: FloatArray) -> FloatArray:
-        rms: FloatArray = np.sqrt(np.mean((heading_rad - axis[0, :, None] - axis[1, :, None] * u) ** 2, axis=1))
-        return rms
+    def about(axis: FloatArray, course: FloatArray | float = 0.0) -> FloatArray:
+        left = heading_rad - axis[0, :, None] - axis[1, :, None] * u - course
+        return np.asarray(np.sqrt(np.mean(left**2, axis=1)))
 
     # a wave is part of the residual of a straight trend: far more than that is two large terms that cancel
-    diverged = about(line) > MAX_TREND_RATIO * about(plain) + TINY_RAD
+    straight = about(plain)
+    diverged = (about(line) > MAX_TREND_RATIO * straight + TINY_RAD) | (about(line, weave) > straight + TINY_RAD)
     return np.where(diverged, plain, line), np.where(diverged, 0.0, wave)
 
 

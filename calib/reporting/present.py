@@ -126,12 +126,14 @@ STEPS: Final = {
     "ingest --dry-run": "the same without --dry-run, then 'calib check {c}'.",
     "check wrong": "correct what is wrong above, then 'calib check {c}'.",
     "check": "'calib fit {c}' for the law of the load, 'calib geometry {c}' for the track.",
+    "check lengths": "'calib fit {c}' for the law of the load.",
     "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
     "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
     "fit failed": "correct or exclude what failed above, with 'calib check {c}', then 'calib fit {c}'.",
     "fit lacks runs": "'calib plan {c}' names the runs that are missing; drive them, then fit again.",
     "geometry": "'calib geometry {c} --output coefficients.json' to use it.",
     "geometry failed": "correct what is named above, then 'calib geometry {c}'.",
+    "geometry lengths": "'calib fit {c}' for the law of the load; measure headings or closed loops for the track.",
     "geometry --output": "'calib export {file} --to ros2 --output params'; "
     "'calib diagnose {c} --model {file}' for what is left.",
     "diagnose": "'calib plan {c}' names the runs that settle it; drive them, then diagnose again.",
@@ -150,6 +152,7 @@ STEPS: Final = {
     "plan nothing": "no further run tells causes apart; 'calib diagnose {c}' has the verdict.",
     "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
     "report": "'calib export {c} --to dcc --output certificate.xml' for the certificate.",
+    "report unstated": "'calib export {c} --to json --output coefficients.json' to use it.",
     "report failed": "correct what failed, or drive what 'calib plan {c}' names, then fit again.",
     "export json": "'calib diagnose {runs} --model {file}' for what is left.",
     "export ros2": "pass it after the controllers' own parameter file (--params-file {file}).",
@@ -198,6 +201,8 @@ def after_fit(fit: Fit) -> str:
 
 def after_geometry(geometry: Geometry, output: Path | None) -> str:
     """Return the step that a geometry was; `output`: the coefficient file that was written."""
+    if any("straight runs alone" in one for one in geometry.why):
+        return "geometry lengths"
     return "geometry failed" if not geometry.passed else "geometry" if output is None else "geometry --output"
 
 

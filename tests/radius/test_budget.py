@@ -82,7 +82,7 @@ def test_a_scale_of_the_weighing_moves_slope_and_centre() -> None:
     fit = fit_campaign(declared(weighing={"scale": {"std": 0.01}, "offset_N": {"std": 2.0}}))
     law = fit.left.law
     expected = -law.slope_m_per_N * np.array([[0.01 * law.reference_load_N, 0.01], [2.0, 0.0]])
-    np.testing.assert_allclose(fit.left.estimate.systematic, expected, rtol=1e-12)
+    np.testing.assert_allclose(fit.left.estimate.systematic[:2], expected, rtol=1e-12)
 
 
 def test_bands_hold_it_too() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.radius.checks import with_checks
+from calib.radius.fit import fit_campaign
 from calib.radius.instrument_checks import with_instrument_checks
 from calib.radius.regression import FAILED, NOTE, OK, Check, fit_wheel
+from tests.radius.campaigns import straight
 
 N = 40
 LASER_M = 0.0015
@@ -100,3 +104,17 @@ def test_scatter_that_another_check_explains_is_not_said_twice() -> None:
     checks = checks_of(3, run_m=2e-3)
     assert checks["influence"].level == FAILED
     assert "scatter" not in checks
+
+
+def test_loads_that_nobody_gave_are_not_said_to_be_one() -> None:
+    """Runs under three loads whose column got lost scatter by far more than their instruments: doubtful, with why."""
+    loads = np.tile([300.0, 600.0, 900.0], 8)
+    radius = 0.1 - 1.4e-6 * (loads - 300.0) + np.random.default_rng(2).normal(0.0, 1e-5, len(loads))
+    driven = straight(radius, radius, loads)
+    unknown = {**driven.runs.numbers, **dict.fromkeys(("load_left_N", "load_right_N"), np.full(len(loads), np.nan))}
+    sessions = {**driven.runs.labels, "session": np.repeat(["a", "b"], 12)}
+    fit = fit_campaign(replace(driven, runs=replace(driven.runs, numbers=unknown, labels=sessions)))
+    checks = {check.name: check for check in fit.left.checks}
+    assert "No run's load is given" in checks["design"].sentence
+    assert "load_left_N" in checks["scatter"].sentence
+    assert not checks["scatter"].passed

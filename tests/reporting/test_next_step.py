@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from calib.cli.main import run
+from calib.reporting.present import after_geometry
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources
@@ -52,3 +54,15 @@ def test_every_command_says_what_follows() -> None:
         functions = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
         called = {getattr(function, "attr", getattr(function, "id", "")) for function in functions}
         assert not commands or "then" in called, path.name
+
+
+def test_lengths_alone_lead_to_no_geometry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A corridor whose references are lengths: no advice to estimate a track, before and after."""
+    header = "run_id,session,kind,distance_m,counts_left,counts_right,load_left_N,load_right_N\n"
+    rows = (f"r{n},s{n % 2},corridor,40.0{n},26000{n},26000{n},{300 + 200 * (n % 3)},300\n" for n in range(6))
+    (tmp_path / "runs.csv").write_text(header + "".join(rows), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text('format = "calib-campaign/1"\nname = "lengths"\n', encoding="utf-8")
+    run(["check", str(tmp_path)])
+    assert "calib geometry" not in capsys.readouterr().out
+    doubtful = SimpleNamespace(passed=False, why=("lengths of straight runs alone: they do not tell the wheels apart",))
+    assert after_geometry(doubtful, None) == "geometry lengths"

@@ -204,12 +204,20 @@ def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str
         yield cell_note(campaign, int(run), columns, text, "swapped_wheels")
 
 
+#: of DAQ programs that sample at 100 kHz; days taken for seconds are below
+SHORTEST_STEP_S: Final = 9e-6
+
+
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs backwards."""
     for run in np.flatnonzero(campaign.logs.lengths >= 5):
         log = campaign.logs.of(int(run))
         time, step = log["t_s"], np.diff(log["t_s"])
         usual = float(np.median(step))
+        if 0.0 < usual < SHORTEST_STEP_S:
+            text = f"samples come every {usual:.3g} s, which no logger can; correct the unit of the times (ms, day)"
+            yield Note("wrong", "logs, column t_s", text, "sample_rate")
+            return
         back = np.flatnonzero(step < 0)
         if len(back):
             text = (

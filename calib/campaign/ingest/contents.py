@@ -15,9 +15,10 @@ import numpy.typing as npt
 from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
+from calib.campaign.model import Note
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
-from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, numbers
+from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, is_number, numbers
 from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
 from calib.types import IntArray
@@ -26,6 +27,8 @@ from calib.types import IntArray
 _LISTED_TEXTS: Final = 6
 #: rows up to which a column of whole numbers is no counter that overflows
 _FEW_ROWS: Final = 40
+#: share of cells that are numbers where a column is one of numbers with some that cannot be read
+_MOSTLY_NUMBERS: Final = 0.8
 #: properties of a recording that are listed
 _LISTED_PROPERTIES: Final = 12
 #: names of a first column that calib knows by chance
@@ -69,8 +72,8 @@ class ColumnContents:
         """Return the column in words; `alike`: the same column of all files of its kind."""
         text = f"{self.name}: "
         if self.kind == "number":
-            low, high = min(c.low for c in alike if c.low is not None), max(c.high for c in alike if c.high is not None)
-            ends = dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))
+            known = [end for c in alike for end in (c.low, c.high) if end is not None]
+            ends = dict.fromkeys(f"{end(known):.6g}" for end in (min, max) if known)
             text += " to ".join(ends) + (f" {self.unit}" if self.unit and bracketed(self.name)[1] is None else "")
         elif self.kind == "time":
             spans = [c.high for c in alike if c.high]
@@ -152,8 +155,9 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
     except BadFileError:
         layout, raw = _as_read(path, shown, layout)
     evidence = comma_evidence(list(raw.columns.values()))
-    columns = tuple(_column_contents(name, raw, shown, evidence) for name in raw.columns)
-    remarks = [one.text if one.where == shown else f"{one.where.partition(', ')[2]}: {one.text}" for one in raw.notes]
+    notes = list(raw.notes)
+    columns = tuple(_column_contents(name, raw, shown, evidence, notes) for name in raw.columns)
+    remarks = [one.text if one.where == shown else f"{one.where.partition(', ')[2]}: {one.text}" for one in notes]
     turned = layout.runs_in_columns
     if turned:
         remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")
@@ -186,7 +190,7 @@ def _known(names: Iterable[str]) -> set[str]:
     return {target for name in names if (target := guessed_table_column(name))}
 
 
-def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None) -> ColumnContents:
+def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None, notes: list[Note]) -> ColumnContents:
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
         first, words = raw.written.get(name, (str(cells[0]), FORMAT_NAMES["iso8601"]))
@@ -200,10 +204,14 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
         if form := format_words(filled):
             return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(first,))
     try:
-        values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence)
-    except BadFileError:
+        values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence, notes=notes)
+    except BadFileError as error:
         if cells.dtype != object:
             return ColumnContents(name, "text", n_empty=len(cells))
+        if sum(map(is_number, filled)) > _MOSTLY_NUMBERS * len(filled):
+            text = f"found {error.found}; expected {error.expected}; {error.remedy}"
+            notes.append(Note("suspicious", f"{shown}, row {error.row}, column {name}", text, "text_column"))
+            return ColumnContents(name, "number", n_empty=n_empty)
         different = list(dict.fromkeys(str(cell).strip() for cell in filled))
         return ColumnContents(name, "text", texts=tuple(different[:_LISTED_TEXTS]), n_empty=n_empty)
     known = values[np.isfinite(values)]
@@ -233,7 +241,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
     for stream in recording.streams:
         line: IntArray = np.arange(1, len(stream) + 1, dtype=np.int64)
         for name in stream.columns:
-            contents = _column_contents(name, RawTable(stream.columns, line), shown, None)
+            contents = _column_contents(name, RawTable(stream.columns, line), shown, None, [])
             columns.append(replace(contents, unit=stream.units.get(name, contents.unit)))
     longest = max((len(stream) for stream in recording.streams), default=0)
     remarks = tuple(note.text for note in recording.notes)

@@ -159,7 +159,8 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
     # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem
     lines = [f"name = {toml_value(title)}"]
-    bits = next((column.wrap_bits for log in logs for column in log.columns if column.wrap_bits), None)
+    counters = [column for log in logs for column in log.columns if guessed_log_column(column.name) != "t_s"]
+    bits = next((column.wrap_bits for column in counters if column.wrap_bits), None)
     own = log_lines(logs) if logs else []
     named = {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
     named |= {line.partition(" ")[0] for line in own}

@@ -37,6 +37,9 @@ _UNTYPED: Final = ("channels", "variables")
 _RATE: Final = ":velocity."
 #: numbers above it count from 1970 -> their unit, each thousand times the one before
 _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
+#: days since 1900, as spreadsheets keep times: of 1954 to 2064; and a step of 4 s
+_DAYS: Final = (2e4, 6e4)
+_DAY_STEP: Final = 5e-5
 #: least step of times in whole numbers -> their unit; loggers sample at 1 Hz to 1 kHz
 _STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
 _PAIR: Final = ("counts_left", "counts_right")
@@ -153,10 +156,12 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
 
 def _time_unit(column: ColumnContents) -> str:
     """Return the unit of times that name none, by their size where they count from 1970, else by their steps."""
-    for least, unit in _EPOCHS:
-        if column.high is not None and column.high > least:
-            return unit
-    return next((unit for least, unit in _STEPS if column.whole and column.step > least), "s")
+    low, high = column.low or 0.0, column.high or 0.0
+    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
+        return "day"
+    unit = next((unit for least, unit in _EPOCHS if high > least), "s")
+    # a counter of milliseconds may be beyond the seconds since 1970
+    return next((one for least, one in _STEPS if column.whole and column.step > least), unit) if unit == "s" else unit
 
 
 def _wheel_lines(

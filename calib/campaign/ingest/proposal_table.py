@@ -50,7 +50,8 @@ _MOMENTS: Final = (
 
 def table_lines(table: FileContents) -> list[str]:
     """Return the lines that name the run table's columns, and remarks on those without one."""
-    lines, own, unused = [], [], []
+    lines: list[str] = []
+    own, unused, texts = list(lines), list(lines), list(lines)
     if table.sheet:
         lines.append(f"sheet = {toml_value(table.sheet)}")
     if table.runs_in_columns:
@@ -68,7 +69,7 @@ def table_lines(table: FileContents) -> list[str]:
             # a heading in words: E and W, north and south
             name = "direction"
         if column in passed_over or name is None or name in named or not _may_be(name, column):
-            unused.append(column.name)
+            (unused if column.kind == "number" else texts).append(column.name)
             continue
         named.add(name)
         line = _column_line(column, name)
@@ -84,7 +85,9 @@ def table_lines(table: FileContents) -> list[str]:
     if own:
         lines.append(f"# recognised by their names: {', '.join(own)[:_LISTED_COLUMNS]}")
     if unused:
-        lines.append(f"# not used, numbers kept as covariates: {', '.join(unused)[:_LISTED_COLUMNS]}")
+        lines.append(f"# kept as covariates: {', '.join(unused)[:_LISTED_COLUMNS]}")
+    if texts:
+        lines.append(f"# not used: {', '.join(texts)[:_LISTED_COLUMNS]}")
     return lines
 
 

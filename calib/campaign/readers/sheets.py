@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from calib.campaign.model import Note
 from calib.campaign.readers import table
-from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, is_filled, is_number, with_numbers
+from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, is_filled, is_number
 from calib.errors import BadFileError
+from calib.types import IntArray
 from calib.units import SUFFIXES, unit_named
 
 #: unit of a wheel's column -> what its numbers are, and how many turns (or counts) one of its units makes
@@ -112,7 +113,9 @@ def heading(
         block = block[:1]
     over = filled_cells(above)
     grouped = len(over) > 1 and not any(map(is_number, over))
-    names = _joined(block[-1], [_texts(above), *block[:-1]] if grouped else block[:-1])
+    # a row of sides may end before the columns that need none
+    last = block[-1] + [""] * (max(map(len, block)) - len(block[-1]))
+    names = _joined(last, [_texts(above), *block[:-1]] if grouped else block[:-1])
     if units_at is None:
         return names, n_rows, found
     names, note = _with_units(names, _texts(rows[units_at]), shown)
@@ -232,6 +235,44 @@ def finished(
     """
     line = np.asarray(lines, dtype=np.int64)
     return RawTable(columns, line, tuple(notes)) if wanted is None else with_numbers(columns, shown, line, notes)
+
+
+def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray, notes: Sequence[Note]) -> RawTable:
+    """Return a table of columns made numeric; times of the clock become seconds since the first.
+
+    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file;
+    `notes`: what was recognised so far, to which is added where commas were read as points, and in which format times
+    were read. Raises BadFileError where a cell is no number.
+    """
+    evidence = table.comma_evidence(list(columns.values()))
+    values: dict[str, npt.NDArray[Any]] = {}
+    used_comma = False
+    notes = list(notes)
+    epochs: dict[str, int] = {}
+    written: dict[str, tuple[str, str]] = {}
+    for name, cells in columns.items():
+        first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
+        form = table.time_format(first) if isinstance(first, str) else None
+        if form is None:
+            values[name], comma = table.numbers(
+                cells, shown=shown, column=name, line=line, decimal_comma=evidence, notes=notes
+            )
+            used_comma = used_comma or comma
+            continue
+        time_ns, bad = table.moments_ns(cells)
+        if bad is not None:
+            found = repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell"
+            expected, remedy = f"a time as {table.TIME_FORMATS[form]}", "correct the cell, or remove the row"
+            raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
+        epochs[name] = int(time_ns[0])
+        values[name] = (time_ns - time_ns[0]) / table.NS_PER_S
+        written[name] = str(cells[0]).strip(), table.format_words(cells)
+        text = f"times were read as {written[name][1]}"
+        notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
+    if used_comma:
+        notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+        notes += table.mixed_decimal_marks(columns, shown, line)
+    return RawTable(values, line, tuple(notes), epochs, written)
 
 
 def table_rows(

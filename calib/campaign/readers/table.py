@@ -32,6 +32,9 @@ _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 #: one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
+#: thousands with a mark before each three digits: 39.287,5 and 39 287,5; whole numbers of base 16
+_GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
+_HEX: Final = re.compile(r"0x[\da-f]+", re.ASCII | re.IGNORECASE)
 
 _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?"
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
@@ -147,7 +150,8 @@ def is_number(cell: Any) -> bool:
     if isinstance(cell, int | float):
         return True
     text = str(cell).strip().replace("−", "-")
-    return bool(_POINT_OR_COMMA.fullmatch(text)) or time_format(text) is not None
+    plain = (form.fullmatch(text) for form in (_POINT_OR_COMMA, _GROUPED, _HEX))
+    return any(plain) or time_format(text) is not None
 
 
 def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
@@ -189,7 +193,13 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 
 
 def numbers(
-    cells: npt.NDArray[Any], *, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None
+    cells: npt.NDArray[Any],
+    *,
+    shown: str,
+    column: str,
+    line: IntArray,
+    decimal_comma: bool | None = None,
+    notes: list[Note] | None = None,
 ) -> tuple[FloatArray, bool]:
     """Turn cells into numbers without guessing.
 
@@ -207,6 +217,8 @@ def numbers(
         Line of each cell.
     decimal_comma
         What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
+    notes : list of Note
+        Takes how many cells have marks between thousands, or base 16.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
@@ -216,6 +228,8 @@ def numbers(
         return values, False
     out = np.full(len(cells), np.nan)
     used_comma = False
+    marks: set[str] | None = None
+    grouped: list[tuple[str, str]] = []
     for index, cell in enumerate(cells):
         if cell is None:
             continue
@@ -224,10 +238,15 @@ def numbers(
             if text.lower() in EMPTY:
                 continue
             comma = _COMMA.fullmatch(text) is not None
-            if comma != (decimal_comma is True) and _AMBIGUOUS.fullmatch(text):
-                raise _ambiguous(shown, column, int(line[index]), text)
-            if not comma and not _POINT.fullmatch(text):
-                raise _no_number(shown, column, int(line[index]), text)
+            unclear = (comma != (decimal_comma is True) or decimal_comma is None) and _AMBIGUOUS.fullmatch(text)
+            if unclear or not (comma or _POINT.fullmatch(text)):
+                marks = _thousands(cells, decimal_comma) if marks is None else marks
+                plain = _without_marks(text, marks)
+                if plain:
+                    grouped.append((text, plain))
+                    text, comma = plain, "," in plain
+                elif not unclear or comma or "?" in marks:
+                    raise (_ambiguous if unclear else _no_number)(shown, column, int(line[index]), text)
             used_comma = used_comma or comma
             value = float(text.replace(",", "."))
         else:
@@ -235,7 +254,31 @@ def numbers(
         if not abs(value) <= LARGEST_VALUE and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
+    if grouped and notes is not None:
+        text = f"{len(grouped)} cells were read as is {grouped[0][0]!r}: as {grouped[0][1]}"
+        notes.append(Note("info", f"{shown}, column {column}", text, "thousands"))
     return out, used_comma
+
+
+def _without_marks(text: str, marks: set[str]) -> str | None:
+    """Return a number without the marks between its thousands, or one of base 16 in base 10; None for any other."""
+    if "x" in marks and _HEX.fullmatch(text):
+        return str(int(text, 16))
+    parts = _GROUPED.fullmatch(text)
+    return text.replace(parts[1], "") if parts and parts[1] in marks else None
+
+
+def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
+    """Return the marks that stand between thousands in a column; ``?``: they may; ``x``: base 16."""
+    texts = [cell.strip() for cell in cells if isinstance(cell, str)]
+    parts = [found for text in texts if (found := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
+    marks = {found[1] for found in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())
+    for mark, form, other in ((".", _POINT, True), (",", _COMMA, False)):
+        decimal = any(mark in text and form.fullmatch(text) and not _AMBIGUOUS.fullmatch(text) for text in texts)
+        marks |= {mark} if decimal_comma is other and not decimal else set()
+    whole = [int(text) for text in texts if text.isdecimal()]
+    # 300, 600, 1.200: no mark below a thousand
+    return marks | {"?"} if decimal_comma is None and whole and 100 <= min(whole) <= max(whole) < 1000 else marks
 
 
 def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
@@ -256,47 +299,13 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     for cells in columns:
         for cell in cells if cells.dtype == object else ():
             if isinstance(cell, str) and not _AMBIGUOUS.fullmatch(text := cell.strip()):
-                comma = comma or ("," in text and _COMMA.fullmatch(text) is not None)
-                point = point or ("." in text and _POINT.fullmatch(text) is not None)
+                found = _GROUPED.fullmatch(text)
+                decimal = found and (found[2] or {",": ".", ".": ","}.get(found[1]))
+                comma = comma or decimal == "," or ("," in text and _COMMA.fullmatch(text) is not None)
+                point = point or decimal == "." or ("." in text and _POINT.fullmatch(text) is not None)
         if comma and point:
             return None
     return True if comma else (False if point else None)
-
-
-def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray, notes: Sequence[Note]) -> RawTable:
-    """Return a table of columns made numeric; times of the clock become seconds since the first.
-
-    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file;
-    `notes`: what was recognised so far, to which is added where commas were read as points, and in which format times
-    were read. Raises BadFileError where a cell is no number.
-    """
-    evidence = comma_evidence(list(columns.values()))
-    values: dict[str, npt.NDArray[Any]] = {}
-    used_comma = False
-    notes = list(notes)
-    epochs: dict[str, int] = {}
-    written: dict[str, tuple[str, str]] = {}
-    for name, cells in columns.items():
-        first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
-        form = time_format(first) if isinstance(first, str) else None
-        if form is None:
-            values[name], comma = numbers(cells, shown=shown, column=name, line=line, decimal_comma=evidence)
-            used_comma = used_comma or comma
-            continue
-        time_ns, bad = moments_ns(cells)
-        if bad is not None:
-            found = repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell"
-            expected, remedy = f"a time as {TIME_FORMATS[form]}", "correct the cell, or remove the row"
-            raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
-        epochs[name] = int(time_ns[0])
-        values[name] = (time_ns - time_ns[0]) / NS_PER_S
-        written[name] = str(cells[0]).strip(), format_words(cells)
-        text = f"times were read as {written[name][1]}"
-        notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
-    if used_comma:
-        notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-        notes += mixed_decimal_marks(columns, shown, line)
-    return RawTable(values, line, tuple(notes), epochs, written)
 
 
 def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
@@ -308,7 +317,12 @@ def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, lin
     for name, cells in columns.items():
         for mark, form in ((",", _COMMA), (".", _POINT)):
             for row, cell in zip(line.tolist(), cells, strict=True):
-                if isinstance(cell, str) and mark in cell and form.fullmatch(cell.strip().replace("−", "-")):
+                if (
+                    isinstance(cell, str)
+                    and mark in cell
+                    and form.fullmatch(cell.strip())
+                    and not _AMBIGUOUS.fullmatch(cell.strip())
+                ):
                     first[mark] = min(first.get(mark, (row, name, cell)), (row, name, cell))
                     break
     if len(first) < 2:

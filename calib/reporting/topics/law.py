@@ -247,7 +247,7 @@ def _has_systematic(fit: Fit) -> bool:
 
 def declared_text(fit: Fit) -> Text:
     """Say which systematic parts are declared, or that none is and what that means for U."""
-    if _has_systematic(fit):
+    if any(": " in part.name for part in fit.radii.budget):
         return Text(
             "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
             "enter every U and every band, and more runs do not make them smaller."

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from calib.campaign.check import CheckReport
     from calib.campaign.model import Note
     from calib.campaign.settings import Encoder
-    from calib.radius.run_deviation import RunDeviations
+    from calib.radius.effective import RunDeviations
     from calib.reporting.source import Source
 
 

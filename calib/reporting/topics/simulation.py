@@ -163,7 +163,8 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
     low, high = replay.ratio_ci95
     check = replay.runtime
     sentences = (
-        f"The correction makes the end error {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
+        f"The law makes the end error {times(replay.rms_m['model'] / replay.rms_m['corrected'])} than believed; "
+        f"that radii follow the load makes it {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
         f"{high:.2f}).",
         f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays by at "
         f"most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad.",
