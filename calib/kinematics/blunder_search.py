@@ -173,7 +173,7 @@ PLAYS_RAD: Final = (0.01, 0.04)
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
-#: rate of a clock, tried from half of it on: sound clocks differ by 1e-4
+#: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
 #: slip by the yaw rate
 SLIP_S_PER_RAD: Final = 0.01
