@@ -269,7 +269,7 @@ def _clock(rate: float) -> Fault:
 
 
 def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> Recording:
-    """Return the recording with wheels that do not slip in turns."""
+    """Return the recording without slip in turns."""
     yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(nominal_turn(drive, recording.steps)), recording.t_s))
     return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
 

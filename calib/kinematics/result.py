@@ -229,7 +229,7 @@ class Geometry(Result):
         return self.verdict is GeometryVerdict.CALIBRATED
 
     def doubted(self, fault: Fault) -> Geometry:
-        """Return the result with a fault not corrected."""
+        """Return the result with a fault."""
         verdict = GeometryVerdict.DOUBTFUL if self.passed else self.verdict
         judgement = replace(self.judgement, verdict=verdict, why=(fault.text, *self.why))
         return replace(self, judgement=judgement, faults=(fault,))
