@@ -276,7 +276,7 @@ def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> 
 
 def _slip(slip_s_per_rad: float) -> Fault:
     text = f"the wheels slip by {100 * slip_s_per_rad:.2g} % per rad/s of yaw rate: radii and track hold for these "
-    return Fault("turn_slip", f"{text}turns alone; turn more slowly")
+    return Fault("turn_slip", f"{text}turns alone; turn slower")
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:
