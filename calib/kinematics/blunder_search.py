@@ -265,7 +265,7 @@ def _clocked(recording: Recording, rate: float) -> Recording:
 
 def _clock(rate: float) -> Fault:
     text = f"t_s: the reference's clock runs {100 * abs(rate):.2g} % {'fast' if rate > 0.0 else 'slow'} beside the "
-    return Fault("clock_rate", f"{text}counts'; stamp both by one clock, or divide its times by {1.0 + rate:.5g}")
+    return Fault("clock_rate", f"{text}counts'; stamp both by one clock or divide its times by {1.0 + rate:.5g}")
 
 
 def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> Recording:
