@@ -6,7 +6,7 @@ itself; a blunder is named only where its correction leaves a small part of the 
 
 A departure is one more parameter, a change of the recording of unknown size that no residual need show. It is fitted
 beside the parameters of the vehicle in the linearised problem. It is named where its size is beyond noise, by the
-scatter between groups of segments, and where it explains more of the residual than is left without it.
+scatter between groups of segments, and of whole runs, where it explains more of the residual than is left without it.
 """
 
 from __future__ import annotations
@@ -14,15 +14,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import STEERING_SCALE, Drive, Parameters, first_scales, moved_between, parameters_of
+from calib.kinematics.drives import (
+    STEERING_SCALE,
+    Drive,
+    Parameters,
+    first_scales,
+    moved_between,
+    nominal_turn,
+    parameters_of,
+)
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import Change, Reading, readings, unchanged
@@ -154,48 +163,46 @@ def _trimmed(squares: FloatArray) -> float:
 
 #: standard deviations by which a size must stand out: a few departures are tried, with the scatter of few groups
 CLEAR: Final = 6.0
+#: of slip: sound runs have up to 2.2
+CLEAR_SLIP: Final = 4.5
 #: share of the weighted squares, noise included, that a departure must explain
 EXPLAINED: Final = 0.5
-#: plays of a steering that are tried, rad: its size is found from the nearest
-PLAYS_RAD: Final = (0.005, 0.01, 0.02, 0.04, 0.08)
+#: plays of a steering that are tried, rad
+PLAYS_RAD: Final = (0.01, 0.04)
 #: shifts in time of a steering angle that are tried, s: from half the least on, which is no step of a log any more
-SHIFTS_S: Final = (0.1, 0.3)
+SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
-SizedChange = Callable[[Recording, float], Recording]
+#: rate of a clock: sound clocks differ by 1e-4
+CLOCK_RATE: Final = 5e-4
+#: slip by the yaw rate
+SLIP_S_PER_RAD: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Departure:
     """A change of the recording of a size that a fit tells, and its name."""
 
-    change: SizedChange
+    change: Callable[[Recording, float], Recording]
     #: size at which the residuals are differentiated
     step: float
     named: Callable[[float], Fault]
+    share: float = EXPLAINED
+    clear: float = CLEAR
 
 
-def find_departure(fitted: Fitted) -> tuple[Recording, Fault] | None:
-    """Return the recording corrected for the departure that explains most, and its name; None where none is clear."""
-    best, chosen = (0.0, 0.0), None
+def find_departure(fitted: Fitted) -> tuple[Departure, float] | None:
+    """Return the departure that explains most, and its size; None where none is clear."""
+    most, found = 0.0, None
     for departure in _departures(fitted.model):
-        share, size, std = _score(fitted, departure)
-        clear = share >= EXPLAINED and abs(size) >= CLEAR * std and size > LEAST_SIZE * departure.step
-        if clear and share > best[0]:
-            best, chosen = (share, size), departure
-    if chosen is None:
-        return None
-    size = best[1]
-    # the residuals are not linear in the size: it is found again from where it was found
-    for _ in range(SIZE_ROUNDS):
-        again = _score(fitted, replace(chosen, step=size))[1]
-        if not LEAST_SIZE * size < again < size / LEAST_SIZE:
-            break
-        size = again
-    return chosen.change(fitted.model.recording, size), chosen.named(size)
+        share, size, std = score(fitted, departure)
+        clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
+        if clear and share >= departure.share and share > most:
+            most, found = share, (departure, size)
+    return found
 
 
-def _score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
+def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     """Return the share of the squares that a departure explains, its size, and the standard uncertainty of that."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
@@ -216,15 +223,13 @@ def _score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     pulls = np.bincount(group, column * (rest - steps * column))
     std = float(np.sqrt(np.square(pulls).sum())) / information
     share = 1.0 - float(np.square(rest - steps * column).sum() / max(float(rest @ rest), 1e-300))
-    return share, steps * departure.step, std * departure.step
+    return share, steps * departure.step, std * abs(departure.step)
 
 
 #: runs from which on they are the groups, not blocks of them
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one that was tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
-#: times that a size is found again: of a play by then to a few per cent
-SIZE_ROUNDS: Final = 4
 
 
 def _remeasured(segments: Segments, recording: Recording) -> Segments:
@@ -237,16 +242,41 @@ def _remeasured(segments: Segments, recording: Recording) -> Segments:
 
 def _departures(model: Model) -> Iterator[Departure]:
     """Yield the departures that a recording can show."""
-    if model.recording.steps.steer_rad is not None:
-        yield from (Departure(_without_play, play_rad, _play) for play_rad in PLAYS_RAD)
-        for sign, shift_s in product((1.0, -1.0), SHIFTS_S):
-            yield Departure(partial(_shifted, sign=sign), shift_s, partial(_shift, sign=sign))
-    if model.segments.are_runs_of(model.recording):
+    whole = model.segments.are_runs_of(model.recording)
+    share = EXPLAINED if whole else 0.0
+    if model.recording.steps.steer_rad is None:
+        yield Departure(partial(_without_slip, drive=model.drive), SLIP_S_PER_RAD, _slip, share, CLEAR_SLIP)
+    else:
+        yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
+        yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
+    if whole:
         # all begin at the same heading: an axis of the reference is then one of the vehicle, which may slide along it
         return
-    for axis, name in enumerate(("ref_x_m", "ref_y_m")):
-        for sign in (1.0, -1.0):
-            yield Departure(partial(_stretched, axis=axis, sign=sign), AXIS_SCALE, partial(_axis, name=name, sign=sign))
+    for sign in (1.0, -1.0):
+        yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        for axis, name in enumerate(("ref_x_m", "ref_y_m")):
+            yield Departure(partial(_stretched, axis=axis), sign * AXIS_SCALE, partial(_axis, name=name))
+
+
+def _clocked(recording: Recording, rate: float) -> Recording:
+    """Return the recording with a faster clock of the reference."""
+    return replace(recording, clock_rate=recording.clock_rate + rate)
+
+
+def _clock(rate: float) -> Fault:
+    text = f"t_s: the reference's clock runs {100 * abs(rate):.2g} % {'fast' if rate > 0.0 else 'slow'} beside the "
+    return Fault("clock_rate", f"{text}counts'; stamp both by one clock or divide its times by {1.0 + rate:.5g}")
+
+
+def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> Recording:
+    """Return the recording without slip in turns."""
+    yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(nominal_turn(drive, recording.steps)), recording.t_s))
+    return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
+
+
+def _slip(slip_s_per_rad: float) -> Fault:
+    text = f"the wheels slip by {100 * slip_s_per_rad:.2g} % per rad/s of yaw rate: radii and track hold for these "
+    return Fault("turn_slip", f"{text}turns alone; turn slower")
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:
@@ -263,40 +293,33 @@ def _without_play(recording: Recording, play_rad: float) -> Recording:
 
 
 def _play(play_rad: float) -> Fault:
-    text = (
-        f"steer_rad: the wheels follow it with a play of {1e3 * play_rad:.3g} mrad, by the direction of the last turn; "
-        "take the play out of the steering, or log the angle of the wheels"
-    )
-    return Fault("steering_play", text)
+    text = f"steer_rad: the wheels follow it with a play of {1e3 * play_rad:.3g} mrad, by the direction of the last "
+    return Fault("steering_play", f"{text}turn; take it out of the steering, or log the angle of the wheels")
 
 
-def _shifted(recording: Recording, shift_s: float, sign: float) -> Recording:
-    """Return the recording with the steering angle a time later, or earlier where the sign is negative."""
+def _shifted(recording: Recording, shift_s: float) -> Recording:
+    """Return the recording with the steering angle a time later."""
     steer = np.asarray(recording.steps.steer_rad).copy()
     for first, last in pairwise(recording.offsets.tolist()):
         t_s = recording.t_s[first:last]
-        steer[first:last] = np.interp(t_s - sign * shift_s, t_s, steer[first:last])
+        steer[first:last] = np.interp(t_s - shift_s, t_s, steer[first:last])
     return recording.with_steering(steer)
 
 
-def _shift(shift_s: float, sign: float) -> Fault:
-    late = "after it: the wheels follow a command late" if sign > 0.0 else "before it: it is filtered or stamped late"
-    text = (
-        f"steer_rad: the vehicle steers {shift_s:.2g} s {late}; log the angle of the wheels by the clock of the counts"
-    )
-    return Fault("steering_shift", text)
+def _shift(shift_s: float) -> Fault:
+    late = "after it: the wheels follow a command late"
+    late = late if shift_s > 0.0 else "before it: it is filtered or stamped late"
+    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late}; log the angle of the wheels by the clock of "
+    return Fault("steering_shift", f"{text}the counts")
 
 
-def _stretched(recording: Recording, share: float, axis: int, sign: float) -> Recording:
+def _stretched(recording: Recording, share: float, axis: int) -> Recording:
     """Return the recording with one axis of the reference's positions longer by a share."""
     factors = np.ones(3)
-    factors[axis] += sign * share
+    factors[axis] += share
     return replace(recording, reference=(recording.reference.T * factors).T, end_pose=recording.end_pose * factors)
 
 
-def _axis(share: float, name: str, sign: float) -> Fault:
-    text = (
-        f"{name}: distances along this axis are {100 * share:.3g} % too {'short' if sign > 0 else 'long'} beside the "
-        "other; calibrate the tracking system or the camera"
-    )
-    return Fault("axis_scale", text)
+def _axis(share: float, name: str) -> Fault:
+    text = f"{name}: distances along this axis are {100 * abs(share):.3g} % too {'short' if share > 0 else 'long'} "
+    return Fault("axis_scale", f"{text}beside the other; calibrate the tracking system or the camera")

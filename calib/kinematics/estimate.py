@@ -15,7 +15,7 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
-from calib.kinematics.blunder_search import find_blunder, find_departure
+from calib.kinematics.blunder_search import find_blunder, find_departure, score
 from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.drives import SENSOR, nominal_turn, parameters_of
 from calib.kinematics.joint_fit import (
@@ -49,6 +49,8 @@ AS_GOOD: Final = 1.25
 BENT_RAD: Final = 0.1
 #: fits in which each recording's own delay is found, where one for all will not do
 DELAY_ROUNDS: Final = 3
+#: fits in which the size of a departure is found; its last change
+SIZE_ROUNDS, SIZE_FOUND = 6, 0.05
 
 
 def estimate_geometry(
@@ -103,11 +105,10 @@ def estimate_geometry(
         sensor = False
     elif fit.geometry.misfit:
         fit = _without_blunder(task, recording) or fit
-    free = sensor is None and using is None and not task.sensor
-    judgement = fit.geometry.judgement
+    geometry, judgement = fit.geometry, fit.geometry.judgement
+    asked = sensor is not None or using or task.sensor
     # the place of a sensor explains nothing that differs between sessions
-    free = free and not (judgement.position.apart or judgement.heading.apart)
-    if free and not (fit.geometry.passed or fit.geometry.faults):
+    if not (asked or judgement.position.apart or judgement.heading.apart or geometry.passed or geometry.faults):
         fit = _with_sensor(task, recording, fit) or fit
     geometry = fit.geometry if fit.geometry.faults else _without_departure(fit)
     if leave_out is not None:
@@ -171,13 +172,25 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 
 
 def _without_departure(fit: _Fit) -> Geometry:
-    """Return the geometry of the recording with a departure corrected, where nothing else is then left unexplained."""
-    found = find_departure(fit.fitted)
+    """Return the geometry with a departure corrected, where that moves it and leaves nothing else unexplained."""
+    found, geometry = find_departure(fit.fitted), fit.geometry
     if found is None:
-        return fit.geometry
-    recording, fault = found
-    corrected = _fitted(fit.task, recording, (fault,)).geometry
-    return fit.geometry if corrected.misfit else corrected
+        return geometry
+    departure, size = found
+    # a delay that grows looks like several
+    recording = replace(fit.fitted.model.recording, own_delay_s=None)
+    for _ in range(SIZE_ROUNDS):
+        fault = departure.named(size)
+        other = _fitted(fit.task, departure.change(recording, size), (fault,))
+        more = score(other.fitted, departure)[1]
+        if settled := abs(more) < SIZE_FOUND * abs(size):
+            break
+        size += more
+    corrected = other.geometry
+    moved = any(abs(corrected.values[each.name] - each.value) > each.half_width for each in geometry.estimates)
+    if not (settled and (departure.share or moved)) or (corrected.misfit and geometry.misfit):
+        return geometry
+    return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 
 
 def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:

@@ -207,7 +207,7 @@ def _at_times(
     run = recording.run[used]
     low, high = recording.offsets[run], recording.offsets[run + 1] - 1
     t_s = recording.t_s
-    delay = delay_s + recording.delay_added_s[run]
+    delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
     # samples are few steps away, so a global search on time within runs is done with shifted clocks
     shift = np.concatenate(([0.0], np.cumsum(t_s[recording.offsets[1:] - 1] + 1.0)))[:-1]

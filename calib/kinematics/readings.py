@@ -42,9 +42,11 @@ COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four t
 TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
 
 #: a step so many times as large as those beside it, and above a revolution, is no motion
-JUMP_FACTOR: Final = 20.0
+JUMP_FACTOR: Final = 8.0
 #: jumps a run, on average; more are a counter that wraps
 MOST_JUMPS: Final = 2.0
+#: how far its jumps differ: wheels speed up
+ALIKE: Final = 0.1
 #: gear ratios tried, near enough to each other for the scale of the steering angle to be found from one of them
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
@@ -88,7 +90,7 @@ def readings(
         yield from _geared()
     yield from _wraps(recording, per_rev)
     yield from _increments(recording)
-    yield from _jumps(recording)
+    yield from _jumps(recording, per_rev)
     if recording.steps.steer_rad is not None:
         yield from _steering(recording.steps.steer_rad)
 
@@ -240,13 +242,17 @@ def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
         wraps = largest > 0.5 * period
         if not wraps.any() or float(largest.max()) > 1.01 * period:
             continue
-        text = f"counts overflow at {what} and were not unwrapped; state wrap_bits in [encoder], or unwrap them"
+        yield _wrapped(f"{what} and were not unwrapped; state wrap_bits in [encoder], or", period)
 
-        def unwrapped(recording: Recording, period: float = period) -> Recording:
-            turned = recording.steps.turned_rad
-            return recording.with_turned(turned - period * np.rint(turned / period))
 
-        yield Reading(Fault("counts_wrap", text), unwrapped)
+def _wrapped(what: str, period_rad: float) -> Reading:
+    """Return the reading of counters that overflow at a number."""
+
+    def unwrapped(recording: Recording) -> Recording:
+        turned = recording.steps.turned_rad
+        return recording.with_turned(turned - period_rad * np.rint(turned / period_rad))
+
+    return Reading(Fault("counts_wrap", f"counts overflow at {what} unwrap them"), unwrapped)
 
 
 def _increments(recording: Recording) -> Iterator[Reading]:
@@ -261,12 +267,16 @@ def _increments(recording: Recording) -> Iterator[Reading]:
         yield Reading(Fault("count_increments", text), summed)
 
 
-def _jumps(recording: Recording) -> Iterator[Reading]:
-    """Yield counters that start again, or jump: single steps far above those beside them are taken out."""
+def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
+    """Yield counters that overflow, or start again: steps far above those beside them are taken out."""
     size = np.abs(recording.steps.turned_rad)
     beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
     jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
     n_jumps = int(jumps.any(axis=0).sum())
+    modulus_rad = (size + beside)[jumps]
+    if n_jumps > MOST_JUMPS and np.ptp(modulus_rad) < ALIKE * modulus_rad[0]:
+        counts = round(float(np.median(modulus_rad)) * per_rev / (2.0 * np.pi))
+        yield _wrapped(f"{counts}, by which they jump {n_jumps} times;", 2.0 * np.pi * counts / per_rev)
     if not 0 < n_jumps <= MOST_JUMPS * len(recording):
         return
 

@@ -58,6 +58,8 @@ class Recording:
     left_out: tuple[tuple[str, str], ...] = ()
     #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
+    #: how much the reference's clock is fast, relative
+    clock_rate: float = 0.0
 
     def __len__(self) -> int:
         return len(self.run_id)

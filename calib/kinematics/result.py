@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -227,6 +227,12 @@ class Geometry(Result):
     def passed(self) -> bool:
         """Whether the estimates are to be used."""
         return self.verdict is GeometryVerdict.CALIBRATED
+
+    def doubted(self, fault: Fault) -> Geometry:
+        """Return the result with a fault."""
+        verdict = GeometryVerdict.DOUBTFUL if self.passed else self.verdict
+        judgement = replace(self.judgement, verdict=verdict, why=(fault.text, *self.why))
+        return replace(self, judgement=judgement, faults=(fault,))
 
     @property
     def table(self) -> DataFrame:

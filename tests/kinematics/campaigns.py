@@ -35,6 +35,9 @@ class Truth:
     slope_right: float = 0.0
     sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay_s: float = 0.0
+    #: how much faster the reference's clock runs, and what the wheels slip per rad/s
+    clock_rate: float = 0.0
+    slip_s_per_rad: float = 0.0
 
 
 def driven(legs: Sequence[Leg]) -> tuple[np.ndarray, np.ndarray]:
@@ -89,6 +92,7 @@ def campaign(
         left = truth.radius_left_m + truth.slope_left * load[0]
         right = truth.radius_right_m + truth.slope_right * load[1]
         phi = np.stack([(way - 0.5 * truth.track_m * turn) / left, (way + 0.5 * truth.track_m * turn) / right])
+        phi *= 1.0 + truth.slip_s_per_rad * np.abs(turn) * len(turn) / duration_s
         noisy = turn + rng.normal(size=len(turn)) * walk * np.sqrt(np.abs(way) + 0.1 * np.abs(turn))
         pose = seen_from(path(way, noisy), truth.sensor)
         t = np.linspace(0.0, duration_s, len(way) + 1)
@@ -97,7 +101,7 @@ def campaign(
         log = {"t_s": t[at], "counts_left": counts[0, at], "counts_right": counts[1, at]}
         noise = np.array([sigma[0], sigma[0], sigma[1]])
         if along:
-            late = np.stack([np.interp(t[at] - truth.delay_s, t, axis) for axis in pose])
+            late = np.stack([np.interp(t[at] * (1.0 - truth.clock_rate) - truth.delay_s, t, axis) for axis in pose])
             late = late + noise[:, None] * rng.normal(size=late.shape)
             log |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), late, strict=True))
         logs.append(log)

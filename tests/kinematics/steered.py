@@ -47,15 +47,16 @@ def write(
     days: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
     turned_rad: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     drive: str = "tricycle",
+    along: bool = False,
 ) -> Path:
-    """Write a campaign of end poses in sessions.
+    """Write a campaign of end poses in sessions, or of poses along the path, of twice the noise.
 
     `wheel`: angle of the wheels by that of the sensor, in a session; `days`: factors on the radius, by session;
     `turned_rad`: by how much the reference's frame is turned, by session.
     """
     rng = np.random.default_rng(1)
     (folder / "logs").mkdir(parents=True)
-    rows = ["run_id,session,ref_x_m,ref_y_m,ref_theta_rad,log"]
+    rows = ["run_id,log"] if along else ["run_id,session,ref_x_m,ref_y_m,ref_theta_rad,log"]
     column = "counts_front" if drive == "tricycle" else "counts_rear"
     for number in range(runs):
         session, sensor = number * len(days) // runs, free_angle(rng)
@@ -74,8 +75,14 @@ def write(
         logged = np.interp(np.arange(len(counts)), np.arange(len(sensor)) + 0.5, sensor)
         log = np.column_stack([np.arange(len(counts)) * STEP_S, counts, logged])
         head = f"t_s,{column},steer_rad"
+        if along:
+            path = np.stack([np.cumsum(ahead * np.cos(middle)), np.cumsum(ahead * np.sin(middle)), heading], axis=1)
+            noise = 2.0 * rng.normal(0.0, (SIGMA_M, SIGMA_M, SIGMA_RAD), (len(log), 3))
+            log = np.column_stack([log, np.vstack([np.zeros(3), path]) + noise])
+            head += ",ref_x_m,ref_y_m,ref_theta_rad"
         np.savetxt(folder / f"logs/r{number}.csv", log, "%.6g", ",", header=head, comments="")
-        rows.append(f"r{number},d{session},{x:.5f},{y:.5f},{theta:.5f},logs/r{number}.csv")
+        end_pose = "" if along else f"d{session},{x:.5f},{y:.5f},{theta:.5f},"
+        rows.append(f"r{number},{end_pose}logs/r{number}.csv")
     (folder / "runs.csv").write_text("\n".join(rows) + "\n")
     odometry = '[odometry]\nfrom = "front"\n' if drive == "tricycle" else ""
     (folder / "campaign.toml").write_text(

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
+from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.result import Geometry
 from tests.blunders import plant
 from tests.blunders.blunders import TRICYCLE, Change, columns_times
-from tests.kinematics import steered
+from tests.kinematics import campaigns, steered
+from tests.kinematics.campaigns import Truth
 
 
 def faults(folder: Path, change: Change | None) -> dict[str, str]:
@@ -59,3 +63,73 @@ def test_a_wheelbase_that_no_vehicle_has_leads_to_the_steering_too(tmp_path: Pat
     settings.write_text(settings.read_text().replace("wheelbase_m = 1.0", "wheelbase_m = 0.7"))
     found = estimate_geometry(read_campaign(folder))
     assert any("play or lag of the steering acts alike: see 'calib diagnose'" in sentence for sentence in found.why)
+
+
+def played(angle: steered.Array, play_rad: float) -> steered.Array:
+    """Return the angle of wheels that follow with a play."""
+    wheel, out = 0.0, []
+    for sensor in angle:
+        wheel = min(max(wheel, sensor - 0.5 * play_rad), sensor + 0.5 * play_rad)
+        out.append(wheel)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("play_rad", [0.0, 0.03])
+def test_play_is_named_along_the_path_of_a_car(play_rad: float, tmp_path: Path) -> None:
+    """It was within the noise of short windows, and the scale of the steering made up for it."""
+    folder = steered.write(
+        tmp_path / "c", lambda angle, _: played(angle, play_rad), runs=5, drive="ackermann", along=True
+    )
+    found = estimate_geometry(read_campaign(folder))
+    assert found.using == "windows"
+    assert found.passed is (play_rad == 0.0)
+    for name, truth in (("steering_scale", 1.0), ("wheelbase_m", steered.WHEELBASE_M)):
+        # two intervals of 95 %: beyond four standard uncertainties
+        if name not in found.undetermined:
+            assert abs(found[name].value - truth) < 2.0 * found[name].half_width
+    if play_rad:
+        text = {fault.code: fault.text for fault in found.faults}["steering_play"]
+        assert float(text.partition("play of ")[2].partition(" mrad")[0]) == pytest.approx(30.0, rel=0.1)
+
+
+#: legs at several speeds and yaw rates, since each lasts as long
+ROUTE = [(2.0, 0.0), (0.0, 0.0), (1.0, 1.5), (0.0, -2.0), (3.0, 0.5), (0.0, 0.0), (1.5, -2.5), (0.5, 1.0)]
+
+
+def along(truth: Truth) -> Geometry:
+    """Return the geometry by windows of four recordings of a minute, two of them mirrored."""
+    routes = [("route", [(way, sense * turn) for way, turn in ROUTE]) for sense in (1, -1, 1, -1)]
+    rng = np.random.default_rng(1)
+    made = campaigns.campaign(routes, truth, rng, along=True, walk=1e-3, duration_s=60.0, samples=1200)
+    return estimate_geometry(made, using="windows")
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.005, -0.002])
+def test_a_clock_at_another_rate_is_named_and_the_radii_corrected(rate: float) -> None:
+    truth = Truth(delay_s=0.06, clock_rate=rate)
+    found = along(truth)
+    assert found.passed is (rate == 0.0)
+    for name in ("radius_left_m", "radius_right_m", "track_m"):
+        assert abs(found[name].value - getattr(truth, name)) < 2.0 * found[name].half_width
+    if rate:
+        text = {fault.code: fault.text for fault in found.faults}["clock_rate"]
+        per_cent, _, sense = text.partition("runs ")[2].partition(" % ")
+        assert float(per_cent) == pytest.approx(100.0 * abs(rate), rel=0.1)
+        assert sense.startswith("fast" if rate > 0.0 else "slow")
+
+
+@pytest.mark.parametrize("slip_s_per_rad", [0.0, 0.02])
+def test_slip_that_grows_with_the_yaw_rate_is_doubtful(slip_s_per_rad: float) -> None:
+    found = along(Truth(slip_s_per_rad=slip_s_per_rad))
+    assert found.verdict is (GeometryVerdict.DOUBTFUL if slip_s_per_rad else GeometryVerdict.CALIBRATED)
+    assert [fault.code for fault in found.faults] == ["turn_slip"] * bool(slip_s_per_rad)
+
+
+def test_counters_that_wrap_at_any_number_are_named() -> None:
+    """At 30,000 counts; the estimate is that of the counts unwrapped."""
+    made = campaigns.campaign(campaigns.mixed(2), Truth(), np.random.default_rng(1), samples=2000)
+    columns = {name: part % 30000 if name.startswith("counts") else part for name, part in made.logs.columns.items()}
+    found = estimate_geometry(replace(made, logs=replace(made.logs, columns=columns)))
+    assert [fault.code for fault in found.faults] == ["counts_wrap"]
+    assert "30000" in found.faults[0].text
+    assert found.ratio("radius_right_m", "radius_left_m").value == pytest.approx(0.0498 / 0.0505, rel=1e-3)
