@@ -180,14 +180,17 @@ def _without_departure(fit: _Fit) -> Geometry:
     # a delay that grows looks like several
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
     for _ in range(SIZE_ROUNDS):
-        fault = departure.named(size)
-        other = _fitted(fit.task, departure.change(recording, size), (fault,))
+        other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
         more = score(other.fitted, departure)[1]
         if settled := abs(more) < SIZE_FOUND * abs(size):
             break
+        if (
+            other.geometry.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)
+        ):  # near, and something else is left
+            return geometry
         size += more
     corrected = other.geometry
-    moved = any(abs(corrected.values[each.name] - each.value) > each.half_width for each in geometry.estimates)
+    moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
     if not (settled and (departure.share or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
