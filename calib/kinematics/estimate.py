@@ -182,14 +182,11 @@ def _without_departure(fit: _Fit) -> Geometry:
     for _ in range(SIZE_ROUNDS):
         other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
         more = score(other.fitted, departure)[1]
-        if settled := abs(more) < SIZE_FOUND * abs(size):
+        corrected, settled = other.geometry, abs(more) < SIZE_FOUND * abs(size)
+        # near its size, and something else is left all the same
+        if settled or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
-        if (
-            other.geometry.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)
-        ):  # near, and something else is left
-            return geometry
         size += more
-    corrected = other.geometry
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
     if not (settled and (departure.share or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
