@@ -71,8 +71,6 @@ def run(
     document = verdict_document(diagnosis)
     terminal.show(diagnosis_full(diagnosis))
     terminal.say(ran)
-    if apply is not None:
-        _apply(diagnosis, read, effects, apply)
     terminal.save(result, document)
     if html is not None:
         terminal.save(html, _page(diagnosis, read))
@@ -82,19 +80,28 @@ def run(
         terminal.draw(lambda: gap_figures(diagnosis), figures)
     terminal.emit_json(document)
     step = after_diagnosis(diagnosis, simulator=simulator is not None)
+    if apply is not None:
+        step = _apply(diagnosis, read, effects, apply) or step
     odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown"} else ()
-    terminal.then("diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6])
+    terminal.then(
+        "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
+    )
     return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
-def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path) -> None:
-    """Write the model with its correction, and say so where that is not recommended.
+def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path) -> str:
+    """Write the model with its correction, and say so where that is not recommended or nothing is to be written.
 
-    `effects` are those that the model has already; None for a simulator, of which the parameters to set are written.
+    Returns the step that it was, empty where what the diagnosis leads to holds. `effects` are those that the model has
+    already; None for a simulator, of which the parameters to set are written.
     """
     from calib.gap.apply import applied_model
+    from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.simulator.fix import parameters_to_set
 
+    if diagnosis.kind is VerdictKind.NO_GAP:
+        terminal.say(f"{target} is not written: there is no gap, so the model stays as it is.")
+        return ""
     if effects is None:
         terminal.save(target, parameters_to_set(diagnosis))
     else:
@@ -102,6 +109,8 @@ def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSectio
     if not diagnosis.recommended:
         what = "parameters are" if effects is None else "model is"
         terminal.say(f"The written {what} not recommended: see above what speaks against it.")
+        return ""
+    return "" if effects is None else "diagnose --apply"
 
 
 def _page(diagnosis: Diagnosis, campaign: Campaign) -> str:

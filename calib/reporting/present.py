@@ -137,6 +137,7 @@ STEPS: Final = {
     "geometry --output": "'calib export {file} --to ros2 --output params'; "
     "'calib diagnose {c} --model {file}' for what is left.",
     "diagnose": "'calib plan {c}' names the runs that settle it; drive them, then diagnose again.",
+    "diagnose --apply": "'calib diagnose {c} --model {file}' for what is left.",
     "diagnose no_gap": "nothing to correct; 'calib diagnose {c}' again once tyres, floor or loads change.",
     "diagnose recommended": "'calib diagnose {c} --apply corrected.json' writes the corrected model.",
     "diagnose simulator": "'calib diagnose {c} --simulator {sim} --apply parameters.json' writes what to set; "
