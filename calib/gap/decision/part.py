@@ -71,7 +71,7 @@ def sure_part(
         *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
         *unsized(evidence, kept, unexplained),
     ]
-    # the calibration that a cause left out would look like is moved only where nothing else helps
+    # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried = _tried(evidence, names, beside, acting)
         # without a dropped cause, what is left is the unexplained residual
