@@ -248,7 +248,7 @@ def replay(
     import numpy as np
 
     from calib.campaign.read import read_campaign
-    from calib.coefficients.export import coefficients_of, effects_left_out
+    from calib.coefficients.file import coefficients_of, effects_left_out
     from calib.odometry.replay import replay as replay_runs
     from calib.reporting.files import replay_trajectories, write_replay
     from calib.reporting.topics.simulation import replay_content

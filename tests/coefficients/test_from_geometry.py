@@ -10,8 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.coefficients.build import from_geometry
-from calib.coefficients.export import export
-from calib.coefficients.file import CoefficientFile, load_coefficients
+from calib.coefficients.file import CoefficientFile, export, load_coefficients
 from calib.coefficients.formats import LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry

@@ -13,8 +13,7 @@ import pytest
 from calib.campaign.settings import Encoder
 from calib.cli.main import run
 from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.file import CoefficientFile, export
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.errors import BadInputError, CalibError
 from calib.radius.law import RadiusLaw

@@ -15,8 +15,7 @@ import yaml
 
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.file import CoefficientFile, export
 from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, ros2
 from calib.coefficients.formats.ros2 import CONTROLLERS, OF_DRIVE
 from calib.errors import BadInputError, RefusedError

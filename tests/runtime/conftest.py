@@ -12,8 +12,7 @@ import pytest
 
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.file import CoefficientFile, export
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.vehicle import Vehicle
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.lags import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
+from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs import add_recognised, from_first_sample, in_log, log_column, refuse_incomplete

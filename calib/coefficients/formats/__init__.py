@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import templates_of
+from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -50,6 +52,22 @@ class LoadPair:
     left_N: float
     right_N: float
     name: str = ""
+
+
+def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
+    """Return load points from texts in N: ``600`` for both wheels, ``500,700`` for left and right."""
+    pairs = []
+    for text in texts:
+        parts = text.split(",")
+        try:
+            values = [float(part) for part in parts]
+        except ValueError:
+            values = []
+        # the comparison also refuses NaN
+        if len(values) not in (1, 2) or not all(0.0 <= value < float("inf") for value in values):
+            raise BadInputError(f"load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
+        pairs.append(LoadPair(values[0], values[-1]))
+    return tuple(pairs)
 
 
 @dataclass(frozen=True, slots=True)
