@@ -248,7 +248,8 @@ def replay(
     import numpy as np
 
     from calib.campaign.read import read_campaign
-    from calib.coefficients.file import coefficients_of, effects_left_out
+    from calib.coefficients.build import coefficients_of
+    from calib.coefficients.file import effects_left_out
     from calib.odometry.replay import replay as replay_runs
     from calib.reporting.files import replay_trajectories, write_replay
     from calib.reporting.topics.simulation import replay_content

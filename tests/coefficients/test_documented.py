@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from calib.coefficients.file import CoefficientFile, export
+from calib.coefficients.build import export
+from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions
 from calib.coefficients.formats.ros2 import CONTROLLERS
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import from_geometry
-from calib.coefficients.file import CoefficientFile, export, load_coefficients
+from calib.coefficients.build import export, from_geometry
+from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry

@@ -10,7 +10,8 @@ import pytest
 import yaml
 from scipy.special import stdtrit
 
-from calib.coefficients.file import CoefficientFile, export
+from calib.coefficients.build import export
+from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, parse_loads
 from calib.errors import BadInputError, RefusedError
 

@@ -11,7 +11,8 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.write import write_campaign
-from calib.coefficients.file import CoefficientFile, coefficients_of
+from calib.coefficients.build import coefficients_of
+from calib.coefficients.file import CoefficientFile
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.odometry.integrate import end_poses, loads_in_steps, travel_from_counts
