@@ -97,7 +97,6 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
 
 
 def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
-    """Return the mapped columns of a recording."""
     wanted = WantedColumns(line.column for line in lines.values())
     recording = read_recording(path, shown, wanted if lines else None)
     if any(line.column not in recording.column_names for line in lines.values()):
