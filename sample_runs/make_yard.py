@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.plant.design import Design
 from calib.plant.make import make_campaign
 from calib.plant.signal import rivals, strengths

@@ -183,10 +183,9 @@ def export(
     mapping of str to str
         Text of each file by its name.
     """
-    from calib.coefficients.build import from_geometry
-    from calib.coefficients.export import coefficients_from, parse_loads, place
-    from calib.coefficients.export import export as rendered
-    from calib.coefficients.formats import ExportOptions
+    from calib.coefficients.build import coefficients_from, from_geometry
+    from calib.coefficients.build import export as rendered
+    from calib.coefficients.formats import ExportOptions, parse_loads, place
 
     options = ExportOptions(loads=parse_loads([str(load) for load in loads]), controllers=tuple(controllers))
     if isinstance(source, Geometry):

@@ -157,7 +157,6 @@ def read_logs(
 
 
 def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
-    """Yield the logs in their order."""
     n_bytes = 0
     for _, _, path, _ in files:
         with suppress(OSError):

@@ -17,8 +17,8 @@ from calib.campaign.log_reading import read_logs
 from calib.campaign.logs import log_files, rewrap_total
 from calib.campaign.model import Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
-from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import read_settings
+from calib.campaign.tables import run_table
 from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, odometry_source, on_one_axle, with_counts, without_rear_wheels
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import inside, settle, sha256_file

@@ -1,11 +1,13 @@
-"""Read ``campaign.toml``: sections with defaults, every value checked, units in key names converted and noted."""
+"""``campaign.toml``, read (defaults, every value checked, units in key names converted and noted) and written."""
 
 from __future__ import annotations
 
+import datetime
+import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +19,14 @@ from calib import errors
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import SPEED_COUNT_M, Encoder, Odometry, OdometryModel, Rangefinder, Reference, recognise
-from calib.errors import SETTINGS_BYTES, BadFileError, refuse_beyond, refuse_hostile_document, refuse_hostile_keys
+from calib.errors import (
+    SETTINGS_BYTES,
+    BadFileError,
+    BadInputError,
+    refuse_beyond,
+    refuse_hostile_document,
+    refuse_hostile_keys,
+)
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-campaign/1"
@@ -159,7 +168,6 @@ def _adapter(section: str) -> TypeAdapter[Any]:
 
 
 def _known(section: str) -> tuple[str, ...]:
-    """Return the keys of a section."""
     names = (field.name for field in fields(_SECTIONS[section]) if field.name not in _NO_KEYS)
     return (*_FURTHER_KEYS.get(section, ()), *names)
 
@@ -257,3 +265,95 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
         raise BadFileError(shown, found, expected, "correct the line") from error
     refuse_hostile_document(document, shown)
     return document
+
+
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
+#: keys that are written only where they differ from their default, so that a plain campaign stays plain
+_WHERE_GIVEN: Final = frozenset({"drive", "kind", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
+
+
+def to_toml(document: Mapping[str, Any]) -> str:
+    """Return `document` as TOML: plain keys first, then one section a nested mapping.
+
+    Raises BadInputError where a value cannot be written (a number that is not finite, None, an unknown type).
+    """
+    lines: list[str] = []
+    _section(document, (), lines)
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def _section(table: Mapping[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
+    plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
+    if path and (plain or not table):
+        lines += ["", f"[{'.'.join(_key(part) for part in path)}]"]
+    lines += [f"{_key(key)} = {toml_value(value, key)}" for key, value in plain.items()]
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            _section(value, (*path, key), lines)
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _text(key)
+
+
+def _text(text: str) -> str:
+    # JSON's escapes are TOML's, but for DEL
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_value(value: Any, key: str = "value") -> str:
+    """Return a value as TOML on one line; see `to_toml`."""
+    if isinstance(value, datetime.datetime | datetime.date | datetime.time):
+        return value.isoformat()
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(str(k))} = {toml_value(v, str(k))}" for k, v in value.items()) + "}"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(toml_value(item, key) for item in value) + "]"
+    if isinstance(value, int | float) and math.isfinite(value):
+        return json.dumps(value)
+    raise BadInputError(
+        f"{key}: found {value!r}; expected a text, number or list that TOML can hold; correct the value"
+    )
+
+
+def written_settings(campaign: Campaign) -> dict[str, object]:
+    """Return the document of a campaign's settings, for `to_toml`."""
+    document: dict[str, object] = {
+        "format": FORMAT,
+        "name": campaign.name,
+        "simulated": bool(campaign.simulated),
+        **({"assumed": list(campaign.assumed)} if campaign.assumed else {}),
+        **{key: _plain(getattr(campaign, key)) for key in ("vehicle", "encoder", "model", "rangefinder", "reference")},
+        "encoder": _encoder_keys(campaign.encoder),
+    }
+    if campaign.odometry.source is not None:
+        document["odometry"] = {"from": campaign.odometry.source}
+    for key, value in campaign.extra.items():
+        own = document.get(key)
+        if isinstance(value, Mapping) and isinstance(own, dict):
+            document[key] = {**value, **own}
+        elif key not in document:
+            document[key] = value
+    return document
+
+
+def _plain(section: Any) -> dict[str, float | str]:
+    """Return the keys of a section that have a value; those that were added with a default only where they differ."""
+    values = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
+    return {
+        name: value if isinstance(value, str) else float(value)
+        for name, (value, default) in values.items()
+        if isinstance(value, (str, int, float)) and (name not in _WHERE_GIVEN or value != default)
+    }
+
+
+def _encoder_keys(encoder: Encoder) -> dict[str, float | str]:
+    """Return the keys of an encoder, whole numbers as such, one key for both wheels where they count alike."""
+    given = _plain(encoder)
+    values = {key: int(x) if isinstance(x, float) and x.is_integer() else x for key, x in given.items()}
+    if values["counts_per_rev_left"] == values["counts_per_rev_right"]:
+        values = {"counts_per_rev": values.pop("counts_per_rev_left")} | values
+        del values["counts_per_rev_right"]
+    return values

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.challenge.cases import Truth, campaigns_of, truth_of
 from calib.challenge.recipe import read_seeds, recipes
 from calib.documents import plain, to_json

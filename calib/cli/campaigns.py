@@ -162,7 +162,7 @@ def run(
     """
     refuse_workers(workers)
     from calib.fleet.store import any_simulated
-    from calib.reporting.files import Heads, write_fleet, write_survey
+    from calib.reporting.pages import Heads, write_fleet, write_survey
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content, survey_content
 

@@ -63,8 +63,8 @@ def export(
 
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
-    from calib.coefficients.export import coefficients_of, export, parse_loads
-    from calib.coefficients.formats import ExportOptions
+    from calib.coefficients.build import coefficients_of, export
+    from calib.coefficients.formats import ExportOptions, parse_loads
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
@@ -109,7 +109,7 @@ def _of_other_format(source: Path, to: str, output: Path | None, accept: str) ->
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
     """Write the files, or their text to standard output, or into the JSON where that goes there."""
-    from calib.coefficients.export import place
+    from calib.coefficients.formats import place
 
     if output is not None:
         files = place(artifacts, output, force=terminal.forced())

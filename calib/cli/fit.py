@@ -10,7 +10,7 @@ from calib.cli.terminal import Number, Place, Texts, arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
-    from calib.coefficients.export import Source
+    from calib.coefficients.build import Source
     from calib.radius.result import Fit
     from calib.reporting.blocks import Block
 
@@ -73,7 +73,7 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
     """Return the coefficients that a simulator believes, and the load to fit at."""
     if model is None:
         return None, reference_load
-    from calib.coefficients.export import coefficients_of
+    from calib.coefficients.build import coefficients_of
 
     if reference_load is not None:
         raise BadInputError(
@@ -84,7 +84,7 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
 
 
 def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[Block, ...]]:
-    from calib.coefficients.export import effects_left_out
+    from calib.coefficients.file import effects_left_out
     from calib.radius.result import compare_laws
     from calib.reporting.topics.fit import comparison_content
 

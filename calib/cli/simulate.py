@@ -51,7 +51,7 @@ def finish(
     simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
 ) -> None:
     """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
-    from calib.reporting.files import simulation_trajectories, write_simulation
+    from calib.reporting.pages import simulation_trajectories, write_simulation
     from calib.reporting.topics.simulation import simulation_content
 
     written: list[Path] = []
@@ -248,9 +248,10 @@ def replay(
     import numpy as np
 
     from calib.campaign.read import read_campaign
-    from calib.coefficients.export import coefficients_of, effects_left_out
+    from calib.coefficients.build import coefficients_of
+    from calib.coefficients.file import effects_left_out
     from calib.odometry.replay import replay as replay_runs
-    from calib.reporting.files import replay_trajectories, write_replay
+    from calib.reporting.pages import replay_trajectories, write_replay
     from calib.reporting.topics.simulation import replay_content
 
     terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())

@@ -117,7 +117,7 @@ def show(blocks: Iterable[Block | Section]) -> None:
     heed()
     stream = sys.stderr if wants_stdout() else sys.stdout
     lines = text_lines(blocks, min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST))
-    if _is_coloured(stream):
+    if stream.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb":
         from rich.console import Console
         from rich.text import Text
 
@@ -253,10 +253,6 @@ def waiting(what: str) -> Iterator[None]:
     with Console(stderr=True).status(f"{what} ..."):
         yield
     heed()
-
-
-def _is_coloured(stream: Any) -> bool:
-    return bool(stream.isatty()) and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
 
 
 def visible(text: str) -> str:

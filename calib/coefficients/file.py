@@ -219,6 +219,14 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
     )
 
 
+def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
+    """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none."""
+    if not file.effects:
+        return ()
+    names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
+    return (f"{what}: {names} of the model; its radius laws and its track alone are used",)
+
+
 def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
     loads = floats(load_N)
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value

@@ -16,8 +16,8 @@ import numpy as np
 from calib.campaign.model import Border, Campaign, Logs
 from calib.campaign.read import loads_from_payload, read_campaign
 from calib.campaign.readers import read_table
-from calib.campaign.runs_file import run_table
 from calib.campaign.settings_file import read_settings
+from calib.campaign.tables import run_table
 from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet import comparison

@@ -354,7 +354,6 @@ def _identify(address: str) -> None:
 
 
 def _unpacked(header: Any, frames: Any) -> list[Any]:
-    """Run a task on items that came as bytes."""
     from distributed.protocol import deserialize
 
     task, items = deserialize(header, frames)

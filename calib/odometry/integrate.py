@@ -90,7 +90,6 @@ def _halved(flat: Flat) -> tuple[Flat, ...]:
 
 
 def _fill_compiled(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
-    """Write the poses after steps laid flat, exact arcs, in machine code."""
     pose = np.ascontiguousarray(flat.pose[:, flat.runs])
     machine_code()((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
 

@@ -80,7 +80,8 @@ class AxleLaw:
 
 def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
     """Return the law of a campaign, a result folder or a coefficient file; `track_m` replaces the vehicle's track."""
-    from calib.coefficients.export import coefficients_of, effects_left_out
+    from calib.coefficients.build import coefficients_of
+    from calib.coefficients.file import effects_left_out
 
     source = coefficients_of(path)
     file = source.file

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
 from calib.io import write_bytes
 from calib.plant.make import make_campaign, random_model

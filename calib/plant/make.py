@@ -235,7 +235,7 @@ def make_campaign(
     model: OdometryModel | None = None,
     name: str = "campaign",
 ) -> Campaign:
-    """Drive a design in a world with a known truth, in memory; see `calib.campaign.write.write_campaign`.
+    """Drive a design in a world with a known truth, in memory; see `calib.campaign.tables.write_campaign`.
 
     `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap. `noise`, `model`
     (what the simulator believes): drawn at random where missing.

@@ -61,7 +61,6 @@ def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[s
 
 
 def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[_Run]:
-    """Return conditions in which routes, loads, sides and speeds vary apart."""
     payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
     sides = [-0.15, 0.0, 0.15]
     quick = [0.25, 0.35, 0.5, 0.65] if "three_speeds" in need else [0.25, 0.35, 0.5, 0.65, 0.8]

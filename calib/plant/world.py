@@ -338,8 +338,13 @@ class Form:
     #: ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
     #: ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
     #: ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn)
-    needs: frozenset[str] = frozenset()
+    words: str = ""
     knobs: Draw = _NO_KNOBS  #: what else there is to choose, once a case
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """The words of what a design must have."""
+        return frozenset(self.words.split())
 
 
 @dataclass(frozen=True, slots=True)

@@ -226,7 +226,6 @@ def tested(
 
 
 def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    """Return the probability of a larger F."""
     from scipy.special import fdtrc
 
     return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))

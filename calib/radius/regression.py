@@ -229,7 +229,6 @@ class WheelFit:
 
 
 def _covariance(rows: Any) -> FloatArray:
-    """Return the covariance of a radius and its slope, shape (2, 2)."""
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != (2, 2) or not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0.0).all()):
         raise ValueError(f"{str(rows)[:60]} where the covariance of radius and slope, 2 by 2, is expected")

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses
 from tests.benchmarks import measured, reading_bag, test_odometry

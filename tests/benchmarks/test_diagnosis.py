@@ -20,7 +20,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from calib.campaign.model import Campaign, Logs
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.gap import diagnose as whole
 from calib.gap.inference import linear_model, local_search, noise
 from calib.plant.make import make_campaign

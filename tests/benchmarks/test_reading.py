@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from calib.campaign.read import read_campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from tests.campaign.making import campaign
 
 ROUNDS, MOST_ROUNDS = 4, 40

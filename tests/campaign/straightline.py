@@ -19,7 +19,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.vehicle import Vehicle
 
 RADIUS_M = 0.1

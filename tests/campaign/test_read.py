@@ -7,7 +7,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.errors import BadFileError
 from tests.campaign.making import campaign
 

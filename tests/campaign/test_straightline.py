@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from tests.campaign.straightline import COUNTS_PER_REV, RADIUS_M, convert
 
 

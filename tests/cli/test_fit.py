@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.cli.main import run
 from calib.radius.result import read_result
 from calib.reporting.content import compose

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.cli.main import run
 from tests.kinematics.campaigns import Truth, campaign, mixed
 

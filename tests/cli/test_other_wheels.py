@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.cli.main import run
 from tests.kinematics.campaigns import mecanum, tricycle
 

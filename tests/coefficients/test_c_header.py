@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.coefficients.export import export
+from calib.coefficients.build import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats.c_and_csv import FixedPoint, fixed_point
 from calib.coefficients.sections import EffectSection, WheelSection

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from calib.coefficients.export import export
+from calib.coefficients.build import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions
 from calib.coefficients.formats.ros2 import CONTROLLERS

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import from_geometry
-from calib.coefficients.export import export
+from calib.coefficients.build import export, from_geometry
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import LoadPair
 from calib.errors import ImplausibleError

@@ -12,8 +12,7 @@ import pytest
 
 from calib.campaign.settings import Encoder
 from calib.cli.main import run
-from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
+from calib.coefficients.build import Header, export, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.errors import BadInputError, CalibError

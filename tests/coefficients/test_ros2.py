@@ -14,8 +14,7 @@ import pytest
 import yaml
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
+from calib.coefficients.build import Header, export, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, ros2
 from calib.coefficients.formats.ros2 import CONTROLLERS, OF_DRIVE

@@ -10,9 +10,9 @@ import pytest
 import yaml
 from scipy.special import stdtrit
 
-from calib.coefficients.export import export, parse_loads
+from calib.coefficients.build import export
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair
+from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, parse_loads
 from calib.errors import BadInputError, RefusedError
 
 

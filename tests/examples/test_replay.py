@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.coefficients.export import coefficients_of, export
+from calib.coefficients.build import coefficients_of, export
 from calib.runtime import Odometer, Status
 
 SAMPLE = Path(__file__).parents[2] / "sample_runs" / "corridor_crossed"

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.fleet.comparison import VehicleResult
 from calib.fleet.run import survey_fleet
 from calib.plant.make import make_campaign

@@ -15,7 +15,7 @@ from calib.fleet import store
 from calib.fleet.run import fit_fleet, survey_fleet
 from calib.fleet.store import SUMS
 from calib.io import sha256_file
-from calib.reporting.files import Heads, write_fleet
+from calib.reporting.pages import Heads, write_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,7 +18,7 @@ from calib.fleet.run import survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.fleet import make_posed_fleet
-from calib.reporting.files import Heads, write_survey
+from calib.reporting.pages import Heads, write_survey
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12

@@ -48,7 +48,7 @@ def test_what_a_geometry_found_is_not_named_again(driven: Campaign, tmp_path: Pa
 def test_a_file_without_a_geometry_leaves_the_sensor_as_stated(
     driven: Campaign, project_root: Path, tmp_path: Path
 ) -> None:
-    from calib.coefficients.export import coefficients_of
+    from calib.coefficients.build import coefficients_of
 
     path = tmp_path / "law.json"
     path.write_bytes(coefficients_of(project_root / "sample_runs" / "corridor_crossed").file.to_bytes())

@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
 from calib.kinematics.estimate import estimate_geometry

@@ -11,7 +11,7 @@ import pytest
 
 from calib.api import report
 from calib.campaign.model import Campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from calib.cli.main import run as calib
 from calib.kinematics.estimate import estimate_geometry, traces_of
 from calib.kinematics.result import Geometry, RunTrace

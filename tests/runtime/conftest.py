@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import Header, from_law
-from calib.coefficients.export import export
+from calib.coefficients.build import Header, export, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.vehicle import Vehicle

@@ -21,7 +21,7 @@ from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
 from calib.campaign.settings_file import parse_settings
-from calib.campaign.write import csv_bytes, write_campaign
+from calib.campaign.tables import csv_bytes, write_campaign
 from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
@@ -146,7 +146,6 @@ def ingest(
 
 
 def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
-    """Read the run table and the logs, and put them together."""
     first, table = paths[0], _run_table(paths[0], work)
     files = listed_files(paths if table is None else paths[1:])
     if table is None and work.mapping.table_file is not None:
@@ -305,7 +304,6 @@ def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
 
 
 def _file_and_column(where: str) -> tuple[str, str]:
-    """Return file and column of a place, without its row."""
     file, _, place = where.partition(", ")
     column = re.search(r"column .*", place)
     return file, column[0] if column else "" if place.startswith("row") else place

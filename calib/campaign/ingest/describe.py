@@ -17,8 +17,7 @@ from calib.campaign.ingest.proposal_table import file_lines, table_lines
 from calib.campaign.ingest.runs import listed_files
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
-from calib.campaign.settings_file import FORMAT, STATED
-from calib.campaign.write import to_toml, toml_value
+from calib.campaign.settings_file import FORMAT, STATED, to_toml, toml_value
 from calib.documents import plain
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.lags import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
+from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs import add_recognised, from_first_sample, in_log, log_column, refuse_incomplete
@@ -97,7 +97,6 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
 
 
 def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
-    """Return the mapped columns of a recording."""
     wanted = WantedColumns(line.column for line in lines.values())
     recording = read_recording(path, shown, wanted if lines else None)
     if any(line.column not in recording.column_names for line in lines.values()):

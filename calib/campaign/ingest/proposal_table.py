@@ -15,7 +15,7 @@ from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.settings import recognise
-from calib.campaign.write import toml_value
+from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix
 
 #: characters of a remark that lists units

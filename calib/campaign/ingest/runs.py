@@ -16,8 +16,8 @@ from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColum
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
 from calib.campaign.readers.table import is_filled, object_array
-from calib.campaign.runs_file import run_table
 from calib.campaign.settings import bracketed, converted, recognise
+from calib.campaign.tables import run_table
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
 
@@ -112,7 +112,6 @@ def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:
-    """Note the rows that name no session where others do."""
     rows = [str(int(row)) for cell, row in zip(cells, raw.line, strict=True) if not is_filled(cell)]
     if 0 < len(rows) < len(cells):
         text = (

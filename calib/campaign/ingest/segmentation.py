@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.ingest.lags import continuous_counts
+from calib.campaign.ingest.guesses import continuous_counts
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
 from calib.campaign.ingest.mapping import Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, with_number

@@ -1,4 +1,4 @@
-"""Readers: one file a format, tables and recordings alike; a new format is one file and one line here."""
+"""Readers of tables and recordings; a new format is one function and one line here."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = [
     "READERS", "Layout", "RawTable", "Wanted", "holds_recording", "is_bag_folder", "read_recording", "read_table",
 ]  # fmt: skip
 
-#: suffix -> module of this package, imported when first needed. It holds ``read(path, shown, wanted, layout)``, which
-#: returns a `RawTable`, or ``record(path, shown, wanted)``, which returns a `Recording`. `shown` is the file's name in
-#: messages; `wanted` picks the columns and makes them numeric, None keeps everything as read.
+#: suffix -> module and function of this package, imported when first needed: ``read…(path, shown, wanted, layout)``,
+#: which returns a `RawTable`, or ``record…(path, shown, wanted)``, which returns a `Recording`. `shown` is the file's
+#: name in messages; `wanted` picks the columns and makes them numeric, None keeps everything as read.
 READERS: Final[dict[str, str]] = {
-    ".csv": "delimited",
-    ".tsv": "delimited",
-    ".txt": "delimited",
-    ".parquet": "parquet",
-    ".xlsx": "workbook",
-    ".tdms": "tdms",
-    ".bag": "ros",
-    ".mcap": "ros",
-    ".db3": "ros",
-    ".mat": "matlab",
-    ".tum": "recording",
+    ".csv": "delimited.read",
+    ".tsv": "delimited.read",
+    ".txt": "delimited.read",
+    ".parquet": "workbook.read_parquet",
+    ".xlsx": "workbook.read_sheet",
+    ".tdms": "daq.record_tdms",
+    ".bag": "ros.record",
+    ".mcap": "ros.record",
+    ".db3": "ros.record",
+    ".mat": "daq.record_mat",
+    ".tum": "recording.record",
 }
 #: a rosbag2 recording is a folder with this file
 BAG_METADATA: Final = "metadata.yaml"
@@ -45,13 +45,13 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     row where they are known; else they are looked for. Columns under the names found in the file. Raises BadFileError
     where the file is missing, of an unknown format or damaged, or a reader's extra is not installed.
     """
-    module = _module(path, shown)
+    read = _reader(path, shown)
     try:
-        if hasattr(module, "record"):
+        if holds_recording(path):
             from calib.campaign.readers.recording import joined_table
 
-            return joined_table(module.record(path, shown, wanted))
-        table: RawTable = module.read(path, shown, wanted, layout or Layout())
+            return joined_table(read(path, shown, wanted))
+        table: RawTable = read(path, shown, wanted, layout or Layout())
     except OSError as error:
         raise _unreadable(shown, error) from error
     return table
@@ -64,11 +64,11 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     column. A `WantedColumns` lets whole topics be passed over. Raises BadFileError as `read_table`; and where the file
     is a table.
     """
-    module = _module(path, shown)
-    if not hasattr(module, "record"):
+    record = _reader(path, shown)
+    if not holds_recording(path):
         raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
     try:
-        recording: Recording = module.record(path, shown, wanted)
+        recording: Recording = record(path, shown, wanted)
     except OSError as error:
         raise _unreadable(shown, error) from error
     return recording
@@ -76,8 +76,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
 
 def holds_recording(path: Path) -> bool:
     """Return whether a path is of a format that holds streams rather than one table."""
-    name = _module_name(path)
-    return name is not None and hasattr(importlib.import_module(f"{__name__}.{name}"), "record")
+    return ".record" in _name(path)
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -85,19 +84,21 @@ def is_bag_folder(path: Path) -> bool:
     return path.is_dir() and (path / BAG_METADATA).is_file()
 
 
-def _module_name(path: Path) -> str | None:
-    return "ros" if path.name == BAG_METADATA or is_bag_folder(path) else READERS.get(path.suffix.lower())
+def _name(path: Path) -> str:
+    suffix = ".bag" if path.name == BAG_METADATA or is_bag_folder(path) else path.suffix.lower()
+    return READERS.get(suffix, "")
 
 
-def _module(path: Path, shown: str) -> Any:
-    name = _module_name(path)
-    if name is None:
+def _reader(path: Path, shown: str) -> Callable[..., Any]:
+    module, _, function = _name(path).partition(".")
+    if not module:
         expected = f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording"
         raise BadFileError(shown, f"the suffix {path.suffix!r}", expected, "export the table in one of these formats")
     if not path.is_file() and not is_bag_folder(path):
         found = "a folder or special file" if path.exists() else "no such file"
         raise BadFileError(shown, found, "a readable file", "correct the path or put the file there")
-    return importlib.import_module(f"{__name__}.{name}")
+    reader: Callable[..., Any] = getattr(importlib.import_module(f"{__name__}.{module}"), function)
+    return reader
 
 
 def _unreadable(shown: str, error: OSError) -> BadFileError:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import templates_of
+from calib.errors import BadInputError
+from calib.io import refuse_existing, write_bytes, write_files
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -52,6 +56,22 @@ class LoadPair:
     name: str = ""
 
 
+def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
+    """Return load points from texts in N: ``600`` for both wheels, ``500,700`` for left and right."""
+    pairs = []
+    for text in texts:
+        parts = text.split(",")
+        try:
+            values = [float(part) for part in parts]
+        except ValueError:
+            values = []
+        # the comparison also refuses NaN
+        if len(values) not in (1, 2) or not all(0.0 <= value < float("inf") for value in values):
+            raise BadInputError(f"load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
+        pairs.append(LoadPair(values[0], values[-1]))
+    return tuple(pairs)
+
+
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
     """Choices of an export; a format ignores those that it has no use for."""
@@ -78,6 +98,25 @@ class ExportOptions:
     def has_controller_choices(self) -> bool:
         """Whether an option was chosen that only controllers have."""
         return bool(self.controllers) or not self.position_feedback or self.open_loop
+
+
+def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
+    """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.
+
+    Returns ``path`` and ``sha256`` of each. Raises BadInputError where a file exists and `force` is False; nothing is
+    then written.
+    """
+    single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
+    targets = [output if single else output / artifact.name for artifact in artifacts]
+    refuse_existing(targets, force=force)
+    if single:
+        write_bytes(output, artifacts[0].data, force=force)
+    else:
+        write_files(output, {artifact.name: artifact.data for artifact in artifacts}, force=force)
+    return [
+        {"path": str(target), "sha256": hashlib.sha256(artifact.data).hexdigest()}
+        for target, artifact in zip(targets, artifacts, strict=True)
+    ]
 
 
 def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:

@@ -131,22 +131,20 @@ def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
 _PULL_WAVES = drawn(wave_x_m=(5.0, 9.0), wave_y_m=(6.0, 12.0), phase_rad=(-np.pi, np.pi))
 
 
-_LOADS_AND_TEMPERATURES = frozenset({"loads", "temperatures"})
-
 FLOOR = (
-    Form("floor_slope", "plain", 3e-4, "1", _slope, frozenset({"directions", "poses"}), _slope_knobs),
-    Form("floor_zone", "distance", 3e-3, "m/m", _zone_distance, frozenset({"corridor", "directions"}), _zone_knobs),
-    Form("floor_zone", "heading", 3e-3, "m/m", _zone_heading, frozenset({"corridor", "directions"}), _zone_knobs),
-    Form("floor_undulation", "plain", 4e-4, "1", _undulation, frozenset({"lanes"})),
-    Form("path_weave", "plain", 0.05, "m", _weave, frozenset({"corridor", "no_logs", "laser"}), _weave_knobs),
+    Form("floor_slope", "plain", 3e-4, "1", _slope, "directions poses", _slope_knobs),
+    Form("floor_zone", "distance", 3e-3, "m/m", _zone_distance, "corridor directions", _zone_knobs),
+    Form("floor_zone", "heading", 3e-3, "m/m", _zone_heading, "corridor directions", _zone_knobs),
+    Form("floor_undulation", "plain", 4e-4, "1", _undulation, "lanes"),
+    Form("path_weave", "plain", 0.05, "m", _weave, "corridor no_logs laser", _weave_knobs),
 )
 
 OUTSIDE = (
-    Form("outside:load_by_temperature", "plain", 8e-4, "1", _load_by_temperature, _LOADS_AND_TEMPERATURES),
-    Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, frozenset({"three_speeds"}), _middle_speed),
-    Form("outside:left_only", "plain", 1e-2, "1", _left_only, frozenset({"turns", "bends", "poses"})),
-    Form("outside:hidden", "plain", 6e-4, "1", _hidden, frozenset({"poses"}), _seeded),
-    Form("outside:map_pull", "plain", 1.5e-3, "rad/m", _pull, frozenset({"poses", "turns", "directions"}), _PULL_WAVES),
+    Form("outside:load_by_temperature", "plain", 8e-4, "1", _load_by_temperature, "loads temperatures"),
+    Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, "three_speeds", _middle_speed),
+    Form("outside:left_only", "plain", 1e-2, "1", _left_only, "turns bends poses"),
+    Form("outside:hidden", "plain", 6e-4, "1", _hidden, "poses", _seeded),
+    Form("outside:map_pull", "plain", 1.5e-3, "rad/m", _pull, "poses turns directions", _PULL_WAVES),
 )
 
 
@@ -157,9 +155,6 @@ def _beam(world: World, size: FloatArray, _knobs: Knobs) -> None:
 def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.ref_lever_x_m = world.ref_lever_x_m + size * np.cos(knobs["towards_rad"])
     world.ref_lever_y_m = world.ref_lever_y_m + size * np.sin(knobs["towards_rad"])
-
-
-# counters
 
 
 @while_driving
@@ -188,12 +183,6 @@ def _blunder(kind: str) -> Act:
     return act
 
 
-# steering sensor
-
-
-# payload as reported
-
-
 def _payload_mass(world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the heaviest label's mass is not what it says
     wrong = world.design.payload_kg == world.design.payload_kg.max()
@@ -216,30 +205,28 @@ def _outside_scheme(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 _TOWARDS = drawn(towards_rad=(-np.pi, np.pi))
-_LASER = frozenset({"laser", "corridor", "lengths", "turns", "poses"})
-_LABELS = frozenset({"loads", "slope", "poses"})
-_FRONT = frozenset({"front"})
+_LASER = "laser corridor lengths turns poses"
 
 INSTRUMENTS = (
     Form("rangefinder_scale", "plain", 1.5e-3, "1", scaled("laser_scale"), _LASER),
     Form("rangefinder_offset", "plain", 5e-3, "m", added("laser_offset_m"), _LASER),
     Form("beam_misalignment", "plain", 0.05, "rad", _beam, _LASER),
-    Form("reference_lever_arm", "plain", 8e-3, "m", _lever, frozenset({"turns", "poses"}), _TOWARDS),
-    Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), frozenset({"poses", "turns"})),
-    Form("reference_latency", "plain", 0.05, "s", added("latency_s"), frozenset({"flying", "speeds", "poses"})),
-    Form("lost_counts", "squared", 1e-3, "1", _lost_with_speed, frozenset({"speeds", "poses"}), either_side),
-    Form("lost_counts", "threshold", 1e-3, "1", _lost_above, frozenset({"speeds", "poses"}), either_side),
-    Form("lost_counts", "constant", 2e-3, "1", _lost_constant, frozenset({"poses"}), either_side),
+    Form("reference_lever_arm", "plain", 8e-3, "m", _lever, "turns poses", _TOWARDS),
+    Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
+    Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
+    Form("lost_counts", "squared", 1e-3, "1", _lost_with_speed, "speeds poses", either_side),
+    Form("lost_counts", "threshold", 1e-3, "1", _lost_above, "speeds poses", either_side),
+    Form("lost_counts", "constant", 2e-3, "1", _lost_constant, "poses", either_side),
     *(
-        Form("encoder_gross", kind, 1.0, "1", _blunder(kind), frozenset({"poses", "turns"}))
+        Form("encoder_gross", kind, 1.0, "1", _blunder(kind), "poses turns")
         for kind in ("double_left", "quad_both", "pi_right", "swapped", "sign_left", "half_right")
     ),
-    Form("steering_zero", "plain", 5e-3, "rad", added("steer_zero_rad"), _FRONT),
-    Form("steering_scale", "plain", 1.5e-2, "1", scaled("steer_scale"), _FRONT | {"bends"}),
-    Form("steering_backlash", "plain", 8e-3, "rad", added("steer_backlash_rad"), _FRONT | {"turns"}),
-    Form("steering_delay", "plain", 0.1, "s", added("steer_delay_s"), _FRONT | {"flying", "turns", "speeds"}),
-    Form("payload_mass", "plain", 0.15, "1", _payload_mass, _LABELS | {"offsets"}),
-    Form("payload_position", "sideways", 0.02, "m", _payload_moved("payload_dy_m"), _LABELS),
-    Form("payload_position", "lengthwise", 0.04, "m", _payload_moved("payload_dx_m"), _LABELS),
-    Form("integration_scheme", "plain", 1.0, "1", _outside_scheme, frozenset({"outside", "turns", "poses"})),
+    Form("steering_zero", "plain", 5e-3, "rad", added("steer_zero_rad"), "front"),
+    Form("steering_scale", "plain", 1.5e-2, "1", scaled("steer_scale"), "front bends"),
+    Form("steering_backlash", "plain", 8e-3, "rad", added("steer_backlash_rad"), "front turns"),
+    Form("steering_delay", "plain", 0.1, "s", added("steer_delay_s"), "front flying turns speeds"),
+    Form("payload_mass", "plain", 0.15, "1", _payload_mass, "loads slope poses offsets"),
+    Form("payload_position", "sideways", 0.02, "m", _payload_moved("payload_dy_m"), "loads slope poses"),
+    Form("payload_position", "lengthwise", 0.04, "m", _payload_moved("payload_dx_m"), "loads slope poses"),
+    Form("integration_scheme", "plain", 1.0, "1", _outside_scheme, "outside turns poses"),
 )

@@ -175,28 +175,25 @@ COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 FORMS = (
     Form("radius_scale", "plain", 3e-3, "1", scaled("left", "right")),
-    Form("unequal_radii", "plain", 1.5e-3, "1", _unequal, frozenset({"poses"})),
-    Form("track_width", "plain", 1e-2, "1", scaled("track"), frozenset({"turns"})),
-    Form("load_radius", "plain", 8e-6, "1/N", _load_linear, frozenset({"loads"}), _WHEEL_SLOPES),
-    Form("load_radius", "power", 8e-6, "1/N", _load_power, frozenset({"loads"}), _MILD_POWER),
-    Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, frozenset({"loads"}), _WHEEL_SLOPES),
+    Form("unequal_radii", "plain", 1.5e-3, "1", _unequal, "poses"),
+    Form("track_width", "plain", 1e-2, "1", scaled("track"), "turns"),
+    Form("load_radius", "plain", 8e-6, "1/N", _load_linear, "loads", _WHEEL_SLOPES),
+    Form("load_radius", "power", 8e-6, "1/N", _load_power, "loads", _MILD_POWER),
+    Form("load_radius", "dynamic", 8e-6, "1/N", _load_dynamic, "loads", _WHEEL_SLOPES),
     *(
-        Form("load_radius_nonlinear", form, 8e-6, "1/N", _load_power, frozenset({"loads", "offsets"}), knobs)
+        Form("load_radius_nonlinear", form, 8e-6, "1/N", _load_power, "loads offsets", knobs)
         for form, knobs in _POWERS.items()
     ),
-    Form("load_creep", "plain", 2e-6, "1/N", _creep_one, frozenset({"loads", "dwell"}), _CREEP_TIME),
-    Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, frozenset({"loads", "dwell"}), _CREEP_TIME),
-    Form("wheel_eccentricity", "plain", 2e-4, "m", _eccentric, frozenset({"trace"}), _PHASES),
-    Form("temperature_radius", "plain", 6e-5, "1/K", _warm, frozenset({"temperatures"})),
-    Form("temperature_radius", "stiffness", 6e-5, "1/K", _warm_stiffness, frozenset({"temperatures"})),
-    Form("wear", "plain", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _WEAR_RATES),
-    Form("wear", "running_in", 2e-4, "1/session", _wear, frozenset({"sessions", "poses"}), _RUNNING_IN),
-    Form("session_step", "plain", 5e-4, "1", _session, frozenset({"sessions"}), _session_knobs),
-    Form("session_step", "one_session", 4e-4, "1", _session, frozenset({"sessions"}), _one_session),
-    *(
-        Form(f"covariate:{name}", "plain", 5e-4, "1/sd", _column, frozenset({f"column:{name}"}), _named(name))
-        for name in COLUMNS
-    ),
+    Form("load_creep", "plain", 2e-6, "1/N", _creep_one, "loads dwell", _CREEP_TIME),
+    Form("load_creep", "two_times", 2e-6, "1/N", _creep_two, "loads dwell", _CREEP_TIME),
+    Form("wheel_eccentricity", "plain", 2e-4, "m", _eccentric, "trace", _PHASES),
+    Form("temperature_radius", "plain", 6e-5, "1/K", _warm, "temperatures"),
+    Form("temperature_radius", "stiffness", 6e-5, "1/K", _warm_stiffness, "temperatures"),
+    Form("wear", "plain", 2e-4, "1/session", _wear, "sessions poses", _WEAR_RATES),
+    Form("wear", "running_in", 2e-4, "1/session", _wear, "sessions poses", _RUNNING_IN),
+    Form("session_step", "plain", 5e-4, "1", _session, "sessions", _session_knobs),
+    Form("session_step", "one_session", 4e-4, "1", _session, "sessions", _one_session),
+    *(Form(f"covariate:{name}", "plain", 5e-4, "1/sd", _column, f"column:{name}", _named(name)) for name in COLUMNS),
 )
 
 
@@ -308,18 +305,18 @@ def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 MOVING = (
-    Form("speed_radius", "plain", 3e-4, "s/m", _speed, frozenset({"speeds"})),
-    Form("speed_radius", "squared", 3e-4, "s/m", _speed_squared, frozenset({"speeds"})),
-    Form("curve_load_transfer", "plain", 1e-5, "1/N", _transfer, frozenset({"turns", "speeds", "loads", "poses"})),
-    Form("curve_load_transfer", "roll", 1e-5, "1/N", _transfer_roll, frozenset({"turns", "speeds", "loads", "poses"})),
-    Form("load_dependent_track", "plain", 1e-5, "1/N", _loaded_track, frozenset({"turns", "loads", "poses"})),
-    Form("load_dependent_track", "soft", 1e-5, "1/N", _loaded_track_soft, frozenset({"turns", "loads", "poses"})),
-    Form("curve_scrub", "plain", 2e-2, "m", _scrub, frozenset({"bends", "poses"})),
-    Form("curve_scrub", "torque", 2e-2, "m", _scrub_torque, frozenset({"bends", "poses"})),
-    Form("side_slip", "plain", 1e-2, "s2/m", _side_slip, frozenset({"turns", "speeds", "poses"})),
-    Form("braking_skid", "plain", 8e-4, "m", _skid, frozenset({"stops", "speeds"})),
-    Form("rear_drag", "plain", 5e-4, "1", _drag, frozenset({"directions", "poses"}), either_side),
-    Form("travel_direction", "plain", 1e-3, "1", _direction, frozenset({"directions"})),
-    Form("drive_slip", "plain", 5e-3, "1", _drive_slip, frozenset({"front", "stops"})),
-    Form("drive_slip", "soft", 5e-3, "1", _drive_slip_soft, frozenset({"front", "stops"})),
+    Form("speed_radius", "plain", 3e-4, "s/m", _speed, "speeds"),
+    Form("speed_radius", "squared", 3e-4, "s/m", _speed_squared, "speeds"),
+    Form("curve_load_transfer", "plain", 1e-5, "1/N", _transfer, "turns speeds loads poses"),
+    Form("curve_load_transfer", "roll", 1e-5, "1/N", _transfer_roll, "turns speeds loads poses"),
+    Form("load_dependent_track", "plain", 1e-5, "1/N", _loaded_track, "turns loads poses"),
+    Form("load_dependent_track", "soft", 1e-5, "1/N", _loaded_track_soft, "turns loads poses"),
+    Form("curve_scrub", "plain", 2e-2, "m", _scrub, "bends poses"),
+    Form("curve_scrub", "torque", 2e-2, "m", _scrub_torque, "bends poses"),
+    Form("side_slip", "plain", 1e-2, "s2/m", _side_slip, "turns speeds poses"),
+    Form("braking_skid", "plain", 8e-4, "m", _skid, "stops speeds"),
+    Form("rear_drag", "plain", 5e-4, "1", _drag, "directions poses", either_side),
+    Form("travel_direction", "plain", 1e-3, "1", _direction, "directions"),
+    Form("drive_slip", "plain", 5e-3, "1", _drive_slip, "front stops"),
+    Form("drive_slip", "soft", 5e-3, "1", _drive_slip_soft, "front stops"),
 )

@@ -36,12 +36,8 @@ Text = Annotated[str, Field(min_length=1, max_length=1000)]
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
 
 
-def _iso_date(value: object) -> object:
-    return date.fromisoformat(value) if isinstance(value, str) else value
-
-
 #: a date, or its text as YYYY-MM-DD
-Day = Annotated[date, BeforeValidator(_iso_date)]
+Day = Annotated[date, BeforeValidator(lambda day: date.fromisoformat(day) if isinstance(day, str) else day)]
 
 
 class _Section(BaseModel):
@@ -141,7 +137,6 @@ def certificate_of(section: Any, where: str) -> Certificate:
 
 
 def _required(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Yield the keys that have to be stated."""
     for name, field in model.model_fields.items():
         if not field.is_required():
             continue

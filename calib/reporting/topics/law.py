@@ -241,10 +241,6 @@ def budget_picture(fit: Fit) -> Picture:
     )
 
 
-def _has_systematic(fit: Fit) -> bool:
-    return any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
-
-
 def declared_text(fit: Fit) -> Text:
     """Say which systematic parts are declared, or that none is and what that means for U."""
     if any(": " in part.name for part in fit.radii.budget):
@@ -261,7 +257,7 @@ def declared_text(fit: Fit) -> Text:
 
 def law_budget(fit: Fit) -> Table:
     """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
-    systematic = _has_systematic(fit)
+    systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []
     for name, wheel in fit.wheels.items():
         parts = [wheel.estimate.cov_within, wheel.estimate.cov_between]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.campaign.ingest.lags import estimate_lag
+from calib.campaign.ingest.guesses import estimate_lag
 
 #: 60 recordings: a 95 % interval misses more than 8 of them with probability below 1 %
 RECORDINGS, MOST_MISSES = 60, 8

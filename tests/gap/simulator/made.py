@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.write import write_campaign
+from calib.campaign.tables import write_campaign
 from examples.numpy_simulator.simulator import simulate
 from tests.gap.effects.making import SQUARE, STRAIGHT, Run, campaign
 

@@ -1,19 +1,24 @@
-"""Turn a raw run table into the `RunTable` that later stages read."""
+"""A raw run table becomes the `RunTable` that later stages read; a campaign a folder, of the same bytes each time."""
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import chain
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.model import LABEL_COLUMNS, NUMERIC_COLUMNS, Border, RunTable
+from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Border, Campaign, RunTable
 from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
 from calib.campaign.settings import Recognised, converted, look_alike, recognise, second_column
-from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, refuse_beyond
+from calib.campaign.settings_file import to_toml, written_settings
+from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, BadInputError, refuse_beyond
+from calib.io import write_folder
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
@@ -174,11 +179,11 @@ def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> 
     return np.asarray(texts, dtype=np.str_)
 
 
-def _plain(cell: Any) -> str:
+def _plain(cell: Any, whole_below: float = np.inf) -> str:
     number = float(cell)
     if np.isnan(number):
         return ""
-    return str(int(number)) if number.is_integer() else repr(number)
+    return str(int(number)) if number.is_integer() and abs(number) < whole_below else repr(number)
 
 
 def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
@@ -202,3 +207,104 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str
             fault = BadFileError(shown, twice, "each run once", remedy, row=row, column="run_id")
             border.fault(fault, "duplicate_run", run_id)
         first.setdefault(run_id, row)
+
+
+#: what a campaign folder is made of; ``ingest`` adds its record and the recordings it cut
+_OURS: Final = ("campaign.toml", "runs.csv", "logs", "ingest.json")
+_RECORDINGS: Final = "recordings"
+_INTEGER: Final = 2.0**53
+
+
+def write_campaign(
+    campaign: Campaign,
+    folder: Path,
+    *,
+    force: bool = False,
+    log_decimals: Mapping[str, int] | None = None,
+    beside: Mapping[str, bytes] | None = None,
+) -> Path:
+    """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
+
+    Raises BadInputError where a campaign stands there and `force` is False, or the folder cannot be written.
+
+    Parameters
+    ----------
+    campaign, folder, force
+        What is written and where (other files there are left alone); whether it replaces a campaign that stands there.
+    log_decimals
+        Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
+        back exactly, and times to the nanosecond.
+    beside
+        Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
+    """
+
+    def fill(scratch: Path) -> None:
+        logs = _log_names(campaign)
+        parts = ((name, _log_bytes(campaign.logs.of(run), log_decimals or {})) for run, name in logs.items())
+        for name, data in chain(parts, (beside or {}).items()):
+            (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+            (scratch / name).write_bytes(data)
+        (scratch / "runs.csv").write_bytes(_runs_bytes(campaign.runs, logs))
+        (scratch / "campaign.toml").write_text(to_toml(written_settings(campaign)), encoding="utf-8", newline="\n")
+
+    folder = Path(folder)
+    ingested = (folder / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
+    # a folder of that name which no ingestion made is the user's own
+    return write_folder(folder, (*_OURS, _RECORDINGS) if ingested else _OURS, fill, force=force)
+
+
+def _log_names(campaign: Campaign) -> dict[int, str]:
+    names: dict[int, str] = {}
+    taken: set[str] = set()
+    for index in np.flatnonzero(campaign.logs.lengths > 0):
+        stem = re.sub(r"[^A-Za-z0-9._-]", "_", str(campaign.runs.run_id[index])).lstrip(".") or "run"
+        # compared without case, since some file systems do so
+        name, number = stem[:100], 1
+        while name.lower() in taken:
+            number += 1
+            name = f"{stem[:100]}_{number}"
+        taken.add(name.lower())
+        names[int(index)] = f"logs/{name}.csv"
+    return names
+
+
+def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
+    first = [name for name in LABEL_COLUMNS if name in runs.labels and name not in {"log", "exclusion_reason"}]
+    columns = {name: runs.labels[name].tolist() for name in first}
+    for name in (*NUMERIC_COLUMNS, *runs.covariates):
+        if name in runs.numbers:
+            columns[name] = [_plain(value, _INTEGER) for value in runs.numbers[name]]
+    if logs:
+        columns["log"] = [logs.get(index, "") for index in range(len(runs))]
+    if runs.excluded.any():
+        columns["excluded"] = ["true" if flag else "" for flag in runs.excluded]
+    if "exclusion_reason" in runs.labels:
+        columns["exclusion_reason"] = runs.labels["exclusion_reason"].tolist()
+    unknown = set(runs.labels) - set(LABEL_COLUMNS)
+    if unknown:
+        raise BadInputError(f"run table: found the text columns {sorted(unknown)}; expected {', '.join(LABEL_COLUMNS)}")
+    return csv_bytes(columns)
+
+
+def csv_bytes(columns: Mapping[str, Any]) -> bytes:
+    """Return columns, shape (n_rows,) each, as a table in the form that calib writes: CSV with line feeds, UTF-8."""
+    import pandas as pd
+
+    text: str = pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
+    return text.encode("utf-8")
+
+
+def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -> bytes:
+    frame: dict[str, object] = {}
+    for name in LOG_COLUMNS:
+        if name not in columns:
+            continue
+        values = columns[name]
+        if name in decimals:
+            values = np.round(values, decimals[name])
+        elif name == "t_s":
+            values = np.round(values, 9)
+        # minus zero has no integer form, and would read back as plus zero
+        whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
+        frame[name] = values.astype(np.int64) if whole else values + 0.0
+    return csv_bytes(frame)
