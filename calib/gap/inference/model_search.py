@@ -112,7 +112,7 @@ def search(
         # what no effect is taken from is known where it is nearest
         lambda other, left: (
             _near(_converge(other, noise, all_forms, settings, passed, greedy=False), left)
-            if other.current
+            if other.current or initial.with_current(()).weighting().scale
             else (copy(initial), base)
         ),
         lambda other: _weighed(other, settings, shifts),
