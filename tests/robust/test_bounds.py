@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from calib import errors
-from calib.campaign import runs_file
+from calib.campaign import tables
 from calib.campaign.readers import read_table
 from calib.campaign.readers.workbook import check_size
 from calib.cli.main import run
@@ -102,7 +102,7 @@ def test_too_many_runs_and_too_many_causes_are_said(
 ) -> None:
     """Held with smaller limits, so that the test is quick."""
     with monkeypatch.context() as patched:
-        patched.setattr(runs_file, "RUNS", 5)
+        patched.setattr(tables, "RUNS", 5)
         assert run(["check", str(campaign)]) == 2
         assert "12 runs; expected at most 5; divide the campaign" in capsys.readouterr().err
     _append('[[effects]]\nid = "own"\ncolumn = "speed_mps"\nacts_on = "both"\ntypical = 0.001\nlargest = 0.01')(
