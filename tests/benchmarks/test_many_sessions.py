@@ -57,7 +57,7 @@ def test_many_sessions_cost_what_few_cost(benchmark: BenchmarkFixture, tmp_path:
 @pytest.mark.slow
 def test_a_further_run_takes_little_more_memory_than_its_log(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
     """Between two sizes, so that what the program itself takes falls out; a log is five columns of eight bytes."""
-    rows, sizes = 1000, (1000, 3000) if benchmark.enabled else (40, 160)
+    rows, sizes = 1000, (1000, 3000) if benchmark.enabled else (60, 240)
     peaks = []
     for size in sizes:
         folder = write_campaign(of_rows(campaign_of(size), rows), tmp_path / f"r{size}")
