@@ -238,6 +238,14 @@ def p_of_t(statistic: float, dof: float) -> float:
     return float(2 * stdtr(dof, -abs(statistic)))
 
 
+def on_one_load(fit: WheelFit) -> str:
+    """Return what a single load allows."""
+    return (
+        f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
+        "only, and no slope; drive two further loads at least."
+    )
+
+
 def _design(fit: WheelFit, groups: Groups) -> Check:
     """Say what the plan of loads and sessions allows."""
     loads = distinct_loads(fit.load_N)
@@ -249,10 +257,7 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
         sentence = f"{blank} runs have no session and count as one: fill in the column session of runs.csv."
     elif fit.model == "constant":
         few = ""
-        sentence = (
-            f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
-            "only, and no slope; drive two further loads at least."
-        )
+        sentence = on_one_load(fit)
     elif len(groups) == 1:
         sentence = ""
     elif len(groups) == len(fit.load_N):

@@ -19,7 +19,7 @@ from calib.campaign.checks.design import assumed_settings
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
-from calib.radius.checks import with_checks
+from calib.radius.checks import on_one_load, with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
 from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
@@ -118,8 +118,7 @@ def _without_loads(wheel: WheelFit) -> WheelFit:
     words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
     for check in wheel.checks:
         if check.name == "design":
-            # what stands behind the sentence on one load is on sessions
-            check = replace(check, sentence=words + check.sentence.partition("at least.")[2])
+            check = replace(check, sentence=check.sentence.replace(on_one_load(wheel), words))
         elif check.name == "scatter" and check.level != OK:
             check = replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
         checks.append(check)

@@ -113,12 +113,15 @@ def shows_curves(observations: Observations) -> bool:
 
 
 def on_the_spot(s: Observations, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
-    """Return the curvature of a turn about a rear wheel where the wheels roll against each other, shape (n_steps,)."""
+    """Return 2 / track, in 1/m, where the rear wheels roll against each other, else 0, shape (n_steps,).
+
+    `turn_rad`, `path_m` (shape (n_steps,)): turn and signed way of each step.
+    """
     tightest = 2.0 / s.model.track_m
     return np.where(np.abs(turn_rad) > np.abs(path_m) * tightest, tightest, 0.0)
 
 
-def turns_both_ways(observations: Observations) -> bool:
+def turns_on_the_spot_too(observations: Observations) -> bool:
     """Return whether some observation turns on the spot, and some while it rolls, by more than a tenth of a radian."""
     turned = np.zeros(2)
     for s in observations.parts():

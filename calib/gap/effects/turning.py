@@ -19,7 +19,7 @@ from calib.gap.effects.quantities import (
     shows_curves,
     softness,
     standstill_mps,
-    turns_both_ways,
+    turns_on_the_spot_too,
 )
 from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
 from calib.gap.observations.arrays import POSE
@@ -136,22 +136,17 @@ class CurveScrub(Effect):
         shapes: dict[str, Callable[[Path], FloatArray]] = {}
         if shows_curves(observations):
             shapes[""] = lambda path: np.abs(path_curvature_per_m(path))
-        if turns_both_ways(observations):
+        if turns_on_the_spot_too(observations):
             shapes["on the spot"] = lambda path: on_the_spot(path.s, path.steps.turn_rad, path.steps.ds_m)
         # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
         size = reach(observations)
         parameter = Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size)
 
         def form(label: str, shape: Callable[[Path], FloatArray]) -> Form:
-            return Form(
-                self.id,
-                label,
-                (parameter,),
-                lambda path: [Perturbation(track=shape(path))],
-                {},
-                len(shapes),
-                by_parts=True,
-            )
+            def perturbations(path: Path) -> list[Perturbation]:
+                return [Perturbation(track=shape(path))]
+
+            return Form(self.id, label, (parameter,), perturbations, tries=len(shapes), by_parts=True)
 
         return [form(*each) for each in shapes.items()]
 
