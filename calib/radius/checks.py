@@ -339,7 +339,10 @@ def _against_naive(fit: WheelFit) -> str:
     aware, naive = (float(estimate.half_width((0.0, 1.0), COVERAGE)) for estimate in (fit.estimate, fit.naive))
     if naive <= 0 or aware <= 0:
         return ""
-    return f" Counting every run as independent would give a slope interval {naive / aware:.2g} times as wide."
+    ratio = naive / aware
+    # a twentieth of a width is nothing to act on
+    wide = "as wide as this one" if abs(ratio - 1.0) < 0.05 else f"{ratio:.2g} times as wide"
+    return f" Counting every run as independent would give a slope interval {wide}."
 
 
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
