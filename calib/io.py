@@ -9,12 +9,8 @@ a file system without the swap) the new entries are made inside the folder toget
 from __future__ import annotations
 
 import errno
-import hashlib
-import json
 import os
-import secrets
 import shutil
-import socket
 import stat
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -176,6 +172,8 @@ def sha256_file(path: Path) -> str:
     """Return the SHA-256 of a file as lower-case hexadecimal; OSError for a device or FIFO, which may have no end."""
     if _is_stream(Path(path)):
         raise OSError(errno.EINVAL, "a device, FIFO or stream; a regular file was expected", str(path))
+    import hashlib
+
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -317,7 +315,7 @@ def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], Non
         fill(fresh)
         moves = {"put": [name for name in names if os.path.lexists(fresh / name)], "names": list(names)}
         draft = fresh / f"{_MOVES}.draft"
-        draft.write_text(json.dumps(moves), encoding="utf-8")
+        draft.write_text(to_json(moves), encoding="utf-8")
         draft.rename(fresh / _MOVES)
     except BaseException:
         _remove(fresh)
@@ -328,6 +326,8 @@ def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], Non
 
 def _move_in(fresh: Path, target: Path) -> None:
     """Move complete entries into their folder; may be called again after a kill."""
+    import json
+
     moves = json.loads((fresh / _MOVES).read_text(encoding="utf-8"))
     for name in moves["names"]:
         new, old = fresh / name, target / name
@@ -359,7 +359,7 @@ def _swap(first: Path, second: Path) -> bool:
 def temporary_beside(path: Path, where: Path | None = None) -> Path:
     """Return a fresh hidden name, in the folder `where` or beside `path`, for what will be renamed to `path`."""
     mark = _mark(path) if where is None else INSIDE
-    stem = f"{PREFIX}{mark}-{_host()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
+    stem = f"{PREFIX}{mark}-{_host()}-{os.getpid()}-{os.urandom(3).hex()}{SUFFIX}"
     return (path.parent if where is None else where) / stem
 
 
@@ -391,8 +391,16 @@ def _is_dead(path: Path) -> bool:
 
 
 def _mark(path: Path) -> str:
-    return hashlib.sha256(os.fsencode(path.name)).hexdigest()[:8]
+    return _hash(os.fsencode(path.name))[:8]
 
 
 def _host() -> str:
-    return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+    import socket
+
+    return _hash(socket.gethostname().encode())[:6]
+
+
+def _hash(name: bytes) -> str:
+    import hashlib
+
+    return hashlib.sha256(name).hexdigest()

@@ -47,6 +47,10 @@ class Guarded(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with its inputs kept, where the JSON can be written."""
+        import logging
+
+        # where HOME cannot be written, the drawing library works without its cache and need not say so
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         _refuse_dash(ctx)
         paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
         for path in paths:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import re
 import signal
@@ -216,8 +215,6 @@ def run(
     _reopen()
     # figures go to files only, no matter what window system the environment asks for
     os.environ["MPLBACKEND"] = "agg"
-    # where HOME cannot be written, it works without its cache and need not say so
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     _heed_date()
     # thousands of matrices of a few dozen rows: handing each to threads costs more than it saves
     for name in BLAS_THREADS:

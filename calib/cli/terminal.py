@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import math
 import os
 import re
@@ -104,6 +103,8 @@ def emit_text(text: str) -> None:
     try:
         text.encode(encoding)
     except UnicodeEncodeError:
+        import json
+
         # JSON's escapes, which YAML and TOML read as well
         text = "".join(sign if ord(sign) < 128 else json.dumps(sign)[1:-1] for sign in text)
     sys.stdout.write(text)
