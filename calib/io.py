@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import shutil
 import stat
 import sys
@@ -222,7 +223,7 @@ def settle(folder: Path) -> None:
 
     Raises BadInputError where the folder needs it and cannot be written.
     """
-    for leftover in Path(folder).glob(f"{PREFIX}{INSIDE}-{_host()}-*{SUFFIX}"):
+    for leftover in Path(folder).glob(f"{PREFIX}{INSIDE}-{_mark(platform.node())}-*{SUFFIX}"):
         if not _is_dead(leftover):
             continue
         if (leftover / _MOVES).is_file():
@@ -358,14 +359,14 @@ def _swap(first: Path, second: Path) -> bool:
 
 def temporary_beside(path: Path, where: Path | None = None) -> Path:
     """Return a fresh hidden name, in the folder `where` or beside `path`, for what will be renamed to `path`."""
-    mark = _mark(path) if where is None else INSIDE
-    stem = f"{PREFIX}{mark}-{_host()}-{os.getpid()}-{os.urandom(3).hex()}{SUFFIX}"
+    mark = _mark(path.name) if where is None else INSIDE
+    stem = f"{PREFIX}{mark}-{_mark(platform.node())}-{os.getpid()}-{os.urandom(3).hex()}{SUFFIX}"
     return (path.parent if where is None else where) / stem
 
 
 def sweep(path: Path) -> None:
     """Remove the temporary files of `path` whose writers were killed."""
-    for leftover in path.parent.glob(f"{PREFIX}{_mark(path)}-{_host()}-*{SUFFIX}"):
+    for leftover in path.parent.glob(f"{PREFIX}{_mark(path.name)}-{_mark(platform.node())}-*{SUFFIX}"):
         if _is_dead(leftover):
             _remove(leftover)
 
@@ -390,17 +391,8 @@ def _is_dead(path: Path) -> bool:
     return False
 
 
-def _mark(path: Path) -> str:
-    return _hash(os.fsencode(path.name))[:8]
-
-
-def _host() -> str:
-    import socket
-
-    return _hash(socket.gethostname().encode())[:6]
-
-
-def _hash(name: bytes) -> str:
+def _mark(name: str) -> str:
+    """Return what stands for a file's or a machine's name in the names of temporary files."""
     import hashlib
 
-    return hashlib.sha256(name).hexdigest()
+    return hashlib.sha256(os.fsencode(name)).hexdigest()[:8]

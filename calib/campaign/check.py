@@ -246,7 +246,7 @@ def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     lists += [list(check(kept)) for check in (*checks, settings.odd_lengths)]
     said = []
     for notes in lists:
-        said += [f"{note.where}: {note.text}." for note in notes[:_MOST_LISTED]]
+        said += [note.sentence for note in notes[:_MOST_LISTED]]
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")
     return tuple(dict.fromkeys(said))

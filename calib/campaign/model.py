@@ -74,6 +74,11 @@ class Note:
     #: the run concerned, or empty
     run_id: str = ""
 
+    @property
+    def sentence(self) -> str:
+        """Where and what, with the mark that ends it."""
+        return f"{self.where}: {self.text}{'' if self.text.endswith('?') else '.'}"
+
 
 class Border:
     """Notes made while reading; a fault is raised, or in a lenient reading kept as a note of level ``wrong``."""

@@ -82,7 +82,7 @@ def run(
     step = after_diagnosis(diagnosis, simulator=simulator is not None)
     if apply is not None:
         step = _apply(diagnosis, read, effects, apply) or step
-    odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown"} else ()
+    odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown", "diagnose wrong"} else ()
     terminal.then(
         "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
     )

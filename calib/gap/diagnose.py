@@ -289,7 +289,7 @@ def _observed(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
             "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
         )
-    said = (*(f"{note.where}: {note.text}." for note in implausible(campaign)), *notes_for_results(campaign))
+    said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
     if not applied:
         return observations, said
     changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))

@@ -148,6 +148,7 @@ STEPS: Final = {
     "of the library is not at work.",
     "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
     "'calib diagnose {c}'.",
+    "diagnose wrong": "correct what is named above, see 'calib check {c}', then 'calib diagnose {c}'.",
     "diagnose counters": "correct or exclude {runs_named} by 'calib check {c}', then 'calib diagnose {c}'.",
     "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
     "plan nothing": "no further run tells causes apart; 'calib diagnose {c}' has the verdict.",
@@ -213,6 +214,6 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     if simulator and diagnosis.recommended:
         tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group.effects)
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
-    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else kind
+    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if diagnosis.correct_first else kind
     step = f"diagnose {kind}"
     return step if step in STEPS else "diagnose"

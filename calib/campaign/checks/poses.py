@@ -266,7 +266,9 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
     if good.sum() >= LEAST_RUNS:
         far = good & (away > 3 * distance + 1)
-        if far.sum() > design.MOST_OF_THE_RUNS * good.sum():
+        # closed routes end near their start: in a frame of its own no run ends farther away than it was driven
+        beyond = good & (away > 1.1 * distance + 0.5) if own_frame else good
+        if far.sum() > max(design.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
             ratio = float(np.median(away[far] / distance[far]))
             hint = "are they in millimetres?" if ratio > 300 else "check their unit and frame"
             text = (
@@ -303,7 +305,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:
         return
-    if np.median(np.abs(turned[good])) >= 1.0:
+    if (np.abs(turned[good]) >= 1.0).sum() >= LEAST_RUNS:
         ratio, std = _partial_slope(theta[good], turned[good], [distance[good]])
         if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
             return

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.check import implausible
 from calib.gap.decision import confounding
 from calib.gap.decision.causes import (
     blunder_cause,
@@ -25,6 +26,7 @@ from calib.gap.decision.diagnosis import (
     Evidence,
     Group,
     NoiseSummary,
+    Situation,
     VerdictKind,
 )
 from calib.gap.decision.fix import beyond_vehicles, fix_of
@@ -54,6 +56,8 @@ OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 #: what more than doubles the error on held-out runs explains nothing; less may be a run that alone tells a length
 MOST_GROWTH: Final = 2.0
+#: remarks on the data that a verdict begins with: more of them push it off the screen
+MOST_SAID: Final = 3
 
 
 def decide(evidence: Evidence) -> Diagnosis:
@@ -113,10 +117,24 @@ def decide(evidence: Evidence) -> Diagnosis:
         gap_probability=1.0 if situation.faults else gap_probability,
         evidence=evidence,
     )
+    return _in_words(diagnosis, evidence)
+
+
+def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
+    """Return the diagnosis with its sentence, which begins with what is wrong in the data where no cause is named."""
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
-    return replace(diagnosis, sentence=said + _on_scatter(evidence) + _on_omitted(situation.omitted))
+    first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
+    lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
+    text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
+    return replace(diagnosis, sentence=text, correct_first=first)
+
+
+def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
+    """Return what the check of a campaign calls wrong; where runs end far off and nothing is, what else it says."""
+    wrong = tuple(note.sentence for note in implausible(situation.campaign))
+    return wrong or (situation.notes[:MOST_SAID] if off else ())
 
 
 def stands_off(evidence: Evidence) -> bool:

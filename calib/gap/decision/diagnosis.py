@@ -251,6 +251,7 @@ class Diagnosis(Result):
     fix: Fix = field(default_factory=Fix)  #: what the correction is worth
     next_runs: tuple[PlannedRun, ...] = ()  #: runs to drive next, best first
     notes: tuple[str, ...] = ()  #: what was excluded or assumed
+    correct_first: tuple[str, ...] = ()  #: what the check says of data that name no cause
     noise_level: NoiseSummary = field(default_factory=NoiseSummary, metadata={"json": "noise"})
     probabilities: Mapping[str, float] = field(
         default_factory=dict
