@@ -318,10 +318,16 @@ class TravelDirection(Effect):
         return [form(*each) for each in senses.items()]
 
 
-class FloorSlope(Effect):
-    """By the heading phi on the floor: both radii ~ cos(phi - phi_0) with phi_0 downhill, a pull ~ sin(phi - phi_0).
+def _to_the_right(heading_rad: FloatArray) -> FloatArray:
+    """Return how far downhill along x lies to the left of a heading: to the right of one along y."""
+    return np.asarray(-np.sin(heading_rad))
 
-    Where it slopes across a corridor, the pull goes as cos(phi): to the left going out, to the right going back.
+
+class FloorSlope(Effect):
+    """By the heading phi on the floor: radii ~ cos(phi - phi_0) with phi_0 downhill, pull or drift ~ sin(phi_0 - phi).
+
+    Where it slopes across a corridor, pull and drift go as cos(phi): to the left going out, to the right going back.
+    A vehicle that drifts moves sideways with its wheels rolling straight: its heading keeps what the wheels say.
     """
 
     id = "floor_slope"
@@ -344,6 +350,7 @@ class FloorSlope(Effect):
             return []
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
+        drift = Parameter("drift", "1", typical=1e-3, largest=2e-2)
         sided = bool((np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any())
 
         def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
@@ -352,6 +359,9 @@ class FloorSlope(Effect):
 
         def pull_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
             return Perturbation(heading_rad=np.abs(path.s.path_m) * part(map_heading_rad(path)))
+
+        def drift_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
+            return Perturbation(lateral_m=np.abs(path.s.path_m) * part(map_heading_rad(path)))
 
         def with_pull(path: Path) -> list[Perturbation]:
             return [radii_by(np.cos, path), pull_by(np.sin, path)]
@@ -362,9 +372,18 @@ class FloorSlope(Effect):
         offered: list[tuple[str, tuple[Parameter, ...], Perturbations]] = [
             ("along x, radii alone", (radii,), lambda path: [radii_by(np.cos, path)]),
             ("across, pull alone", (pull,), lambda path: [pull_by(np.cos, path)]),
+            ("across, drift alone", (drift,), lambda path: [drift_by(np.cos, path)]),
         ]
         if sided:
             both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
             offered.append(("along x, radii and pull", (radii, pull), with_pull))
             offered.append(("any direction, radii alone", both, any_direction))
+            drifts = (replace(drift, name="drift_x"), replace(drift, name="drift_y"))
+            offered.append(
+                (
+                    "any direction, drift alone",
+                    drifts,
+                    lambda path: [drift_by(_to_the_right, path), drift_by(np.cos, path)],
+                )
+            )
         return [Form(self.id, *each, tries=len(offered), by_parts=True) for each in offered]

@@ -52,6 +52,17 @@ def _(run: Run, now: Motion) -> None:
     now.left = now.right = np.hypot(2e-4, 4e-4) * np.cos(on_map(run, now) - np.arctan2(-4e-4, 2e-4))
 
 
+@case("floor_slope", "across, drift alone", 3e-3, within=1e-2)
+def _(run: Run, now: Motion) -> None:
+    now.lateral_m = 3e-3 * np.abs(now.ds_m) * np.cos(on_map(run, now))
+
+
+@case("floor_slope", "any direction, drift alone", 3e-3, -2e-3, within=1e-2)
+def _(run: Run, now: Motion) -> None:
+    # downhill at -34 degrees; what of it lies to the left of the heading
+    now.lateral_m = np.hypot(3e-3, 2e-3) * np.abs(now.ds_m) * np.sin(np.arctan2(-2e-3, 3e-3) - on_map(run, now))
+
+
 @case("floor_zone", "x 2 m, whole width", 3e-3, 2e-3, 1e-3, within=3e-2, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     sign = -1.0 if run.direction == "back" else 1.0
