@@ -20,6 +20,11 @@ RERUN: Final = "none"
 #: closure on held-out runs below which a fix is not recommended, and an explanation not believed: of the error's
 #: square more than two thirds go, so that the error is at least halved
 ADEQUATE_CLOSURE: Final = 0.7
+#: closure from which on a gap counts as explained; below, part of it is unexplained
+FULL_CLOSURE: Final = 0.9
+#: and a residual of so many noise levels, in any channel, is said however large the gap was: three quarters of its
+#: square are no noise, and the next cause is in it
+LARGE_RESIDUAL: Final = 2.0
 #: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay in each fit
@@ -76,6 +81,12 @@ class Closure:
     def largest_residual(self) -> float:
         """What is left with the causes over the noise level, in the channel where that is most; 0 without channels."""
         return max((line.after_rms / line.floor_rms for line in self.channels if line.floor_rms > 0.0), default=0.0)
+
+    @property
+    def leaves_part(self) -> bool:
+        """Whether part of the gap is left: one within the interval of the closure is not shown."""
+        high = self.ci95[1] if self.ci95 else 1.0
+        return high < FULL_CLOSURE or self.largest_residual > LARGE_RESIDUAL
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""

@@ -8,7 +8,15 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, RERUN, ChannelClosure, Closure, Improvement
+from calib.gap.decision.held_out import (
+    ADEQUATE_CLOSURE,
+    FULL_CLOSURE,
+    LARGE_RESIDUAL,
+    RERUN,
+    ChannelClosure,
+    Closure,
+    Improvement,
+)
 from calib.gap.decision.trials import Trial, reach_of_noise
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.encoder import BLUNDER_MISFIT
@@ -26,11 +34,6 @@ HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
 #: closure below which more of the gap remains than is explained: where that is certain, the most probable causes
 #: imitate the unexplained one (in 8 of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
 HALF_CLOSURE: Final = 0.5
-#: closure from which on a gap counts as explained; below, part of it is unexplained
-FULL_CLOSURE: Final = 0.9
-#: and a residual of so many noise levels, in any channel, is said however large the gap was: three quarters of its
-#: square are no noise, and the next cause is in it
-LARGE_RESIDUAL: Final = 2.0
 #: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
 SMALL_SHARE: Final = 0.05
 #: a cause with less than this share of what the largest one has is a hundredth of its size: no closer is the law of the
@@ -117,9 +120,7 @@ def kind_of(
     if hides_causes(closure, unexplained_share):
         certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
         return VerdictKind.PARTLY_EXPLAINED if certain else VerdictKind.UNKNOWN
-    # an unexplained part that lies within the interval of the closure is not shown
-    part = high < FULL_CLOSURE or closure.largest_residual > LARGE_RESIDUAL
-    if part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
+    if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
 
@@ -205,6 +206,8 @@ def _nearest(diagnosis: Diagnosis) -> str:
 def _unexplained(diagnosis: Diagnosis) -> str:
     if not diagnosis.noise_level.supported:
         return f"these runs cannot show how much of what is left is noise: {_unsupported(diagnosis)}"
+    if diagnosis.closure.held_out == RERUN and diagnosis.closure.leaves_part:
+        return f"run again it leaves up to {diagnosis.closure.largest_residual:.3g} times the noise"
     if diagnosis.unexplained is None:
         if any(map(fails, diagnosis.fix.transfer)):
             return "the correction does not carry over to all held-out runs"
@@ -222,6 +225,8 @@ def advice(diagnosis: Diagnosis) -> str:
     """Return whether the fix is recommended, and if not why; empty without a cause."""
     if not diagnosis.causes:
         return ""
+    if diagnosis.recommended and diagnosis.fix.parameters:
+        return f"Recommended: set {joined(diagnosis.fix.parameters, 'and')}; your simulator ran again with it."
     if diagnosis.recommended and diagnosis.fix.corrects is not None:
         part = joined((cause.effect for cause in diagnosis.corrected_causes), "and")
         left = "".join(f" {_capital(text)}." for text in diagnosis.fix.leaves)

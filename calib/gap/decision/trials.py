@@ -53,24 +53,25 @@ class Trial:
     growth_sd: float = field(default=0.0, metadata={"json": False})
 
 
-def trials(left_out: HeldOutFit, before: FloatArray, dof: float) -> tuple[Trial, ...]:
+def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArray | None = None) -> tuple[Trial, ...]:
     """Hold out each value of what varies, and try the correction of the others there.
 
-    `before`, shape (n_units, n_channels): residuals of the model alone.
+    `before`, shape (n_units, n_channels): residuals of the model alone; `rerun`: those of a simulator that ran again
+    with its fix, in place of what a correction predicts for what it was not fitted on.
     """
     from scipy.special import fdtri
 
     observations = left_out.observations
-    tried = [(name, value, units) for name, value, units in _values(observations) if left_out.is_predictive(units)]
+    tried = [each for each in _values(observations) if rerun is not None or left_out.is_predictive(each[2])]
     squares_before = left_out.squares(before)
     results = []
     for name, value, units in tried:
-        after = left_out.after(units)
+        after = left_out.after(units) if rerun is None else rerun
         square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
         expected = float(observations.usable[units].sum())
         # squares over an estimated noise level follow F; Bonferroni over the trials
         limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
-        added, added_variance = left_out.prediction_variance(units)
+        added, added_variance = left_out.prediction_variance(units) if rerun is None else (0.0, 0.0)
         scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
         results.append(
             Trial(

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import (
+    Centre,
+    Effect,
+    Family,
+    Form,
+    Observations,
+    Parameter,
+    Path,
+    Perturbation,
+    Perturbations,
+)
 from calib.gap.observations.arrays import N_CHANNELS, Channel
 from calib.gap.predict import predict
 from calib.types import FloatArray
@@ -27,6 +40,8 @@ _ALL_BUT: Final = 1e-4
 _LEFT_SHARE: Final = 0.1
 #: a remainder is more than the simulator's noise where noise exceeds it less often than this
 _NOISE_TAIL: Final = 1e-3
+#: another zero point shifts the calibration by this share of what that is commonly off by: more is a shift of its own
+ZERO_SHARE: Final = 0.1
 #: a channel repeats itself within this share of an instrument's stated uncertainty
 _REPEATED_SHARE: Final = 0.02
 
@@ -253,3 +268,40 @@ class HeldCalibration(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the forms of the effect itself."""
         return self.effect.forms(observations)
+
+
+def with_zero(effect: Effect, zeros: Sequence[HeldCalibration]) -> Effect:
+    """Return an effect whose zero point is free, where the calibration that would absorb it is held.
+
+    `zeros`: what another zero point looks like. Without it radii off on average (a temperature counted from 20 degrees)
+    would be laid on a parameter of the simulator.
+    """
+    shifted = copy(effect)
+    shifted.forms = partial(_forms_with_zero, effect, zeros)  # type: ignore[method-assign]
+    return shifted
+
+
+def _forms_with_zero(effect: Effect, zeros: Sequence[HeldCalibration], observations: Observations) -> list[Form]:
+    offsets = [form for zero in zeros for form in zero.forms(observations)]
+    named = []
+    for form in offsets:
+        typical = ZERO_SHARE * form.parameters[0].typical
+        named.append(replace(form.parameters[0], name=f"zero_{form.effect}", typical=typical, largest=3.0 * typical))
+
+    def beside(perturbations: Perturbations) -> Perturbations:
+        return lambda path: [*perturbations(path), *(one for form in offsets for one in form.perturbations(path))]
+
+    def about(form: Form) -> Callable[[Centre], Perturbations] | None:
+        moved = form.about
+        return None if moved is None else lambda centre: beside(moved(centre))
+
+    return [
+        replace(
+            form,
+            parameters=(*form.parameters, *named),
+            perturbations=beside(form.perturbations),
+            about=about(form),
+            by_parts=False,
+        )
+        for form in effect.forms(observations)
+    ]

@@ -15,7 +15,7 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, as_simulated
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, as_simulated, with_zero
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
@@ -208,7 +208,9 @@ def _candidates(
         notes.append(f"parameters of the simulator do what {', '.join(spanned)} would: these were not searched")
     if differences.repeats > 1:
         notes.append(f"the simulator does not repeat itself: {differences.repeats} runs were averaged each time")
-    return [*own, *(rival for rival in rivals if rival.id not in spanned)], tuple(notes)
+    held = {rival.id: rival for rival in rivals if isinstance(rival, HeldCalibration)}
+    others = [with_zero(rival, [held[name] for name in rival.own_shifts if name in spanned]) for rival in rivals]
+    return [*own, *(rival for rival in others if rival.id not in spanned)], tuple(notes)
 
 
 def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> list[str]:

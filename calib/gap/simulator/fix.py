@@ -10,11 +10,14 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
+from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
 from calib.gap.decision.sentences import joined, sentence
+from calib.gap.decision.trials import trials
 from calib.gap.effects.effect import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
 from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
+from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
 from calib.gap.simulator.differences import Differences, averaged, difference
@@ -98,13 +101,18 @@ def fixed(
     held_out = closure_of(nominal, diagnosis.noise, before, after, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
-    closes = closure.fraction is not None and closure.fraction >= ADEQUATE_CLOSURE
+    closes = closure.ci95 is not None and closure.ci95[0] > ADEQUATE_CLOSURE
     kind, why = diagnosis.kind, diagnosis.fix.why
-    recommended = diagnosis.fix.recommended and closes and found.settled
+    if kind is VerdictKind.EXPLAINED and (not closes or closure.leaves_part):
+        kind = VerdictKind.PARTLY_EXPLAINED
+    ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
+    worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
+    recommended = diagnosis.fix.recommended and closes and found.settled and not worse
+    why = (*why, *worse)
     if not closes:
-        kind = VerdictKind.PARTLY_EXPLAINED if kind is VerdictKind.EXPLAINED else kind
-        closed = 100.0 * max(closure.fraction or 0.0, 0.0)
-        why = (*why, f"your simulator, run again with it, closes {closed:.0f} % of the gap; {FAR}")
+        low, high = (100.0 * max(share, 0.0) for share in closure.ci95 or (0.0, 0.0))
+        wanted = f"where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain"
+        why = (*why, f"your simulator, run again with it, closes {low:.0f} to {high:.0f} % of the gap, {wanted}; {FAR}")
     elif not found.settled:
         why = (*why, f"after {MOST_RERUNS} runs with it your simulator still asks for another value; {FAR}")
     diagnosis = replace(
@@ -113,7 +121,7 @@ def fixed(
         causes=tuple(_moved(cause, named, found) for cause in diagnosis.causes),
         closure=closure,
         evidence=replace(diagnosis.evidence, held_out=held_out),
-        fix=replace(diagnosis.fix, parameters=values, recommended=recommended, why=why),
+        fix=replace(diagnosis.fix, parameters=values, recommended=recommended, why=why, transfer=ran),
     )
     beside = _of_library(diagnosis)
     lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""

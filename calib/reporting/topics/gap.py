@@ -143,10 +143,12 @@ def _sentence(verdict: Diagnosis) -> str:
 
 
 def _transfer(verdict: Diagnosis) -> Table:
+    rerun = verdict.closure.held_out == RERUN
+    where = "where your simulator ran again with it" if rerun else "on conditions that it was not fitted on"
     return table(
-        "Effect of the correction on the end position (else the distance), root mean square, on conditions that it was "
-        "not fitted on, each held out in turn.",
-        ("<Held out", "<Which", "Before", "After"),
+        f"Effect of the correction on the end position (else the distance), root mean square, {where}"
+        f"{'' if rerun else ', each held out in turn'}.",
+        ("<On runs of" if rerun else "<Held out", "<Which", "Before", "After"),
         [
             (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
             for trial in verdict.fix.transfer

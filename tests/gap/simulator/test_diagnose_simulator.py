@@ -147,6 +147,22 @@ def test_what_several_parameters_do_together_is_not_said_to_be_lacking(tmp_path:
         assert alone.fix.parameters[f"load_slope_{side}"] == pytest.approx(slope, rel=0.03)
 
 
+def test_a_cause_beside_the_parameter_does_not_move_it(tmp_path: Path) -> None:
+    """The wheels grow with the temperature above 12 degrees, the track is 0.7 % off: radii are large on average."""
+
+    def hidden(number: int) -> dict[str, float]:
+        radius = 0.1 * (1.0 + 5e-4 * ((12.0, 28.0)[number // 8] - 12.0))
+        return {"wheel_radius_left": radius, "wheel_radius_right": radius, "track": 0.705}
+
+    done = diagnosed(tmp_path, hidden).diagnosis
+    names = {cause.effect for cause in done.causes}
+    assert "simulator:track" in names
+    low, high = next(c for c in done.causes if c.effect == "simulator:track").parameters["track"].ci95
+    assert abs(done.fix.parameters["track"] - 0.705) < SPREAD * (high - low) / (2 * 1.96)
+    # the parameters alone leave what the temperature does: no whole explanation
+    assert done.kind is VerdictKind.PARTLY_EXPLAINED
+
+
 def test_no_gap_is_no_gap(tmp_path: Path) -> None:
     done = diagnosed(tmp_path, {})
     assert done.diagnosis.kind is VerdictKind.NO_GAP
