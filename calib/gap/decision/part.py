@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from calib.gap.decision import confounding
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Unexplained
@@ -70,14 +72,16 @@ def sure_part(
         *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
         *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
         *unsized(evidence, kept, unexplained),
+        # a size that cannot be, beside steps of the sessions, is of what changed with them
+        *(f"{cause.effect}: {cause.remark}" for cause in kept if beside and cause.remark),
     ]
     # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
-        fitted, improvement, tried = _tried(evidence, names, beside, acting)
+        fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
         # without a dropped cause, what is left is the unexplained residual
         left = () if dropped else remaining(improvement, unexplained)
         odds = needed(improvement) if by_odds else ()
-        why = [*unhelpful(improvement), *left, *odds, *harm(tried), *beyond]
+        why = [*unhelpful(improvement), *worse, *left, *odds, *harm(tried), *beyond]
         if not why:
             break
     if why and stepping:
@@ -128,7 +132,7 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
     free = names.issuperset(evidence.search.effects) and len(_along(evidence, names)) == len(DIRECTIONS)
     if not fix.recommended or fix.corrects is not None or free:
         return fix
-    fitted, improvement, tried = _tried(evidence, names, (), names)
+    fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
     beside = unnamed or "other radii or another track"
@@ -150,8 +154,8 @@ def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
 
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
-) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:
-    """Fit some causes, and return the fit with what it does on held-out runs.
+) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
+    """Fit some causes, and return the fit, what it does on held-out runs, and whether it makes these runs worse.
 
     Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried; `acting`: causes
     whose calibration may change.
@@ -165,7 +169,10 @@ def _tried(
     stated = (before if as_counted is None else as_counted) - steps
     sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
     improvement = improvement_of(left_out, sessions=sessions, stated=stated)
-    return fitted, improvement, trials(left_out, before - steps, evidence.noise.dof)
+    tried = trials(left_out, before - steps, evidence.noise.dof)
+    as_is, alone = (float(np.sqrt(left_out.squares(gap).mean())) for gap in (before, fitted.left + steps))
+    text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
+    return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
 
 
 def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
