@@ -16,6 +16,7 @@ from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
+from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
@@ -42,6 +43,11 @@ def _driven(effect: str, times: float, seed: int, n_runs: int) -> Campaign:
 def diagnosed(effect: str, seed: int) -> Diagnosis:
     """Return the diagnosis of a campaign of several tests; nobody changes it."""
     return diagnose_in_full(campaign_with(effect, seed=seed), plan=False)
+
+
+def _section(effect: str, form: str, sizes: dict[str, float], **settings: float) -> EffectSection:
+    parameters = {name: Quantity(value=value, unit="1") for name, value in sizes.items()}
+    return EffectSection(effect=effect, form=form, settings=settings, parameters=parameters)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +115,31 @@ def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:
     assert perturbation.left is not None
     # closed form
     np.testing.assert_allclose(perturbation.left, 1e-4 * (s.number("temperature_C") - 5.0), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("section", "left"),
+    [
+        # of runs at one temperature, one speed and forward alone; closed forms
+        (_section("temperature_radius", "", {"alpha": 1e-4}, centre=15.0, spread=1.0), 1e-4 * (20.0 - 15.0)),
+        (_section("rear_drag", "left wheel, rolling forward", {"relative": 1e-3}), 1e-3),
+        (_section("rear_drag", "left wheel, rolling backward", {"relative": 1e-3}), 0.0),
+        (
+            _section(
+                "lost_counts", "left wheel, share growing above 0.23 m/s", {"share_per_mps": 1e-3}, speed_mps=0.23
+            ),
+            None,
+        ),
+    ],
+)
+def test_what_the_model_has_acts_where_nothing_varies(section: EffectSection, left: float | None) -> None:
+    straight = [Run([(5.0, 0.0)], speed_mps=0.5, numbers={"temperature_C": 20.0}) for _ in range(3)]
+    s = observations_of(campaign_of(straight))
+    (perturbation,), notes = applied_perturbations(s, [section])
+    assert notes == []
+    assert perturbation.left is not None
+    wanted = 1e-3 * (driven_speed_mps(s) - 0.23) if left is None else left
+    np.testing.assert_allclose(perturbation.left, np.broadcast_to(wanted, np.shape(perturbation.left)), atol=1e-15)
 
 
 def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:

@@ -106,19 +106,20 @@ def applied_perturbations(
     a covariate's deviation from its mean act on the deviation from the mean that the file says. They act about `path`,
     by default the path that the effects themselves give.
     """
-    effects = every_effect(observations, declared=declared)
+    everywhere = replace(observations, applied=True)
+    effects = every_effect(everywhere, declared=declared)
     notes: list[str] = []
     chosen: list[tuple[EffectSection, Form]] = []
     for section in sections:
         effect = effects.get(section.effect)
-        form = None if effect is None else matching_form(effect.forms(observations), section.form, section.settings)
+        form = None if effect is None else matching_form(effect.forms(everywhere), section.form, section.settings)
         if form is None:
             which = f"{section.effect} ({section.form or 'its only form'})"
             notes.append(f"the model's effect {which} has nothing to act on in these runs and was omitted")
             continue
         stated = section.settings
         centre = Centre(stated[CENTRE], stated.get(SPREAD, 1.0) or 1.0) if CENTRE in stated else None
-        chosen.append((section, form.centred_at(centre)))
+        chosen.append((section, form.with_settings(stated).centred_at(centre)))
     if path is not None:
         return _perturbations(chosen, path), notes
     # what an effect does depends a little on the path that it itself bends
@@ -158,4 +159,7 @@ def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, floa
     def off(form: Form) -> float:
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
 
-    return min((form for form in forms if form.label == label), key=off, default=None)
+    alike = [form for form in forms if form.label == label]
+    # older files name the speed itself, which the settings hold
+    alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
+    return min(alike, key=off, default=None)

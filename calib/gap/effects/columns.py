@@ -58,12 +58,12 @@ class Covariate(_OfColumn):
 
     def centre(self, values: FloatArray) -> Centre:
         """Return mean and standard deviation of the column."""
-        return Centre(float(np.mean(values)), float(np.std(values)))
+        return Centre(float(np.mean(values)), float(np.std(values)) or 1.0)
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return four forms; none where the column has gaps or does not vary."""
         values = self.quantity(observations)
-        if not varies(values) or self.centre(values).spread <= 1e-12 * float(np.max(np.abs(values))):
+        if not varies(values, 0.0, observations) or self.centre(values).spread <= 1e-12 * float(np.max(np.abs(values))):
             return []
         centre = self.centre(values)
         settings = {"mean": centre.mean, "standard_deviation": centre.spread}

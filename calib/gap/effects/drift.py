@@ -47,7 +47,7 @@ class Wear(Effect):
         """Return a form per km and, with two sessions and more, one per session."""
         measures: list[tuple[str, FloatArray, float]] = []
         km = observations.number("travelled_km")
-        if varies(km, 1e-3):
+        if varies(km, 1e-3, observations):
             measures.append(("km", km, 1e-5))
         number, count = numbered_sessions(observations)
         if count > 1:

@@ -6,7 +6,7 @@ The file of a family of effects finds here all that it is written with.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
@@ -116,6 +116,8 @@ class Form:
     centre: Centre | None = None
     #: centre -> `perturbations` with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Perturbations] | None = None
+    #: settings -> `perturbations` with these, for a form whose settings come from the runs
+    at: Callable[[Mapping[str, float]], Perturbations] | None = None
     #: Whether `perturbations` takes everything per step from the path that it is given, which may then be that of some
     #: observations alone (`Observations.here` selects from arrays of all). Else it is given the whole path, and arrays
     #: per step are held for all observations at once: too much for a large campaign.
@@ -128,6 +130,10 @@ class Form:
         if self.about is None or centre is None or centre == self.centre:
             return self
         return replace(self, perturbations=self.about(centre), centre=centre)
+
+    def with_settings(self, settings: Mapping[str, float]) -> Form:
+        """Return the form with settings of other runs, itself where they are no matter of the runs."""
+        return self if self.at is None else replace(self, perturbations=self.at(settings), settings=dict(settings))
 
     @property
     def typical(self) -> FloatArray:
@@ -192,9 +198,12 @@ class Effect(ABC):
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
 
 
-def varies(values: FloatArray, by: float = 0.0) -> bool:
-    """Return whether a covariate is known everywhere and takes more than one value (further apart than `by`)."""
-    return bool(np.isfinite(values).all() and np.ptp(values) > by)
+def varies(values: FloatArray, by: float, observations: Observations) -> bool:
+    """Return whether a covariate is known everywhere and takes more than one value (further apart than `by`).
+
+    What the model has already acts at a single value, too.
+    """
+    return bool(np.isfinite(values).all() and (observations.applied or np.ptp(values) > by))
 
 
 def acting_on(path: Path, target: str, values: FloatArray) -> Perturbation:
@@ -236,7 +245,7 @@ class Proportional(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the quantity is not known everywhere or does not vary."""
         values = self.quantity(observations)
-        return [self.form(values, self.acts_on)] if varies(values, self.varies_by) else []
+        return [self.form(values, self.acts_on)] if varies(values, self.varies_by, observations) else []
 
     def form(self, values: FloatArray, acts_on: str, parameter: Parameter | None = None, label: str = "") -> Form:
         """Return a form by which the values (n_obs,) act on something, about their centre."""

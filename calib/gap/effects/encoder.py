@@ -9,7 +9,17 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, acting_on, varies
+from calib.gap.effects.effect import (
+    Effect,
+    Family,
+    Form,
+    Observations,
+    Parameter,
+    Path,
+    Perturbations,
+    acting_on,
+    varies,
+)
 from calib.gap.effects.quantities import driven_speed_mps, wheel_size
 from calib.gap.predict import predict, residuals
 from calib.gap.steps import Perturbation
@@ -91,21 +101,26 @@ class LostCounts(Effect):
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
         shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
         speed = driven_speed_mps(observations)
-        if varies(speed, 0.02):
+        if varies(speed, 0.02, observations):
             growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
             # from rest on, or above a frequency that the counter still follows
-            for v_0 in (0.0, float(speed.min()), float(np.median(speed))):
+            above = {
+                " with speed": 0.0,
+                " above the least speed": speed.min(),
+                " above the median speed": np.median(speed),
+            }
+            for which, v_0 in above.items():
                 over = np.maximum(speed - v_0, 0.0)
-                if varies(over, 0.02):
-                    above = f" above {v_0:.2f} m/s" if v_0 > 0.0 else " with speed"
-                    shapes.append((f"share growing{above}", over, growing, {"speed_mps": v_0}))
+                if varies(over, 0.02, observations):
+                    shapes.append((f"share growing{which}", over, growing, {"speed_mps": float(v_0)}))
 
         def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                return [acting_on(path, side, part)]
+            def at(stated: Mapping[str, float]) -> Perturbations:
+                over = np.maximum(speed - stated["speed_mps"], 0.0) if "speed_mps" in stated else part
+                return lambda path: [acting_on(path, side, over)]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)
-            return Form(self.id, label, (parameter,), perturbations, settings, tries)
+            return Form(self.id, label, (parameter,), at(settings), settings, tries, at=at)
 
         return [form(side, *shape) for shape in shapes for side in ("left", "right")]
 

@@ -225,7 +225,7 @@ class FloorUndulation(Effect):
         """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
         lane = observations.number("lane")
         groups: list[tuple[str, BoolArray]] = []
-        if varies(lane):
+        if varies(lane, 0.0, observations):
             groups = [(f"lane {value:g}", lane == value) for value in np.unique(lane)]
         elif common_frame(observations):
             # only routes that run straight along the hall are lanes
@@ -247,9 +247,9 @@ class FloorUndulation(Effect):
 
 
 class RearDrag(Effect):
-    """One wheel travels a share more for its counts, in one rolling sense only.
+    """One wheel travels a share more for its counts, in one rolling sense only, forward or backward.
 
-    The sense is forward where any run rolls backward; else the ``direction`` label stands for it, out against back.
+    Where no run rolls backward the ``direction`` label stands for it, out against back.
     """
 
     id = "rear_drag"
@@ -262,29 +262,33 @@ class RearDrag(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for the left and one for the right wheel; none where everything rolls and goes one way."""
+        """Return a form for each wheel and sense; none where everything rolls and goes one way.
+
+        One sense of a wheel is the other with another radius: the one that leaves the radius alone is more probable.
+        """
         backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
-        if (backward > 0.5).any():
-            # an observation that rolls one way throughout needs no steps
+        rolls_back, applied = bool((backward > 0.5).any()), observations.applied
+        # of each sense, the observations that have it; None where they have both, and steps tell
+        senses: dict[str, tuple[BoolArray | None, bool]] = {}
+        if rolls_back or applied:
             one_way = bool(((backward < 1e-3) | (backward > observations.length_m - 1e-3)).all())
-            forward, label = (observations.total(observations.path_m) > 0.0) if one_way else None, "rolling forward"
-        elif varies(observations.heading_sign):
-            forward, label = observations.heading_sign > 0.0, "going out"
-        else:
-            return []
+            ahead = observations.total(observations.path_m) > 0.0 if one_way else None
+            senses |= {"rolling forward": (ahead, True), "rolling backward": (ahead, False)}
+        if applied or (not rolls_back and varies(observations.heading_sign, 0.0, observations)):
+            out = observations.heading_sign > 0.0
+            senses |= {"going out": (out, True), "going back": (out, False)}
         parameters = (Parameter("relative", "1", typical=5e-4, largest=5e-3),)
 
-        def takes_part(path: Path) -> FloatArray:
-            return np.asarray(path.s.path_m >= 0.0 if forward is None else path.s.here(forward), dtype=np.float64)
+        def form(side: str, label: str, ahead: BoolArray | None, sense: bool) -> Form:
+            def perturbations(path: Path) -> list[Perturbation]:
+                forward = path.s.path_m >= 0.0 if ahead is None else path.s.here(ahead)
+                part = np.asarray(forward == sense, dtype=np.float64)
+                return [Perturbation(left=part) if side == "left" else Perturbation(right=part)]
 
-        wheels: dict[str, Perturbations] = {
-            "left": lambda path: [Perturbation(left=takes_part(path))],
-            "right": lambda path: [Perturbation(right=takes_part(path))],
-        }
-        return [
-            Form(self.id, f"{side} wheel, {label}", parameters, perturbations, tries=2, by_parts=True)
-            for side, perturbations in wheels.items()
-        ]
+            label, tries = f"{side} wheel, {label}", 2 * len(senses)
+            return Form(self.id, label, parameters, perturbations, tries=tries, by_parts=True)
+
+        return [form(side, label, *which) for label, which in senses.items() for side in ("left", "right")]
 
 
 class TravelDirection(Effect):
@@ -301,7 +305,7 @@ class TravelDirection(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
         sigma = observations.heading_sign
-        if not varies(sigma):
+        if not varies(sigma, 0.0, observations):
             return []
         labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
@@ -346,12 +350,14 @@ class FloorSlope(Effect):
         way = np.abs(observations.path_m)
         length = np.maximum(observations.length_m, 1e-9)
         along, across = (observations.total(way * part(heading)) / length for part in (np.cos, np.sin))
-        if not (varies(along, 0.2) or varies(across, 0.2)):
+        if not (varies(along, 0.2, observations) or varies(across, 0.2, observations)):
             return []
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
         drift = Parameter("drift", "1", typical=1e-3, largest=2e-2)
-        sided = bool((np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any())
+        sided = observations.applied or bool(
+            (np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
+        )
 
         def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
             share = part(map_heading_rad(path))

@@ -160,7 +160,7 @@ class LoadCreep(_OfLoad):
         loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
         """
         minutes, now = observations.number("minutes_under_load"), observations.wheel_loads_N
-        if not varies(minutes, 0.5) or not np.isfinite(now).all():
+        if not varies(minutes, 0.5, observations) or not np.isfinite(now).all():
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0

@@ -38,7 +38,7 @@ def wheel_size(observations: Observations) -> float:
 
 def loads_vary(observations: Observations) -> bool:
     """Return whether the load of either wheel is known and differs between observations."""
-    return any(varies(load, SAME_LOAD_N) for load in observations.wheel_loads_N)
+    return any(varies(load, SAME_LOAD_N, observations) for load in observations.wheel_loads_N)
 
 
 #: slower than this counts as standing still

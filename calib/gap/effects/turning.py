@@ -75,7 +75,7 @@ class LoadDependentTrack(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
         axle = observations.wheel_loads_N.sum(axis=0)
-        if not varies(axle, 10.0) or not shows_curves(observations):
+        if not varies(axle, 10.0, observations) or not shows_curves(observations):
             return []
         over = axle - 2.0 * observations.model.reference_load_N
         # up to 1 % for 1000 N
@@ -172,7 +172,7 @@ class BrakingSkid(Effect):
         speed = driven_speed_mps(observations)
         per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
         slips = [("the same at each stop", np.ones_like(speed), per_stop)]
-        if varies(speed, 0.02):
+        if varies(speed, 0.02, observations):
             squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
             slips.append(("~ v^2", speed**2, squared))
 

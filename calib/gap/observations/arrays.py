@@ -177,6 +177,8 @@ class Observations:
     aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
     #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
     calibration_held: bool = False
+    #: whether effects of the model itself are looked up, which act where nothing varies, too
+    applied: bool = False
     first_unit: int = 0  #: number of the first observation among those of the whole campaign, for a `part` of it
 
     def __len__(self) -> int:

@@ -118,7 +118,7 @@ def _(run: Run, now: Motion) -> None:
     now.left = 1000.0 / 997.0 - 1.0
 
 
-@case("lost_counts", "right wheel, share growing above 0.30", 5e-3, within=1e-2)
+@case("lost_counts", "right wheel, share growing above the least", 5e-3, within=1e-2)
 def _(run: Run, now: Motion) -> None:
     now.right = 1.0 / (1.0 - 5e-3 * (run.speed_mps - 0.3)) - 1.0
 
