@@ -253,7 +253,8 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
 
     No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
     linearly, leaves a part of the larger cause that looks like a smaller one. A form that acts the other way is no
-    error of the fitted one: counts that both wheels lose are a radius that follows the speed.
+    error of the fitted one: counts that both wheels lose are a radius that follows the speed. Nor is a cause of the
+    same family: the straight part of a law of the load belongs to its correction.
     """
     if len(causes) < 2:
         return ()
@@ -261,6 +262,7 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     fitted, window = evidence.fitted, 2.0 * LOG_EVIDENCE_WINDOW
     fitted_labels = {(form.effect, form.label) for form in fitted.forms}
     least = _refitted(evidence, fitted.forms, ())[0] + window
+    families = {name: effect.family for name, effect in evidence.effects.items()}
     for cause in causes:
         larger = [other for other in causes if other.share > cause.share]
         offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
@@ -268,7 +270,10 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
             form
             for form, other in offered
             if (form.effect, form.label) not in fitted_labels
-            and (cause.share <= SMALL_SHARE * other.share or not _acts_opposite(evidence, form))
+            and (
+                cause.share <= SMALL_SHARE * other.share
+                or not (families[other.effect] == families[cause.effect] or _acts_opposite(evidence, form))
+            )
         ]
         if not second:
             continue
