@@ -105,7 +105,11 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     arc, reliability = _arcs(campaign, yaw, yaw_std)
     used = reliability > MIN_RELIABILITY
     arc = np.where(used, arc, 0.0)
-    centre = (1 + centre) * (1 + arc_excess(arc, 1.0, 0.0).centre) - 1
+    ends = (runs.number(name) for name in ("ref_x_m", "ref_y_m"))
+    # an arc is longer than its chord by a 24th of the squared turn, than its way along the start heading by a 6th
+    ahead = campaign.reference.frame != "map" and looks_ahead(distance, *ends)
+    arcs = arc_excess(2.0 * arc if ahead else arc, 1.0, 0.0)
+    centre = (1 + centre) * (1 + arcs.centre) - 1
     yaw = yaw + arc
     yaw_std = np.where(used, campaign.reference.sigma_theta_rad * np.sqrt(reliability), yaw_std)
     half = 0.5 * track * yaw / np.where(distance > 0, distance, np.nan)
@@ -124,6 +128,19 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         source=source,
         notes=_notes(logged, listed, used),
     )
+
+
+def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
+    """Return whether distances are those along the start heading, by the end poses of the same runs, NaN where unknown.
+
+    Else they are those of the chord to the end point, and where no end pose tells. Arrays of shape (n_runs,).
+    """
+    known = np.isfinite(distance_m + x_m + y_m)
+    if not known.any():
+        return False
+    along, chord = np.abs(x_m[known]), np.hypot(x_m[known], y_m[known])
+    off_along, off_chord = (float(np.median(np.abs(distance_m[known] - way))) for way in (along, chord))
+    return off_along <= off_chord
 
 
 def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -68,13 +68,11 @@ def sure_part(
     beside = {name for name in stepping if names.isdisjoint(evidence.effects[name].shifts)}
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
-    beyond = [
-        *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned),
-        *elsewhere(names, alternatives(evidence, concerned, unexplained, differing)),
-        *unsized(evidence, kept, unexplained),
-        # a size that cannot be, beside steps of the sessions, is of what changed with them
-        *(f"{cause.effect}: {cause.remark}" for cause in kept if beside and cause.remark),
-    ]
+    # a size that cannot be, beside steps of the sessions, is of what changed with them
+    doubtful = [f"{cause.effect}: {cause.remark}" for cause in kept if beside and cause.remark]
+    others = elsewhere(names, alternatives(evidence, concerned, unexplained, differing))
+    apart = disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned)
+    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *doubtful]
     # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)

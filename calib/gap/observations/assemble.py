@@ -12,6 +12,7 @@ from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations, let_go, step_array
 from calib.gap.observations.observation import Observation, Setup
 from calib.gap.observations.routes import WheelTravel, replicates, steered_by_counts, weave_of_log, were_guided
+from calib.radius.path_length import looks_ahead
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import wheel_loads_N
 
@@ -305,7 +306,5 @@ def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
     both = usable[:, 0] & usable[:, 1] & usable[:, 2]
     axis = np.zeros(len(measured))
     if both.any():
-        gap_x = np.median(np.abs(measured[both, 0] - measured[both, 1]))
-        gap_chord = np.median(np.abs(measured[both, 0] - np.hypot(measured[both, 1], measured[both, 2])))
-        axis[both] = 1.0 if gap_x <= gap_chord else 2.0
+        axis[both] = 1.0 if looks_ahead(*measured[both, :3].T) else 2.0
     return axis
