@@ -86,7 +86,6 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
         "py.typed",
         "campaign/ingest/blank.toml",
         "campaign/ingest/names.toml",
-        "coefficients/coefficients.schema.json",
         "coefficients/formats/c_header.h.j2",
         "coefficients/formats/c_runtime.h",
         "coefficients/formats/ros2.yaml.j2",
