@@ -8,15 +8,7 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import (
-    ADEQUATE_CLOSURE,
-    FULL_CLOSURE,
-    LARGE_RESIDUAL,
-    RERUN,
-    ChannelClosure,
-    Closure,
-    Improvement,
-)
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, ChannelClosure, Closure, Improvement
 from calib.gap.decision.trials import Trial, reach_of_noise
 from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.encoder import BLUNDER_MISFIT
@@ -211,10 +203,10 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     if diagnosis.unexplained is None:
         if any(map(fails, diagnosis.fix.transfer)):
             return "the correction does not carry over to all held-out runs"
-        if diagnosis.closure.ci95 is not None and diagnosis.closure.ci95[1] < FULL_CLOSURE:
+        if (left := diagnosis.closure.largest_residual) > LARGE_RESIDUAL:
+            return f"{left:.0f} times the noise is left on held-out runs"
+        if diagnosis.closure.leaves_part:
             return "part of the gap remains on held-out runs"
-        if diagnosis.closure.largest_residual > LARGE_RESIDUAL:
-            return f"{diagnosis.closure.largest_residual:.0f} times the noise is left on held-out runs"
         return "part of it may have another cause"
     placed = next((place for place in diagnosis.unexplained.where if place.startswith(ON_FLOOR)), "")
     where = _located(diagnosis.where.rest) or (placed and f", most {placed}")
@@ -251,8 +243,14 @@ def _confounded(diagnosis: Diagnosis) -> int:
 
 def _listed(causes: Sequence[Cause]) -> str:
     # the label of a blunder says what to do
-    labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else cause.effect for cause in causes)
+    labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else _with_forms(cause) for cause in causes)
     return joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
+
+
+def _with_forms(cause: Cause) -> str:
+    """Return an effect with the others of its family that fit as well, where it is not nearly certain itself."""
+    others = cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ()
+    return joined([cause.effect, *others], "or")
 
 
 def joined(parts: Iterable[str], word: str) -> str:
