@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import prod
 from typing import Final
 
 import numpy as np
@@ -84,7 +85,9 @@ def decide(evidence: Evidence) -> Diagnosis:
     gap_probability = confounding.gap_probability(evidence)
     # a calibration parameter that is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubted)
+    kind = _kind(
+        evidence, gap_probability, causes, share, groups, differing, bool(doubted) or _rather_not(causes, certain)
+    )
     if kind is VerdictKind.NO_GAP and stands_off(evidence):
         kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
     if kind in NOTHING_NAMED:
@@ -155,6 +158,12 @@ def _misfit(evidence: Evidence) -> float:
     return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
 
 
+def _rather_not(causes: Sequence[Cause], certain: Mapping[str, float]) -> bool:
+    """Return whether the large causes are less likely all at work than not: some part has another cause."""
+    large = [cause for cause in causes if cause.share > SMALL_SHARE]
+    return prod(certain.get(cause.effect, cause.probability) for cause in large) < EVEN_PROBABILITY
+
+
 def _kind(
     evidence: Evidence,
     gap_probability: float,
@@ -162,7 +171,7 @@ def _kind(
     unexplained_share: float | None,
     groups: Sequence[Sequence[str]],
     differing: Mapping[str, SizeDifference],
-    doubted: Collection[str],
+    doubted: bool,
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
     improvement = evidence.held_out.improvement
@@ -176,7 +185,7 @@ def _kind(
         evidence.held_out.closure,
         incomplete=any(map(fails, evidence.trials))
         or not large.isdisjoint(differing)
-        or bool(doubted)
+        or doubted
         or any(True for cause in causes for _ in beyond_vehicles(cause)),
         unexplained_share=unexplained_share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
