@@ -68,11 +68,9 @@ def sure_part(
     beside = {name for name in stepping if names.isdisjoint(evidence.effects[name].shifts)}
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
-    # a size that cannot be, beside steps of the sessions, is of what changed with them
-    doubtful = [f"{cause.effect}: {cause.remark}" for cause in kept if beside and cause.remark]
     others = elsewhere(names, alternatives(evidence, concerned, unexplained, differing))
     apart = disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned)
-    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *doubtful]
+    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *_odd_drifts(evidence, kept, beside)]
     # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
@@ -98,6 +96,13 @@ def sure_part(
         leaves=tuple(dropped.values()),
         fitted=fitted,
     )
+
+
+def _odd_drifts(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
+    """Return the drifts of a size that cannot be: beside steps of the sessions they are of what changed with these."""
+    drifts = {evidence.effects[name].family for name in beside}
+    known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
+    return [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
 
 
 def _unclear(
