@@ -36,10 +36,10 @@ _STANDARD_STREAMS: Final = frozenset({"/dev/stdout", "/dev/stderr"})
 
 
 def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
-    """Write `data` to `path` whole; its folder is made where missing.
+    """Write `data` to `path` whole; its folder is made where missing; a device or a FIFO is never replaced.
 
     Raises BadInputError where the path is an input of the running command, the file exists and `force` is False, or
-    the folder cannot be written. A device or a FIFO is written to and never replaced.
+    the folder cannot be written.
     """
     refuse_empty(path)
     path = Path(path)
@@ -76,16 +76,14 @@ def write_json(path: Path, value: Any, *, force: bool = False) -> Path:
 
 
 def refuse_empty(path: Path | str, name: str = "output path") -> None:
-    """Raise BadInputError where a path is an empty text, which `Path` would read as the working folder."""
+    """Raise BadInputError where a path is an empty text, which `Path` reads as the working folder."""
     if isinstance(path, str) and not path.strip():
         raise BadInputError(f"{name}: found {path!r}; expected the path of a file or folder; name one")
 
 
 def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False) -> None:
-    """Raise BadInputError where a target is an input, a folder, or exists and `force` is False.
-
-    `targets`: output files, checked before the work is done; None and ``-`` are no files.
-    """
+    """Raise BadInputError where a target is an input, a folder, named twice, or exists and `force` is False."""
+    seen: set[str] = set()
     for target in targets:
         if target is None or str(target) == "-":
             continue
@@ -93,6 +91,9 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
         path = Path(target)
         refuse_input(path)
         try:
+            if (real := os.path.realpath(path)) in seen and not _is_stream(path):
+                raise BadInputError(f"{path}: found it as two outputs; expected a file each; name another one")
+            seen.add(real)
             os.lstat(path)
             if path.is_dir():
                 raise BadInputError(f"{path}: found a folder; expected a file to write; name a file in it")
@@ -102,9 +103,8 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
             continue
         except OSError as error:
             # a file where a folder should be, a name that is too long, a folder without access
-            raise BadInputError(
-                f"{path}: found {error.strerror}; expected a place for a file; choose another path"
-            ) from error
+            found = f"{path}: found {error.strerror}"
+            raise BadInputError(f"{found}; expected a place for a file; choose another path") from error
         except ValueError as error:
             raise BadInputError(f"{path}: found {error}; expected a path; correct it") from error
 

@@ -63,7 +63,7 @@ class Guarded(TyperCommand):
         FORCE.set(ctx.params.pop("force"))
         with inputs_kept(paths):
             # before the work, not after it
-            refuse_outputs(target and Path(target))
+            refuse_outputs()
             return super().invoke(ctx)
 
 

@@ -68,7 +68,7 @@ def export(
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
-    terminal.refuse_outputs(output if output is not None and output.is_file() else None)
+    terminal.refuse_outputs(None if output is not None and output.is_dir() else output)
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
@@ -138,7 +138,8 @@ def report(
     """Write the report on a campaign as PDF/A-3, the coefficient file attached.
 
     The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
-    where a check says that the law should not be used as it is; the report is written all the same and says so.
+    where a check says that the law should not be used as it is; the report is written all the same and says so, but
+    numbers that cannot be are refused without --accept-implausible.
     Runs that allow no law, as loops do, give a report of their geometry.
 
     Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31
@@ -149,7 +150,7 @@ def report(
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date, opened
 
-    terminal.refuse_outputs(html)
+    terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
     issued = issue_date(date)
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
