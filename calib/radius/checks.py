@@ -27,6 +27,8 @@ MAX_SLOPE_WIDENING: Final = 1.25
 MAX_INFLUENCE_SESSIONS: Final = 100
 #: the reference load may lie this share of the load range outside it without a note
 REFERENCE_MARGIN: Final = 0.02
+#: how far a coefficient file holds, see `calib.coefficients.build.LOAD_MARGIN`
+BEYOND: Final = "1 % of that span (at least 1 N) beyond"
 #: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
 SHAPIRO_RUNS: Final = (8, 5000)
 
@@ -199,7 +201,7 @@ def _range(fit: WheelFit) -> Check:
     margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
     if law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin:
-        return Check("range", OK, f"The law holds for {span} a wheel and was not measured outside.")
+        return Check("range", OK, f"The law was measured for {span} a wheel; files of it hold {BEYOND}.")
     sentence = (
         f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
         "extrapolated; measure near it, or set reference_load_N in campaign.toml."

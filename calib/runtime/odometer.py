@@ -46,7 +46,7 @@ class Status(enum.IntEnum):
 _TEXTS = {
     Status.OK: "fine",
     Status.NO_LOAD: "no valid wheel loads are set",
-    Status.LOAD_OUT_OF_RANGE: "wheel load outside the range in which the law was measured",
+    Status.LOAD_OUT_OF_RANGE: "wheel load outside the range in which the law holds",
     Status.NOT_FINITE: "a value is NaN or infinite",
     Status.JUMP: "counts moved further than a plausible step",
     Status.STALE: "too long since the last good sample",

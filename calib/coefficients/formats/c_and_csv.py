@@ -210,7 +210,7 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     if empty:
         left, right = pairs[empty[0]]
         raise RefusedError(
-            f"load {left:g} N left, {right:g} N right: found no wheel whose law was measured there; expected "
+            f"load {left:g} N left, {right:g} N right: found no wheel whose law holds there; expected "
             f"{sides['left'].load_min_N:g} to {sides['left'].load_max_N:g} N; give another --load or --outside clamp"
         )
     cells["simulated"] = [str(file.simulated).lower()] * len(pairs)
