@@ -27,7 +27,7 @@ from calib.errors import CalibError
 from calib.io import refuse_existing, write_files, write_json, write_text
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures.style import render, render_all, write_figures
+from calib.reporting.figures.style import known, render, render_all, write_figures
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
 from calib.types import FloatArray, Progress, silent, stepped
@@ -87,16 +87,13 @@ def _compile_with_fallback(folder: Path, report: Report) -> bytes:
         try:
             return _compiled(folder, report, system_fonts=True)
         except _MissingSign as error:
-            for sign in {sign for sign in text if _of_rare_script(sign)} | set(str(error)):
+            # with it go signs of its kind that the figures' font lacks, too: a script lacks as a whole
+            lost = set(str(error))
+            kinds = {unicodedata.category(sign) for sign in lost}
+            for sign in {sign for sign in text if unicodedata.category(sign) in kinds and not known(sign)} | lost:
                 text = text.replace(sign, f"[U+{ord(sign):X}]")
             (folder / "data.json").write_text(text, encoding="utf-8")
     raise CalibError("the report's page cannot be set: too many signs that no font has; expected common scripts")
-
-
-def _of_rare_script(sign: str) -> bool:
-    """Return whether a sign is of a script that the built-in fonts lack as a whole."""
-    common = unicodedata.name(sign, "").startswith(("LATIN", "GREEK", "CYRILLIC"))
-    return unicodedata.category(sign) in {"Lo", "So", "Cn", "Co"} and not common
 
 
 class _MissingSign(Exception):

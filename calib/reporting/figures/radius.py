@@ -58,7 +58,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
             _mark_sessions(axis, sessions)
         axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
-    axes[-1].set_xlabel("run, in the order driven")
+    style.over_runs(axes[-1])
     if span is None:
         style.group_legend(figure, axes[0], sessions.names)
     else:
@@ -167,9 +167,8 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
             order, PPM * part, mark, ms=2.4, mew=0, color=tint, label=f"{wheel} wheel", rasterized=len(order) > MANY
         )
     strip.axhline(0.0, color=GREY, lw=0.6)
-    strip.set(
-        xlabel="run, in the order driven", ylabel="correction of the radius (ppm)", title="What each run's path added"
-    )
+    strip.set(ylabel="correction of the radius (ppm)", title="What each run's path added")
+    style.over_runs(strip)
     strip.margins(y=0.18)
     strip.legend(loc="upper right", ncols=2, handletextpad=0.2, columnspacing=1.0)
     return figure
@@ -199,6 +198,8 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
         axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")
         axes[row, 1].set_title("in the order driven")
         axes[row, 2].set_title("against a normal distribution")
+    for axis in axes[:, 1]:
+        style.over_runs(axis, "")
     for axis, text in zip(axes[1], ("wheel load (N)", "run", "normal quantile"), strict=True):
         axis.set_xlabel(text)
     return figure
