@@ -64,7 +64,7 @@ def export(
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
     from calib.coefficients.build import coefficients_of, export
-    from calib.coefficients.formats import ExportOptions, parse_loads
+    from calib.coefficients.formats import ExportOptions, parse_loads, refuse_loads
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
@@ -72,6 +72,11 @@ def export(
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
+    if to not in FORMATS and to not in OTHER_FORMATS:
+        known = (*FORMATS, *OTHER_FORMATS)
+        near = terminal.nearest(to, known)
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}; choose one of them{near}")
+    refuse_loads(load, to)
     if to in OTHER_FORMATS:
         artifacts = _of_other_format(source, to, output, accept)
     else:
@@ -94,7 +99,7 @@ def export(
     files = _written(artifacts, output)
     if output is not None:
         # where the files went to standard output, nothing is added to them
-        terminal.then(f"export {to}", c=source, file=output)
+        terminal.then(f"export {to}", c=source, file=files[0]["path"])
     terminal.emit_json({**head, "files": files, "notes": notes})
 
 
@@ -179,7 +184,8 @@ def _next_step(report: Report, given: Fit | Campaign) -> str:
     if report.diagnosis is not None:
         return after_diagnosis(report.diagnosis)
     if report.geometry is not None:
-        return after_geometry(report.geometry, None)
+        step = after_geometry(report.geometry, None)
+        return "fit lacks runs" if step == "geometry lengths" else step
     stated = given.extra if isinstance(given, Campaign) else given.provenance
     return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
 

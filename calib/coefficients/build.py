@@ -369,6 +369,7 @@ def export(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
         )
+    formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes()),)
     if chosen.has_model and to not in formats.PATCHING:

@@ -169,7 +169,7 @@ def test_files_are_written_although_nobody_reads_the_output(
     """As with ``calib fit C --into F --json J | head -1``."""
     read, write = os.pipe()
     os.close(read)
-    with open(write, "w", encoding="utf-8", closefd=True) as closed:
+    with os.fdopen(write, "w", encoding="utf-8") as closed:
         monkeypatch.setattr(sys, "stdout", closed)
         arguments = ["--into", str(tmp_path / "fit"), "--json", str(tmp_path / "fit.json")]
         assert run(["fit", str(project_root / "sample_runs" / "corridor"), *arguments]) == 141
