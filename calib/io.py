@@ -163,9 +163,10 @@ def inside(
     except (OSError, ValueError, RuntimeError):  # RuntimeError: a loop of symbolic links
         ok = False
     if not ok:
+        found = f"the path {relative!r}{', a link' * os.path.islink(root / relative)}"  # noqa: PTH114 (takes any text)
         expected = "a relative path inside the campaign folder"
         remedy = "move the file into the folder and name it relative to it"
-        raise BadFileError(named_in, f"the path {relative!r}", expected, remedy, row=row, column=column)
+        raise BadFileError(named_in, found, expected, remedy, row=row, column=column)
     return path
 
 
