@@ -1,9 +1,8 @@
 """Files and folders written whole.
 
 A file is written under a temporary name beside its target and then renamed. A folder is made beside its target and
-swapped with it in one step. Where that is impossible (the working folder, a mount point, a folder full of other files,
-a file system without the swap) the new entries are made inside the folder together with a list of what to move;
-`settle` finishes the moves after a crash, before anything is read. A killed writer leaves the old or the new content.
+swapped with it in one step. Where that cannot be the new entries are made inside the folder with a list of what to
+move, which `settle` finishes after a crash. A killed writer leaves the old or the new content.
 """
 
 from __future__ import annotations
@@ -145,16 +144,9 @@ def _append(path: Path, data: bytes) -> None:
 def inside(
     root: Path, relative: str, *, named_in: Path | str, row: int | None = None, column: str | None = None
 ) -> Path:
-    """Resolve a path found in a data file, which must stay inside `root`.
+    """Resolve a path `relative` to `root`, found in the file `named_in`; see `BadFileError`.
 
-    Raises BadFileError where the path is absolute or leads out of `root`, symbolic links included.
-
-    Parameters
-    ----------
-    root, relative
-        The folder, and the path as found.
-    named_in, row, column
-        Where the path was found.
+    That is raised where the path is absolute or leads out of `root`, symbolic links included.
     """
     top = root.resolve()
     try:
@@ -195,10 +187,9 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False
 def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool = False) -> Path:
     """Write the entries `names` of a folder all at once; other entries are kept.
 
-    `folder`: made where missing; `names`: entries that belong together: old ones are removed when the new ones come;
-    `fill`: called with an empty folder, into which it writes the entries. Raises BadInputError where an entry is an
-    input of the running command, or exists and `force` is False, or the folder cannot be written; nothing has changed
-    then.
+    `folder`: made where missing; `names`: entries that belong together, all of them replaced; `fill`: writes them into
+    an empty folder. Raises BadInputError where an entry is an input of the running command, or exists and `force` is
+    False, or the folder cannot be written; nothing has changed then.
     """
     refuse_empty(folder)
     folder = Path(folder)

@@ -292,19 +292,7 @@ def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
 def proposed(
     campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
 ) -> Plan:
-    """Return the plan of `plan`.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven so far.
-    among : sequence of PlannedRun, optional
-        Runs to choose from, else the usual ones.
-    most, seed : int
-        See `plan`.
-    progress : callable
-        See `calib.types.Progress`.
-    """
+    """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs, with_next
 

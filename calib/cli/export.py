@@ -74,8 +74,7 @@ def export(
     head: dict[str, object] = {"to": to}
     if to not in FORMATS and to not in OTHER_FORMATS:
         known = (*FORMATS, *OTHER_FORMATS)
-        near = terminal.nearest(to, known)
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}; choose one of them{near}")
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}{terminal.nearest(to, known)}")
     refuse_loads(load, to)
     if to in OTHER_FORMATS:
         artifacts = _of_other_format(source, to, output, accept)

@@ -52,7 +52,7 @@ _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u20
 #: ``--json`` and ``--force`` of the command at work
 JSON_TARGET: Final[ContextVar[str | None]] = ContextVar("json_target", default=None)
 FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
-#: whether nobody reads the output any more; the command goes on, for the files that it was asked for
+#: whether nobody reads the output any more; the command goes on, for its files
 CLOSED: Final[ContextVar[bool]] = ContextVar("closed", default=False)
 
 
@@ -73,7 +73,7 @@ def heed() -> None:
 
 
 def refuse_outputs(*targets: Path | None) -> None:
-    """Refuse output files that exist or are the same, ``--json`` among them, before the work: `refuse_existing`."""
+    """Refuse output files, that of ``--json`` too, before the work; see `calib.io.refuse_existing`."""
     refuse_existing([JSON_TARGET.get(), *targets], force=forced())
 
 
@@ -267,7 +267,7 @@ def _write(stream: Any, text: str) -> None:
 
 
 def _put(stream: Any, text: str, other: Callable[[], str] = str) -> None:
-    """Write and flush; `other` where the encoding lacks a character; what nobody reads is dropped (`CLOSED`)."""
+    """Write and flush; `other` where the encoding lacks a character; see `CLOSED`."""
     try:
         try:
             stream.write(text)

@@ -31,7 +31,7 @@ LOADS_N: Final = {
 }
 
 #: loads of Table 1
-TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0)
+TABLE_LOADS_N: Final = tuple(100.0 * n for n in range(2, 12))
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}

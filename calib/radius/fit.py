@@ -1,7 +1,6 @@
 """From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius.
 
-The uncertainty budget has the scatter observed, and parts that no number of runs makes smaller, since they are the same
-in every run: they are declared in the section ``[uncertainty]`` of ``campaign.toml`` (docs/format.md).
+Parts of the budget that are the same in every run are declared in ``[uncertainty]`` of ``campaign.toml``.
 """
 
 from __future__ import annotations
@@ -63,10 +62,9 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
-    `campaign`: static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where
-    there are; `reference_load_N`: load on which the coefficients are centred; without it the one of the campaign's
-    model. Raises RefusedError where fewer than three runs can be used; ImplausibleError where that is
-    so because of units or settings that cannot be.
+    `campaign`: static radii are those of the columns ``static_radius_left_m`` and ``static_radius_right_m``;
+    `reference_load_N`: load on which the coefficients are centred; None: the model's. Raises RefusedError where fewer
+    than three runs can be used; ImplausibleError where units or settings that cannot be are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
@@ -184,8 +182,8 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
     if wheel.run_std_m > MAX_SCATTER * radius:
         yield (
             f"single runs scatter by {100 * wheel.run_std_m / radius:.2g} % of the radius; expected less than "
-            f"{100 * MAX_SCATTER:.0f} %; check that distances, counts and loads are those of the same runs, above all "
-            f"in {runs[int(np.argmax(np.abs(wheel.residual_m)))]}, and correct or exclude it"
+            f"{100 * MAX_SCATTER:.0f} %; check distances, counts and loads, first of "
+            f"{runs[int(np.argmax(np.abs(wheel.residual_m)))]}, and correct or exclude it"
         )
 
 

@@ -1,7 +1,6 @@
 """Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders.
 
-Same input, same bytes. A page of HTML is plain markup with its figures inside; it needs no script. Folders hold what
-simulations, replays and fleets give: figures, tables, trajectories, pages.
+Same input, same bytes. Folders hold what simulations, replays and fleets give.
 """
 
 from __future__ import annotations
@@ -48,15 +47,14 @@ if TYPE_CHECKING:
 STANDARD: Final = "a-3a"
 #: pictures of a diagnosis, which linked panels replace
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
-#: missing signs replaced one by one, beyond whole scripts that the fonts lack
+#: missing signs replaced one by one
 MAX_MISSING_SIGNS: Final = 24
 
 
 def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     """Return the report as PDF/A-3a.
 
-    The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name holds
-    signs that these lack. Raises CalibError where the page cannot be set.
+    Only built-in fonts are used, unless a name holds signs that these lack. Raises CalibError where it cannot be set.
     """
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.reporting") / "page.typ").read_bytes(),
@@ -87,7 +85,7 @@ def _compile_with_fallback(folder: Path, report: Report) -> bytes:
         try:
             return _compiled(folder, report, system_fonts=True)
         except _MissingSign as error:
-            # with it go signs of its kind that the figures' font lacks, too: a script lacks as a whole
+            # scripts are lacking as a whole
             lost = set(str(error))
             kinds = {unicodedata.category(sign) for sign in lost}
             for sign in {sign for sign in text if unicodedata.category(sign) in kinds and not known(sign)} | lost:

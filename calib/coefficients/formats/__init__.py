@@ -73,7 +73,7 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
 
 
 def refuse_loads(loads: object, to: str) -> None:
-    """Raise BadInputError where load points are given to a format that holds for every load."""
+    """Raise BadInputError where a format that holds for every load is given some."""
     if loads and to not in PATCHING | {"ros2", "csv"}:
         raise BadInputError(f"load: found it with {to!r}; expected ros2, csv, mjcf, urdf or sdf; leave it out")
 

@@ -1,8 +1,7 @@
 """C99 headers and the look-up table as CSV, for programs that read no coefficient file.
 
-One header holds the coefficients, with radius functions, integer form and odometry, the other the law with named
-effects, for the loop of a simulator in C or C++: the same motion as `calib.runtime.Effects`, with the same effects left
-out. What an effect does is a macro of its name in ``c_acts.j2``.
+One header holds the coefficients with radius functions, integer form and odometry, the other the law with named
+effects for a simulator's loop, as `calib.runtime.Effects`. What an effect does is a macro of its name in ``c_acts.j2``.
 """
 
 from __future__ import annotations

@@ -236,8 +236,7 @@ def written(values: tuple[float, ...]) -> str:
 def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     """Write radii, track, and the height of both axles; return what could not be written.
 
-    Each wheel is lowered or raised by the change of its radius, so that the chassis keeps its height and all wheels
-    stay on the floor; both move sideways by the same way until they are a track apart.
+    Each wheel is lowered or raised so that the chassis keeps its height; both move sideways alike, a track apart.
     """
     for wheel, radius in ((left, new.left_m), (right, new.right_m)):
         if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:

@@ -193,13 +193,12 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
             sessions.draw(axis, x, rest, ms=3)
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
+        style.over_runs(axes[row, 1], "")
         reach = np.array([quantile.min(), quantile.max()])
         axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=style.INK, lw=0.8)
         axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")
         axes[row, 1].set_title("in the order driven")
         axes[row, 2].set_title("against a normal distribution")
-    for axis in axes[:, 1]:
-        style.over_runs(axis, "")
     for axis, text in zip(axes[1], ("wheel load (N)", "run", "normal quantile"), strict=True):
         axis.set_xlabel(text)
     return figure

@@ -129,7 +129,7 @@ def _short(name: str, none: str, limit: int) -> str:
 def over_runs(axis: Axes, label: str = "run, in the order driven") -> None:
     """Label an axis that counts runs; between two of them there is none."""
     axis.set_xlabel(label)
-    axis.xaxis.get_major_locator().set_params(integer=True)
+    axis.locator_params(axis="x", integer=True)
 
 
 def draw_ordered(axis: Axes, values: FloatArray, intervals: FloatArray, marked: BoolArray) -> None:
