@@ -160,7 +160,7 @@ def refuse_beyond(
 
 
 def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
-    """Raise BadInputError where more of `name` (``draws``) is asked for than is computed, or no number."""
+    """Raise BadInputError where more of `name` (``draws``) is asked for than there may be, or no number."""
     if not count <= most:
         raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")
 

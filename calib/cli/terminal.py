@@ -279,7 +279,7 @@ def _put(stream: Any, text: str, other: Callable[[], str] = str) -> None:
 
 
 def drop(stream: Any) -> None:
-    """Let a stream that nobody reads lead nowhere, with what is still buffered."""
+    """Let a stream that nobody reads lead nowhere."""
     CLOSED.set(True)
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -183,7 +183,7 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
         yield (
             f"single runs scatter by {100 * wheel.run_std_m / radius:.2g} % of the radius; expected less than "
             f"{100 * MAX_SCATTER:.0f} %; check distances, counts and loads, first of "
-            f"{runs[int(np.argmax(np.abs(wheel.residual_m)))]}, and correct or exclude it"
+            f"{runs[int(np.argmax(np.abs(wheel.residual_m)))]}, or exclude it"
         )
 
 
