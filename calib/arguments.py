@@ -50,7 +50,10 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
 
 def bind(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> inspect.BoundArguments:
     """Return the arguments of a call as the function's annotations have them; raises BadInputError."""
-    bound = inspect.signature(function).bind(*args, **kwargs)
+    try:
+        bound = inspect.signature(function).bind(*args, **kwargs)
+    except TypeError as error:
+        raise TypeError(f"{function.__name__}: {error}; see help(calib.{function.__name__})") from None
     hints = get_type_hints(function)
     for name, value in bound.arguments.items():
         try:

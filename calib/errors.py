@@ -1,8 +1,7 @@
 """The one family of errors that users see, and how large an input may be.
 
-A message says where (file, row, column), what was found, what was expected and what to do, in one line. Beyond the
-sizes a command says so in one line, before time or memory are spent; below them both grow with what is useful in the
-input, not with what it promises.
+A message says in one line where, what was found, what was expected and what to do. What is too large is refused before
+time or memory are spent.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ class BadInputError(CalibError):
 class BadFileError(BadInputError):
     """A file that cannot be used.
 
-    `found`, `expected`, `remedy`: what stands there, what should stand there, what to do about it; `row`: line of the
-    file, counted from 1, header included; `column`: name of the column or key.
+    `found`, `expected`, `remedy`: what stands there, what should, what to do; `row`: line of the file, from 1 on;
+    `column`: name of the column or key.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class ImplausibleError(CalibError):
 
     def __init__(self, name: str, findings: Sequence[str]) -> None:
         more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-        super().__init__(f"{name}: FAILED: {findings[0]}{more}; put it right, or accept it with a reason")
+        super().__init__(f"{name}: FAILED: {findings[0].rstrip('.')}{more}; put it right, or accept it with a reason")
         self.findings = tuple(findings)
 
 
@@ -155,30 +154,13 @@ _DEEP: Final = re.compile(rf"(?<![A-Za-z0-9_.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART
 def refuse_beyond(
     count: int, most: int, *, shown: str, what: str, remedy: str, row: int | None = None, column: str | None = None
 ) -> None:
-    """Refuse more of something than there may be.
-
-    Raises BadFileError where `count` is above `most`.
-
-    Parameters
-    ----------
-    count, most, what
-        How many there are, and may be, of what (``runs``).
-    shown, row, column
-        Where in which file.
-    remedy
-        What to do about it.
-    """
+    """Refuse a `count` of `what` (``runs``) above `most`, in the file `shown`; see `BadFileError`."""
     if count > most:
         raise BadFileError(shown, f"{count} {what}", f"at most {most}", remedy, row=row, column=column)
 
 
 def refuse_more(name: str, count: float, most: int, remedy: str) -> None:
-    """Refuse a number asked for that is above what is computed.
-
-    `name` is what was asked for, as the library calls it (``draws``); no number counts as too many.
-
-    Raises BadInputError where `count` is above `most`.
-    """
+    """Raise BadInputError where more of `name` (``draws``) is asked for than there may be, or no number."""
     if not count <= most:
         raise BadInputError(f"{name}: found {count:.15g}; expected at most {most}; {remedy}")
 

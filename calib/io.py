@@ -1,9 +1,8 @@
 """Files and folders written whole.
 
 A file is written under a temporary name beside its target and then renamed. A folder is made beside its target and
-swapped with it in one step. Where that is impossible (the working folder, a mount point, a folder full of other files,
-a file system without the swap) the new entries are made inside the folder together with a list of what to move;
-`settle` finishes the moves after a crash, before anything is read. A killed writer leaves the old or the new content.
+swapped with it in one step. Where that cannot be the new entries are made inside the folder with a list of what to
+move, which `settle` finishes after a crash. A killed writer leaves the old or the new content.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ _STANDARD_STREAMS: Final = frozenset({"/dev/stdout", "/dev/stderr"})
 
 
 def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
-    """Write `data` to `path` whole; its folder is made where missing.
+    """Write `data` to `path` whole; its folder is made where missing; a device or a FIFO is never replaced.
 
     Raises BadInputError where the path is an input of the running command, the file exists and `force` is False, or
-    the folder cannot be written. A device or a FIFO is written to and never replaced.
+    the folder cannot be written.
     """
     refuse_empty(path)
     path = Path(path)
@@ -76,16 +75,14 @@ def write_json(path: Path, value: Any, *, force: bool = False) -> Path:
 
 
 def refuse_empty(path: Path | str, name: str = "output path") -> None:
-    """Raise BadInputError where a path is an empty text, which `Path` would read as the working folder."""
+    """Raise BadInputError where a path is an empty text, which `Path` reads as the working folder."""
     if isinstance(path, str) and not path.strip():
         raise BadInputError(f"{name}: found {path!r}; expected the path of a file or folder; name one")
 
 
 def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False) -> None:
-    """Raise BadInputError where a target is an input, a folder, or exists and `force` is False.
-
-    `targets`: output files, checked before the work is done; None and ``-`` are no files.
-    """
+    """Raise BadInputError where a target is an input, a folder, named twice, or exists and `force` is False."""
+    seen: set[str] = set()
     for target in targets:
         if target is None or str(target) == "-":
             continue
@@ -93,6 +90,9 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
         path = Path(target)
         refuse_input(path)
         try:
+            if (real := os.path.realpath(path)) in seen and not _is_stream(path):
+                raise BadInputError(f"{path}: found it as two outputs; expected a file each; name another one")
+            seen.add(real)
             os.lstat(path)
             if path.is_dir():
                 raise BadInputError(f"{path}: found a folder; expected a file to write; name a file in it")
@@ -102,9 +102,8 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
             continue
         except OSError as error:
             # a file where a folder should be, a name that is too long, a folder without access
-            raise BadInputError(
-                f"{path}: found {error.strerror}; expected a place for a file; choose another path"
-            ) from error
+            found = f"{path}: found {error.strerror}"
+            raise BadInputError(f"{found}; expected a place for a file; choose another path") from error
         except ValueError as error:
             raise BadInputError(f"{path}: found {error}; expected a path; correct it") from error
 
@@ -145,16 +144,9 @@ def _append(path: Path, data: bytes) -> None:
 def inside(
     root: Path, relative: str, *, named_in: Path | str, row: int | None = None, column: str | None = None
 ) -> Path:
-    """Resolve a path found in a data file, which must stay inside `root`.
+    """Resolve a path `relative` to `root`, found in the file `named_in`; see `BadFileError`.
 
-    Raises BadFileError where the path is absolute or leads out of `root`, symbolic links included.
-
-    Parameters
-    ----------
-    root, relative
-        The folder, and the path as found.
-    named_in, row, column
-        Where the path was found.
+    That is raised where the path is absolute or leads out of `root`, symbolic links included.
     """
     top = root.resolve()
     try:
@@ -163,9 +155,10 @@ def inside(
     except (OSError, ValueError, RuntimeError):  # RuntimeError: a loop of symbolic links
         ok = False
     if not ok:
+        found = f"the path {relative!r}{', a link' * os.path.islink(root / relative)}"  # noqa: PTH114 (takes any text)
         expected = "a relative path inside the campaign folder"
         remedy = "move the file into the folder and name it relative to it"
-        raise BadFileError(named_in, f"the path {relative!r}", expected, remedy, row=row, column=column)
+        raise BadFileError(named_in, found, expected, remedy, row=row, column=column)
     return path
 
 
@@ -194,10 +187,9 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False
 def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool = False) -> Path:
     """Write the entries `names` of a folder all at once; other entries are kept.
 
-    `folder`: made where missing; `names`: entries that belong together: old ones are removed when the new ones come;
-    `fill`: called with an empty folder, into which it writes the entries. Raises BadInputError where an entry is an
-    input of the running command, or exists and `force` is False, or the folder cannot be written; nothing has changed
-    then.
+    `folder`: made where missing; `names`: entries that belong together, all of them replaced; `fill`: writes them into
+    an empty folder. Raises BadInputError where an entry is an input of the running command, or exists and `force` is
+    False, or the folder cannot be written; nothing has changed then.
     """
     refuse_empty(folder)
     folder = Path(folder)

@@ -109,3 +109,18 @@ def test_logs_and_geometries_are_tables(corridor: calib.Campaign) -> None:
     estimated = calib.geometry(corridor)
     assert list(estimated.table.index) == [one.name for one in estimated.estimates]
     assert estimated.table.loc["track_m", "value"] == estimated["track_m"].value
+
+
+def test_a_call_that_does_not_fit_names_the_function() -> None:
+    with pytest.raises(TypeError, match=r"fit: .*'campaign'"):
+        calib.fit()  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"fit: .*'foo'"):
+        calib.fit("c", foo=1)  # type: ignore[call-arg]
+
+
+def test_what_the_command_line_refuses_is_refused(corridor: calib.Campaign) -> None:
+    with pytest.raises(BadInputError, match="most: found 0"):
+        calib.plan(corridor, most=0)
+    with pytest.raises(BadInputError, match="workers: found 0"):
+        calib.diagnose(corridor, workers=0)
+    assert "c_effects" in str(calib.export.__doc__)

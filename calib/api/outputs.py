@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.api.results import CampaignLike, opened, refuse_negative
+from calib.api.results import CampaignLike, opened, refuse_below
 from calib.arguments import checked
 from calib.errors import BadInputError
 from calib.kinematics.result import Geometry
@@ -163,7 +163,7 @@ def export(
     ----------
     source : Campaign, Path, str, Fit or Geometry
         A campaign is fitted first; one without rear encoders has the coefficients of its geometry.
-    to : {"json", "ros2", "c", "csv"}
+    to : {"json", "ros2", "c", "c_effects", "csv"}
         The form; ``json`` is the master that `calib.runtime` reads.
     target : Path or str, optional
         File, or folder where there are several files.
@@ -204,5 +204,5 @@ def export(
 def _generator(seed: int) -> Generator:
     from numpy.random import default_rng
 
-    refuse_negative(seed)
+    refuse_below(0, seed=seed)
     return default_rng(seed)

@@ -30,10 +30,11 @@ def opened(campaign: CampaignLike) -> Campaign:
     return campaign if isinstance(campaign, Campaign) else read(campaign)
 
 
-def refuse_negative(seed: int) -> None:
-    """Raise BadInputError for a seed below zero."""
-    if seed < 0:
-        raise BadInputError(f"seed: found {seed}; expected a whole number from 0 on; give one")
+def refuse_below(least: int, **given: int) -> None:
+    """Raise BadInputError for an argument below `least`."""
+    for name, value in given.items():
+        if value < least:
+            raise BadInputError(f"{name}: found {value}; expected a whole number from {least} on; give one")
 
 
 @checked
@@ -242,7 +243,8 @@ def diagnose(
     from calib.gap.effects.library import check_excluded
     from calib.gap.observations.from_campaign import observations_of
 
-    refuse_negative(seed)
+    refuse_below(0, seed=seed)
+    refuse_below(1, workers=workers)
     campaign = opened(campaign)
     if simulator is not None:
         return _diagnose_simulator(campaign, Path(simulator), model or journeys, exclude, seed, workers)
@@ -282,26 +284,15 @@ def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
     Plan
         The runs with the reason for each, and the intervals that `geometry` will give.
     """
-    refuse_negative(seed)
+    refuse_below(0, seed=seed)
+    refuse_below(1, most=most)
     return proposed(opened(campaign), most=most, seed=seed)
 
 
 def proposed(
     campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
 ) -> Plan:
-    """Return the plan of `plan`.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven so far.
-    among : sequence of PlannedRun, optional
-        Runs to choose from, else the usual ones.
-    most, seed : int
-        See `plan`.
-    progress : callable
-        See `calib.types.Progress`.
-    """
+    """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs, with_next
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, arg, opt
-from calib.errors import refuse_workers
+from calib.errors import BadInputError, refuse_more, refuse_workers
 
 if TYPE_CHECKING:
     from calib.campaign.ingest.build import Ingested
@@ -51,8 +51,6 @@ def ingest(
 
     Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3
     """
-    from calib.errors import BadInputError
-
     if describe:
         _describe(sources)
         return
@@ -185,10 +183,20 @@ def run(
     terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
     campaigns = [vehicle for vehicle in failed if vehicle.is_dir()]
-    step = "fleet vehicle failed" if campaigns else "fleet file failed" if failed else "fleet"
+    posed = any((folder / str(vehicle["id"])).is_dir() for vehicle in document["vehicles"])
+    step = (
+        "fleet vehicle failed" if campaigns else "fleet file failed" if failed else "fleet" if posed else "fleet table"
+    )
     other = "diagnose" if what in {"fit", "geometry"} else "fit"
     terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1])
     return int(bool(failed))
+
+
+def _some(given: int | None, usual: int, most: int, name: str) -> int:
+    """Return how many vehicles are meant, never more than there are."""
+    if given is not None:
+        refuse_more(f"--{name}", given, most, "give fewer, or more --vehicles")
+    return min(usual if given is None else given, most)
 
 
 def simulate(
@@ -196,9 +204,9 @@ def simulate(
     vehicles: Annotated[int, opt(None, "How many vehicles.", min=1)] = 400,
     runs: Annotated[int, opt(None, "Runs a vehicle.", min=6)] = 60,
     months: Annotated[int, opt(None, "Months that they are spread over.", min=1)] = 6,
-    outliers: Annotated[int, opt(None, "Vehicles with a wheel of their own.", min=0)] = 20,
-    drifting: Annotated[int, opt(None, "Vehicles whose radius drifts.", min=0)] = 5,
-    common: Annotated[int, opt(None, "Vehicles in hall B, whose floor shows.", min=0)] = 40,
+    outliers: Annotated[int | None, opt(None, "Vehicles with a wheel of their own (20).", min=0)] = None,
+    drifting: Annotated[int | None, opt(None, "Vehicles whose radius drifts (5).", min=0)] = None,
+    common: Annotated[int | None, opt(None, "Vehicles in hall B, whose floor shows (40).", min=0)] = None,
     poses: Annotated[
         bool, opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses")
     ] = False,
@@ -220,14 +228,17 @@ def simulate(
     from calib.plant.fleet import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
 
     # a folder that is there may be added to
-    terminal.refuse_outputs(None if terminal.forced() and into.is_dir() else into)
-    odd, in_hall = min(outliers, vehicles), min(common, vehicles)
+    if into.is_dir() and not terminal.forced():
+        raise BadInputError(f"{into}: found a folder; expected a new one; give --force to replace files in it")
+    terminal.refuse_outputs(None if into.is_dir() else into)
+    odd, in_hall = _some(outliers, 20, vehicles, "outliers"), _some(common, 40, vehicles, "common")
+    slow = _some(drifting, 5, vehicles - odd, "drifting")
     truth: FleetTruth | PosedTruth
     with terminal.waiting("driving"):
         if poses:
             truth = make_posed_fleet(into, default_rng(seed), vehicles, runs, odd, in_hall)
         else:
-            size = FleetSize(vehicles, runs, months, odd, min(drifting, vehicles - odd), in_hall)
+            size = FleetSize(vehicles, runs, months, odd, slow, in_hall)
             truth = make_fleet(into, default_rng(seed), size)
     terminal.wrote([into])
     terminal.then("fleet simulate --poses" if poses else "fleet simulate", c=into)

@@ -58,12 +58,11 @@ class Guarded(TyperCommand):
         seed = ctx.params.get("seed")
         if isinstance(seed, int) and not 0 <= seed < 2**63:
             raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
-        target = ctx.params.pop("json")
-        JSON_TARGET.set(target)
+        JSON_TARGET.set(ctx.params.pop("json"))
         FORCE.set(ctx.params.pop("force"))
         with inputs_kept(paths):
             # before the work, not after it
-            refuse_outputs(target and Path(target))
+            refuse_outputs()
             return super().invoke(ctx)
 
 

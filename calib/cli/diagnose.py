@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Texts, arg, opt
-from calib.errors import BadInputError
+from calib.errors import BadInputError, RefusedError
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -79,21 +79,22 @@ def run(
 
         terminal.draw(lambda: gap_figures(diagnosis), figures)
     terminal.emit_json(document)
-    step = after_diagnosis(diagnosis, simulator=simulator is not None)
-    if apply is not None:
-        step = _apply(diagnosis, read, effects, apply) or step
+    applied = "" if apply is None else _apply(diagnosis, read, effects, apply)
+    step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
     odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown", "diagnose wrong"} else ()
     terminal.then(
         "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
     )
-    return 0 if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+    return 0 if applied is not None and diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
 
 
-def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path) -> str:
+def _apply(
+    diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path
+) -> str | None:
     """Write the model with its correction, and say so where that is not recommended or nothing is to be written.
 
-    Returns the step that it was, empty where what the diagnosis leads to holds. `effects` are those that the model has
-    already; None for a simulator, of which the parameters to set are written.
+    Returns the step that it was, empty where what the diagnosis leads to holds, None where the gap leaves nothing to
+    write. `effects`: those that the model has; None for a simulator, of which the parameters to set are written.
     """
     from calib.gap.apply import applied_model
     from calib.gap.decision.diagnosis import VerdictKind
@@ -102,10 +103,14 @@ def _apply(diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSectio
     if diagnosis.kind is VerdictKind.NO_GAP:
         terminal.say(f"{target} is not written: there is no gap, so the model stays as it is.")
         return ""
-    if effects is None:
-        terminal.save(target, parameters_to_set(diagnosis))
-    else:
-        terminal.save(target, applied_model(diagnosis, campaign, effects).to_bytes())
+    try:
+        made = (
+            parameters_to_set(diagnosis) if effects is None else applied_model(diagnosis, campaign, effects).to_bytes()
+        )
+    except RefusedError as refused:
+        terminal.say(f"{target} is not written: {refused}.")
+        return None
+    terminal.save(target, made)
     if not diagnosis.recommended:
         what = "parameters are" if effects is None else "model is"
         terminal.say(f"The written {what} not recommended: see above what speaks against it.")

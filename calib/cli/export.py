@@ -64,14 +64,18 @@ def export(
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
     from calib.coefficients.build import coefficients_of, export
-    from calib.coefficients.formats import ExportOptions, parse_loads
+    from calib.coefficients.formats import ExportOptions, parse_loads, refuse_loads
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
-    terminal.refuse_outputs(output if output is not None and output.is_file() else None)
+    terminal.refuse_outputs(None if output is not None and output.is_dir() else output)
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
+    if to not in FORMATS and to not in OTHER_FORMATS:
+        known = (*FORMATS, *OTHER_FORMATS)
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}{terminal.nearest(to, known)}")
+    refuse_loads(load, to)
     if to in OTHER_FORMATS:
         artifacts = _of_other_format(source, to, output, accept)
     else:
@@ -94,7 +98,7 @@ def export(
     files = _written(artifacts, output)
     if output is not None:
         # where the files went to standard output, nothing is added to them
-        terminal.then(f"export {to}", c=source, file=output)
+        terminal.then(f"export {to}", c=source, file=files[0]["path"])
     terminal.emit_json({**head, "files": files, "notes": notes})
 
 
@@ -138,7 +142,8 @@ def report(
     """Write the report on a campaign as PDF/A-3, the coefficient file attached.
 
     The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
-    where a check says that the law should not be used as it is; the report is written all the same and says so.
+    where a check says that the law should not be used as it is; the report is written all the same and says so, but
+    numbers that cannot be are refused without --accept-implausible.
     Runs that allow no law, as loops do, give a report of their geometry.
 
     Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31
@@ -149,7 +154,7 @@ def report(
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date, opened
 
-    terminal.refuse_outputs(html)
+    terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
     issued = issue_date(date)
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
@@ -178,7 +183,8 @@ def _next_step(report: Report, given: Fit | Campaign) -> str:
     if report.diagnosis is not None:
         return after_diagnosis(report.diagnosis)
     if report.geometry is not None:
-        return after_geometry(report.geometry, None)
+        step = after_geometry(report.geometry, None)
+        return "fit lacks runs" if step == "geometry lengths" else step
     stated = given.extra if isinstance(given, Campaign) else given.provenance
     return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
 

@@ -17,7 +17,7 @@ from typing import Any, Final
 import typer
 
 from calib.cli.commands import COMMANDS, build, command_called, options_of, with_default
-from calib.cli.terminal import INTERRUPTED, KEPT, nearest, note, visible
+from calib.cli.terminal import CLOSED, INTERRUPTED, KEPT, drop, nearest, note, visible
 from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError
 
@@ -130,7 +130,7 @@ def _usage(error: Exception) -> str:
 
 def pipe_closed() -> int:
     """Drop what is still buffered, since nobody reads it, and return the exit status for it."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    drop(sys.stdout)
     return EXIT_PIPE_CLOSED
 
 
@@ -222,6 +222,7 @@ def run(
     kept: list[str] = []
     KEPT.set(kept)
     INTERRUPTED.set(interrupted)
+    CLOSED.set(False)
     given = sys.argv[1:] if arguments is None else arguments
     try:
         with overflow_noted():
@@ -238,7 +239,7 @@ def run(
         raise
     except Exception as error:
         return interruption(kept) if settle() else failed(error, given)
-    return status
+    return EXIT_PIPE_CLOSED if CLOSED.get() else status
 
 
 def _heed_date() -> None:

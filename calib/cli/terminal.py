@@ -52,6 +52,8 @@ _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u20
 #: ``--json`` and ``--force`` of the command at work
 JSON_TARGET: Final[ContextVar[str | None]] = ContextVar("json_target", default=None)
 FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
+#: whether nobody reads the output any more; the command goes on, for its files
+CLOSED: Final[ContextVar[bool]] = ContextVar("closed", default=False)
 
 
 def wants_stdout() -> bool:
@@ -71,8 +73,8 @@ def heed() -> None:
 
 
 def refuse_outputs(*targets: Path | None) -> None:
-    """Refuse output files that exist, before the work; see `calib.io.refuse_existing`."""
-    refuse_existing(targets, force=forced())
+    """Refuse output files, that of ``--json`` too, before the work; see `calib.io.refuse_existing`."""
+    refuse_existing([JSON_TARGET.get(), *targets], force=forced())
 
 
 def emit_json(value: Any) -> None:
@@ -87,11 +89,7 @@ def emit_json(value: Any) -> None:
             text = to_json(value)
         except ValueError as error:
             raise BadInputError(f"the result holds a number that JSON cannot say ({error})") from error
-        try:
-            sys.stdout.write(text)
-        except UnicodeEncodeError:
-            sys.stdout.write(to_json(value, ascii_only=True))
-        sys.stdout.flush()
+        _put(sys.stdout, text, lambda: to_json(value, ascii_only=True))
     else:
         write_json(Path(target), value, force=forced())
 
@@ -107,8 +105,7 @@ def emit_text(text: str) -> None:
 
         # JSON's escapes, which YAML and TOML read as well
         text = "".join(sign if ord(sign) < 128 else json.dumps(sign)[1:-1] for sign in text)
-    sys.stdout.write(text)
-    sys.stdout.flush()
+    _put(sys.stdout, text)
 
 
 def show(blocks: Iterable[Block | Section]) -> None:
@@ -151,7 +148,8 @@ def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str |
     """
     from calib.reporting.present import next_step
 
-    _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))
+    if not CLOSED.get():
+        _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))
 
 
 def note(text: str) -> None:
@@ -264,11 +262,26 @@ def visible(text: str) -> str:
 
 
 def _write(stream: Any, text: str) -> None:
-    text = visible(text)
+    text = visible(text) + "\n"
+    _put(stream, text, lambda: text.translate(_ASCII).encode("ascii", "replace").decode("ascii"))
+
+
+def _put(stream: Any, text: str, other: Callable[[], str] = str) -> None:
+    """Write and flush; `other` where the encoding lacks a character; see `CLOSED`."""
     try:
-        stream.write(text + "\n")
-    except UnicodeEncodeError:
-        stream.write(text.translate(_ASCII).encode("ascii", "replace").decode("ascii") + "\n")
+        try:
+            stream.write(text)
+        except UnicodeEncodeError:
+            stream.write(other())
+        stream.flush()
+    except BrokenPipeError:
+        drop(stream)
+
+
+def drop(stream: Any) -> None:
+    """Let a stream that nobody reads lead nowhere."""
+    CLOSED.set(True)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 #: of options that may be left away

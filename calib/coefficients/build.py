@@ -199,8 +199,8 @@ def from_geometry(
     """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
     Where no loads were driven the slope is 0 and its standard deviation what is usual (1 % of the radius per kN), about
-    the mean load of the runs: the uncertainty of a radius grows with the distance from that load. The valid range is
-    then all that the vehicle may carry. Lengths that were not determined keep their nominal value, with 1 %.
+    the mean load of the runs, and valid is all that the vehicle may carry. Lengths that were not determined keep their
+    nominal value, with 1 %.
 
     Raises ImplausibleError where the geometry is doubtful or wrong and no reason to `accept` it is given.
     """
@@ -298,9 +298,9 @@ def coefficients_of(
 
     A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
-    `outside`, `created`: see `calib.coefficients.build.Header`; None: as the coefficient file says, else refuse and no
-    date; `accept`: why a law beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises
-    BadInputError where the path, `outside` or `created` cannot be used; RefusedError where the campaign allows no law.
+    `outside`, `created`: see `Header`; None: as the coefficient file says, else refuse and no date; `accept`: why a law
+    beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises BadInputError where one of
+    them cannot be used; RefusedError where the campaign allows no law.
     """
     from calib.radius.result import is_result, read_result
 
@@ -369,6 +369,7 @@ def export(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
         )
+    formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes()),)
     if chosen.has_model and to not in formats.PATCHING:

@@ -235,8 +235,8 @@ def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str)
     if outside == "refuse" and ((loads < low) | (loads > high)).any():
         worst = float(loads.flat[int(np.argmax(np.maximum(low - loads, loads - high)))])
         raise RefusedError(
-            f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, where the law was measured; "
-            "measure there, or export with --outside clamp"
+            f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, the loads measured and 1 % of "
+            "their span (at least 1 N) beyond; measure there, or export with --outside clamp"
         )
     return wheel.law.radius_m(np.clip(loads, low, high))
 

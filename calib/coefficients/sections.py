@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_args
 
 import numpy as np
@@ -158,7 +159,10 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     first = error.errors(include_url=False)[0]
     value = first.get("input")
     found = repr(value) if isinstance(value, (str, int, float)) or value is None else f"a {type(value).__name__}"
-    return ".".join(str(part) for part in first["loc"]), found, first["msg"].removeprefix("Value error, ")
+    expected = re.sub("^(Value error, |.* should (be|have) )", "", first["msg"])
+    if first["type"] == "missing":
+        found, expected = "nothing", "a value"
+    return ".".join(str(part) for part in first["loc"]), found, expected
 
 
 def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:

@@ -31,7 +31,7 @@ LOADS_N: Final = {
 }
 
 #: loads of Table 1
-TABLE_LOADS_N: Final = (200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1100.0)
+TABLE_LOADS_N: Final = tuple(100.0 * n for n in range(2, 12))
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
@@ -147,7 +147,7 @@ def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
             if off(radius / float(wheel.radius_m(wheel.reference_load_N))):
                 raise BadInputError(
                     f"load of the {side} wheel: found {load:g} N, where the law gives a radius of {radius:g} m; "
-                    f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured"
+                    f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N where it holds"
                 )
 
 
@@ -177,7 +177,7 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
         if beyond:
             notes.append(
                 f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "
-                f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N that were measured: the law extrapolates there"
+                f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N where the law holds: it extrapolates there"
             )
     return LawPart(
         law=law, table=law_table(law, np.array(TABLE_LOADS_N)), journeys=journeys, notes=tuple(notes), path=path

@@ -199,7 +199,11 @@ def _range(fit: WheelFit) -> Check:
     margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
     if law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin:
-        return Check("range", OK, f"The law holds for {span} a wheel and was not measured outside.")
+        return Check(
+            "range",
+            OK,
+            f"The law was measured for {span} a wheel; files of it hold 1 % of that span (at least 1 N) beyond.",
+        )
     sentence = (
         f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
         "extrapolated; measure near it, or set reference_load_N in campaign.toml."
@@ -210,16 +214,9 @@ def _range(fit: WheelFit) -> Check:
 def tested(
     name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
 ) -> Check:
-    """Return the check of a test.
+    """Return the check of a test; see `Check`.
 
-    Parameters
-    ----------
-    name, statistic, statistic_name, p_value
-        The check, and what the test gives.
-    sentences : tuple of str
-        Without and with a finding.
-    fails : bool
-        Whether a clear finding forbids the law; False where the intervals allow for it.
+    `sentences`: without and with a finding; `fails`: whether a clear one forbids the law.
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)

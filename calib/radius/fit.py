@@ -1,7 +1,6 @@
 """From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius.
 
-The uncertainty budget has the scatter observed, and parts that no number of runs makes smaller, since they are the same
-in every run: they are declared in the section ``[uncertainty]`` of ``campaign.toml`` (docs/format.md).
+Parts of the budget that are the same in every run are declared in ``[uncertainty]`` of ``campaign.toml``.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
 from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.types import FloatArray
+from calib.types import FloatArray, StrArray
 
 #: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
@@ -63,10 +62,9 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
-    `campaign`: static radii are taken from the columns ``static_radius_left_m`` and ``static_radius_right_m``, where
-    there are; `reference_load_N`: load on which the coefficients are centred; without it the one of the campaign's
-    model. Raises RefusedError where fewer than three runs can be used; ImplausibleError where that is
-    so because of units or settings that cannot be.
+    `campaign`: static radii are those of the columns ``static_radius_left_m`` and ``static_radius_right_m``;
+    `reference_load_N`: load on which the coefficients are centred; None: the model's. Raises RefusedError where fewer
+    than three runs can be used; ImplausibleError where units or settings that cannot be are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
@@ -87,7 +85,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     wheels = {}
     for name, line in fit.wheels.items():
         wheel = with_systematic(line if given else _without_loads(line), radii, sources)
-        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal), *wheel.checks))
+        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *wheel.checks))
         wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
     static, notes = _static(campaign, reference)
     return replace(
@@ -153,19 +151,19 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
     return fits, tuple(notes)
 
 
-def _implausible(wheel: WheelFit, findings: list[str], nominal_m: float | None) -> tuple[Check, ...]:
+def _implausible(wheel: WheelFit, findings: list[str], nominal_m: float | None, runs: StrArray) -> tuple[Check, ...]:
     """Return a failed check ``plausible`` for each finding beyond the bounds of a vehicle.
 
-    `findings`: of the campaign; `nominal_m`: nominal radius, None where it was assumed.
+    `findings`: of the campaign; `nominal_m`: nominal radius, None where it was assumed; `runs`: their ids.
     """
     other = "right" if wheel.wheel == "left" else "left"
     own = [text for text in findings if f"the {other} wheel" not in text]
     radius_named = any(f"the {wheel.wheel} wheel's radius" in text for text in own)
-    texts = dict.fromkeys([*own, *_beyond_bounds(wheel, nominal_m, radius_named=radius_named)])
+    texts = dict.fromkeys([*own, *_beyond_bounds(wheel, nominal_m, runs, radius_named=radius_named)])
     return tuple(Check(PLAUSIBLE, FAILED, text if text.endswith((".", "?")) else f"{text}.") for text in texts)
 
 
-def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, *, radius_named: bool) -> Iterator[str]:
+def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, radius_named: bool) -> Iterator[str]:
     radius = wheel.law.radius_ref_m
     if not (np.isfinite(radius) and radius > 0):
         yield f"the radius at the reference load comes out as {radius:.4g} m; expected one above zero; check the loads"
@@ -184,7 +182,8 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, *, radius_named: bo
     if wheel.run_std_m > MAX_SCATTER * radius:
         yield (
             f"single runs scatter by {100 * wheel.run_std_m / radius:.2g} % of the radius; expected less than "
-            f"{100 * MAX_SCATTER:.0f} %; check that distances, counts and loads are those of the same runs"
+            f"{100 * MAX_SCATTER:.0f} %; check distances, counts and loads, first of "
+            f"{runs[int(np.argmax(np.abs(wheel.residual_m)))]}, or exclude it"
         )
 
 

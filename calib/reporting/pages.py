@@ -1,7 +1,6 @@
 """Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders.
 
-Same input, same bytes. A page of HTML is plain markup with its figures inside; it needs no script. Folders hold what
-simulations, replays and fleets give: figures, tables, trajectories, pages.
+Same input, same bytes. Folders hold what simulations, replays and fleets give.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from calib.errors import CalibError
 from calib.io import refuse_existing, write_files, write_json, write_text
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures.style import render, render_all, write_figures
+from calib.reporting.figures.style import known, render, render_all, write_figures
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
 from calib.types import FloatArray, Progress, silent, stepped
@@ -48,15 +47,14 @@ if TYPE_CHECKING:
 STANDARD: Final = "a-3a"
 #: pictures of a diagnosis, which linked panels replace
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
-#: missing signs replaced one by one, beyond whole scripts that the fonts lack
+#: missing signs replaced one by one
 MAX_MISSING_SIGNS: Final = 24
 
 
 def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     """Return the report as PDF/A-3a.
 
-    The same for the same report: its date is the date of issue, and only built-in fonts are used, unless a name holds
-    signs that these lack. Raises CalibError where the page cannot be set.
+    Only built-in fonts are used, unless a name holds signs that these lack. Raises CalibError where it cannot be set.
     """
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.reporting") / "page.typ").read_bytes(),
@@ -87,16 +85,13 @@ def _compile_with_fallback(folder: Path, report: Report) -> bytes:
         try:
             return _compiled(folder, report, system_fonts=True)
         except _MissingSign as error:
-            for sign in {sign for sign in text if _of_rare_script(sign)} | set(str(error)):
+            # scripts are lacking as a whole
+            lost = set(str(error))
+            kinds = {unicodedata.category(sign) for sign in lost}
+            for sign in {sign for sign in text if unicodedata.category(sign) in kinds and not known(sign)} | lost:
                 text = text.replace(sign, f"[U+{ord(sign):X}]")
             (folder / "data.json").write_text(text, encoding="utf-8")
     raise CalibError("the report's page cannot be set: too many signs that no font has; expected common scripts")
-
-
-def _of_rare_script(sign: str) -> bool:
-    """Return whether a sign is of a script that the built-in fonts lack as a whole."""
-    common = unicodedata.name(sign, "").startswith(("LATIN", "GREEK", "CYRILLIC"))
-    return unicodedata.category(sign) in {"Lo", "So", "Cn", "Co"} and not common
 
 
 class _MissingSign(Exception):

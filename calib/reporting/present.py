@@ -176,6 +176,7 @@ STEPS: Final = {
     "effects": "'calib effects EFFECT' for one of them in full.",
     "effects EFFECT": "'calib diagnose {c}' says whether the runs show it.",
     "fleet": "'calib fleet run {c} --what {other} --into fleet-{other}'.",
+    "fleet table": "'calib fleet run FOLDER --what diagnose' takes a campaign folder a vehicle, with logs.",
     "fleet vehicle failed": "'calib check {first}', then 'calib fleet run {c} --what {what} --into fleet' again.",
     "fleet file failed": "correct the files named above, then 'calib fleet run {c} --what {what} --into fleet' again.",
     "fleet simulate": "'calib fleet run {c} --into fleet'.",

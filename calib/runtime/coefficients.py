@@ -32,7 +32,7 @@ class WheelCoefficients:
 
     `variance_radius_ref_m2`, `covariance_m2_per_N` and `variance_slope_m2_per_N2` are the covariance of
     (radius_ref, slope); `residual_std_m` is the scatter of single runs about the law; `load_min_N` to `load_max_N` is
-    where the law was measured.
+    where the law holds.
     """
 
     radius_ref_m: float

@@ -6,9 +6,7 @@ Step. With travels l, r of the wheels, s = (l + r)/2, d = (r - l)/b, u = d/2, m 
 Covariance. P = J C J' + R + Q, where
 
 - J (3 x 5) is the derivative of the pose by (radius_ref_l, slope_l, radius_ref_r, slope_r, b), carried along the path
-  by J <- F J + G, F and G the derivatives of a step by pose and by parameter; C is the covariance of the laws and of
-  the track, with what couples them where they were estimated together. A load that changes on the way is thereby one
-  law at two places, not two unrelated radii.
+  by J <- F J + G, F and G the derivatives of a step by pose and by parameter; C is the covariance of laws and track.
 - R <- F R F' + |s| (along^2 a a' + heading^2 h h'), a and h the derivatives of a step by s and by d: a random walk.
 - Q: the uncertainty of one reading of each encoder, once at the first sample (carried along in R) and once at the last.
 
@@ -46,7 +44,7 @@ class Status(enum.IntEnum):
 _TEXTS = {
     Status.OK: "fine",
     Status.NO_LOAD: "no valid wheel loads are set",
-    Status.LOAD_OUT_OF_RANGE: "wheel load outside the range in which the law was measured",
+    Status.LOAD_OUT_OF_RANGE: "wheel load outside the range in which the law holds",
     Status.NOT_FINITE: "a value is NaN or infinite",
     Status.JUMP: "counts moved further than a plausible step",
     Status.STALE: "too long since the last good sample",

@@ -330,6 +330,32 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
 ]
 
 
+def test_headings_on_a_map_are_absolute() -> None:
+    """A turn to the left that ends at a negative heading is sound there; without a log nothing is known."""
+    made = _turning(-1.0)(campaign())
+    logs = campaign().logs
+    heading = np.concatenate([np.linspace(-3.2, -1.6, length) for length in logs.lengths])
+    here = replace(made, reference=replace(made.reference, frame="map"))
+    assert not list(CHECKS["turn_direction"](here))
+    columns = {"t_s": logs.columns["t_s"], "ref_theta_rad": heading}
+    assert not list(CHECKS["turn_direction"](replace(here, logs=replace(logs, columns=columns))))
+    columns["ref_theta_rad"] = -heading
+    assert list(CHECKS["turn_direction"](replace(here, logs=replace(logs, columns=columns))))
+
+
+def test_a_ratio_that_all_runs_of_such_loads_have_is_not_swapped() -> None:
+    """Loads that lie mirrored beside a step of the radii, which the other runs do not know."""
+    made = _without_logs(campaign(runs_per_load=4))
+    payload = made.runs.number("payload_kg")
+    heavy, light = payload == payload.max(), payload == 0
+    kept = made.select((heavy & (np.cumsum(heavy) <= 2)) | (light & (np.cumsum(light) <= 4)))
+    few = kept.runs.number("payload_kg") > 0
+    left, right = (kept.runs.number(f"counts_{side}") for side in ("left", "right"))
+    mirrored = left / np.median((right / left)[~few])
+    stepped = with_numbers(kept, counts_right=np.where(few, mirrored, right))
+    assert not list(CHECKS["swapped_wheels"](stepped))
+
+
 @pytest.mark.parametrize(("check", "code", "level", "fault", "run_id"), FAULTS)
 def test_a_fault_is_found_where_it_is(check: str, code: str, level: str, fault: Fault, run_id: str) -> None:
     found = list(CHECKS[check](fault(campaign())))

@@ -9,6 +9,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.tables import write_campaign
 from calib.errors import BadFileError
+from calib.io import inside
 from tests.campaign.making import campaign
 
 TOML = """format = "calib-campaign/1"
@@ -281,3 +282,11 @@ def test_a_look_alike_that_is_not_read_is_named(name: str, meant: str, tmp_path:
 def test_a_campaign_without_logs_is_read(tmp_path: Path) -> None:
     made = read_campaign(folder(tmp_path, RUNS + "a,s,10,100,100,0,0,0\n"))
     assert (len(made.runs), int(made.logs.lengths.sum())) == (1, 0)
+
+
+def test_a_log_that_is_a_link_out_of_the_campaign_is_said_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "campaign").mkdir()
+    (tmp_path / "log.csv").write_text("t_s\n")
+    (tmp_path / "campaign" / "log.csv").symlink_to(tmp_path / "log.csv")
+    with pytest.raises(BadFileError, match="a link"):
+        inside(tmp_path / "campaign", "log.csv", named_in="runs.csv")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.campaign.tables import write_campaign
 from calib.cli.main import run
+from calib.gap.decision.diagnosis import VerdictKind
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 
 pytestmark = pytest.mark.usefixtures("diagnosed_once")
@@ -129,3 +131,20 @@ def test_counters_that_were_reset_are_named_where_no_fix_is(tmp_path: Path, caps
     assert run(["diagnose", str(folder)]) == 1
     last = capsys.readouterr().out.splitlines()[-1]
     assert "correct or exclude r003 r007 by 'calib check" in last
+
+
+@pytest.mark.parametrize("kind", ["unknown", "undecided"])
+def test_nothing_is_applied_where_nothing_is_named(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Said, and status 1 as without it: the input is not at fault."""
+    verdict = SimpleNamespace(kind=VerdictKind(kind), causes=(), correction=None, campaign="c")
+    monkeypatch.setattr("calib.gap.diagnose.diagnosed", lambda *_, **__: (verdict, ()))
+    monkeypatch.setattr("calib.reporting.topics.diagnosis.diagnosis_full", lambda _: ())
+    monkeypatch.setattr("calib.reporting.source.verdict_document", lambda _: {})
+    monkeypatch.setattr("calib.reporting.present.after_diagnosis", lambda *_, **__: "diagnose simulator lacks")
+    target = tmp_path / "applied.json"
+    write_campaign(campaign(runs_per_load=1, logs=False), tmp_path / "c")
+    assert run(["diagnose", str(tmp_path / "c"), "--apply", str(target)]) == 1
+    assert "is not written" in " ".join(capsys.readouterr().out.split())
+    assert not target.exists()

@@ -157,3 +157,12 @@ def test_a_file_of_coefficients_is_not_said_to_be_diagnosed(to: str) -> None:
 
     assert "diagnose CAMPAIGN" in next_step(f"export {to}", c=Path("coefficients.json"), file=Path("file"))
     assert f"diagnose {SAMPLE}" in next_step(f"export {to}", c=SAMPLE, file=Path("file"))
+
+
+def test_an_unknown_format_is_answered_with_all_of_them(capsys: pytest.CaptureFixture[str]) -> None:
+    """Before the source is looked for."""
+    assert run(["export", "absent", "--to", "yaml"]) == 2
+    error = capsys.readouterr().err
+    assert all(name in error for name in ("json", "ros2", "dcc", "mcap", "nav2"))
+    assert run(["export", "absent", "--to", "dcc", "--load", "500"]) == 2
+    assert "--load: found it with 'dcc'" in capsys.readouterr().err

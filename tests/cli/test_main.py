@@ -163,6 +163,38 @@ def test_a_closed_standard_output_is_no_failure(arguments: list[str], project_ro
     assert done.stderr == ""
 
 
+def test_files_are_written_although_nobody_reads_the_output(
+    project_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with ``calib fit C --into F --json J | head -1``."""
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w", encoding="utf-8") as closed:
+        monkeypatch.setattr(sys, "stdout", closed)
+        arguments = ["--into", str(tmp_path / "fit"), "--json", str(tmp_path / "fit.json")]
+        assert run(["fit", str(project_root / "sample_runs" / "corridor"), *arguments]) == 141
+    assert {path.name for path in tmp_path.rglob("*")} == {"fit", "fit.json", "runs.csv"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["report", "C", "--into", "x.pdf", "--html", "x.pdf"],
+        ["diagnose", "C", "--apply", "x.json", "--json", "./x.json"],
+        ["fit", "C", "--into", "x", "--json", "x/fit.json"],
+        ["export", "C", "--to", "json", "--output", "x.json", "--json", "x.json"],
+    ],
+)
+def test_two_outputs_of_one_name_are_refused_before_the_work(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The campaign is not even looked for."""
+    monkeypatch.chdir(tmp_path)
+    assert run([*words, "--force"]) == 2
+    assert "two outputs" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_shells_can_complete_commands_and_options(shell: str) -> None:
     program = [sys.executable, "-c", "import sys; from calib.cli.main import main; main(sys.argv[1:])"]

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from calib.campaign.settings import Encoder
-from calib.coefficients.build import Header, from_law, load_points
+from calib.coefficients.build import Header, export, from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
-from calib.coefficients.sections import EffectSection
+from calib.coefficients.formats import LoadPair
+from calib.coefficients.sections import EffectSection, first_fault
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
 from calib.radius.law import RadiusLaw
 from calib.vehicle import Vehicle
@@ -202,3 +204,19 @@ def test_load_points_are_the_means_of_runs_that_agree_to_a_newton() -> None:
     np.testing.assert_allclose(points["L300 R310"], (300.0, 310.1), rtol=0, atol=1e-9)
     many = np.arange(200.0, 400.0)
     assert load_points(many, many) == {}
+
+
+def test_what_a_file_lacks_or_has_wrong_is_said_in_plain_words() -> None:
+    with pytest.raises(ValidationError) as lacking:
+        EffectSection.model_validate({})
+    assert first_fault(lacking.value)[1:] == ("nothing", "a value")
+    with pytest.raises(ValidationError) as wrong:
+        EffectSection.model_validate(dict.fromkeys(EffectSection.model_fields, 3))
+    assert not first_fault(wrong.value)[2].startswith("Input")
+
+
+def test_loads_are_refused_where_the_law_itself_is_written(law: RadiusLaw) -> None:
+    file = from_law(law, Vehicle(), Encoder(), Header("n", False))
+    for to in ("json", "c", "c_effects"):
+        with pytest.raises(BadInputError, match="leave it out"):
+            export(file, to, [LoadPair(400.0, 400.0)])

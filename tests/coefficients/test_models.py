@@ -284,3 +284,11 @@ def test_the_model_is_never_written_over(tmp_path: Path, capsys: pytest.CaptureF
     assert model.read_bytes() == (MODELS / "differential.urdf").read_bytes()
     assert run([*arguments, "--output", str(tmp_path / "out.urdf")]) == 0
     capsys.readouterr()
+
+
+def test_wheels_on_the_wrong_side_are_noted(coefficients: CoefficientFile) -> None:
+    model = MODELS / "differential.urdf"
+    swapped = _export(coefficients, "urdf", model, "right_joint", "left_joint")
+    assert any("look swapped" in note for note in swapped.notes)
+    right = _export(coefficients, "urdf", model, "left_joint", "right_joint")
+    assert not any("look swapped" in note for note in right.notes)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calib.coefficients.build import LOAD_MARGIN, MIN_LOAD_MARGIN_N, from_fit
 from calib.documents import checksum
-from calib.errors import BadInputError, CalibError
+from calib.errors import BadInputError, CalibError, ImplausibleError, RefusedError
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, is_result, read_result, write_result
 from tests.effort import EXPLORES
@@ -189,3 +191,24 @@ def test_any_plan_gives_a_fit_or_one_line(
         low, high = wheel.radius_ref_ci95_m
         assert low <= wheel.law.radius_ref_m <= high
         assert np.all(np.linalg.eigvalsh(wheel.law.covariance) >= -1e-12 * np.trace(wheel.law.covariance))
+
+
+def test_one_gross_outlier_is_named_where_the_law_cannot_be() -> None:
+    campaign = campaign_of(DESIGNS["crossed+"], np.random.default_rng(1))
+    distance = campaign.runs.number("distance_m").copy()
+    distance[7] *= 1.8
+    spoilt = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, "distance_m": distance}))
+    fit = fit_campaign(spoilt)
+    assert any(f"first of {campaign.runs.run_id[7]}," in text for text in fit.implausible)
+    with pytest.raises(ImplausibleError) as refused:
+        from_fit(fit)
+    assert ".;" not in str(refused.value)
+
+
+def test_the_range_is_said_as_the_file_has_it(fit: Fit) -> None:
+    sentence = next(check.sentence for check in fit.left.checks if check.name == "range")
+    margin = f"{100 * LOAD_MARGIN:g} % of that span (at least {MIN_LOAD_MARGIN_N:g} N) beyond"
+    assert margin in sentence
+    law = from_fit(fit)
+    with pytest.raises(RefusedError, match=re.escape(margin.replace("that", "their"))):
+        law.radius_m(5000.0, 300.0)

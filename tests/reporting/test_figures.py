@@ -17,7 +17,7 @@ from calib.reporting.blocks import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
 from calib.reporting.figures.radius import path_deviation, regressions, residuals, runs_by_series
-from calib.reporting.figures.style import render, render_all
+from calib.reporting.figures.style import Groups, render, render_all
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
 
@@ -175,3 +175,16 @@ def test_laid_out_once_a_figure_is_the_same_in_every_format() -> None:
     assert forms["svg"] == render(path_deviation(radii_like(12, 3, loads=4)), "svg")
     assert forms["png"].startswith(b"\x89PNG")
     assert forms["pdf"].startswith(b"%PDF")
+
+
+def test_long_names_that_end_differently_stay_apart() -> None:
+    labels = np.array([f"afternoon_in_the_hot_hall_of_the_plant_in_the_south_{k}" for k in range(4)])
+    assert len(set(Groups.of(labels, "none").names)) == 4
+
+
+def test_there_is_no_tick_between_two_runs() -> None:
+    radii = radii_like(4, 1, loads=2)
+    fit = fit_law(radii, reference_load_N=300.0)
+    axes = [runs_by_series(radii).axes[1], residuals(fit.left, fit.right, radii.session).axes[4]]
+    for axis in (*axes, path_deviation(radii).axes[1]):
+        assert all(float(place).is_integer() for place in axis.get_xticks())

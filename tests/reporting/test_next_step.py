@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from calib.cli.export import _next_step
 from calib.cli.main import run
 from calib.reporting.present import after_geometry
 
@@ -66,3 +67,33 @@ def test_lengths_alone_lead_to_no_geometry(tmp_path: Path, capsys: pytest.Captur
     assert "calib geometry" not in capsys.readouterr().out
     doubtful = SimpleNamespace(passed=False, why=("lengths of straight runs alone: they do not tell the wheels apart",))
     assert after_geometry(doubtful, None) == "geometry lengths"
+
+
+@pytest.mark.parametrize(("to", "named"), [("c", "calib_coefficients.h"), ("json", "coefficients.json")])
+def test_an_export_into_a_folder_names_its_file(
+    to: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = str(ROOT / "sample_runs" / "corridor_crossed")
+    assert run(["export", source, "--to", to, "--output", str(tmp_path / "out")]) == 0
+    assert str(tmp_path / "out" / named) in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_two_runs_on_a_corridor_lead_to_more_of_them() -> None:
+    """A law cannot be fitted there, so that nothing says to fit one."""
+    straight = SimpleNamespace(passed=False, why=("lengths of straight runs alone: they do not tell the wheels apart",))
+    report = SimpleNamespace(diagnosis=None, geometry=straight)
+    assert _next_step(report, None) == "fit lacks runs"  # type: ignore[arg-type]
+
+
+def test_a_table_a_vehicle_is_not_sent_to_a_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["fleet", "simulate", "--into", "made", "--vehicles", "2", "--runs", "6", "--months", "1"]) == 0
+    run(["fleet", "run", "made", "--into", "fleet"])
+    assert "--what diagnose --into" not in capsys.readouterr().out
+    assert run(["fleet", "simulate", "--into", "made"]) == 2
+    assert "--force" in capsys.readouterr().err
+    for more in ("outliers", "drifting", "common"):
+        assert run(["fleet", "simulate", "--into", "new", "--vehicles", "3", f"--{more}", "5"]) == 2
+        assert f"--{more}: found 5" in capsys.readouterr().err

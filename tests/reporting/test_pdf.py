@@ -14,6 +14,7 @@ import typst
 
 from calib.coefficients.file import load_coefficients
 from calib.documents import to_json
+from calib.reporting import pages
 from calib.reporting.blocks import Column, Facts, Items, Notice, Section, Table, Text
 from calib.reporting.content import Report, compose
 from calib.reporting.figures.style import FORMS, write_figures
@@ -147,3 +148,22 @@ def test_every_figure_is_had_as_png_svg_and_pdf(report: Report, tmp_path: Path) 
 
     with pytest.raises(CalibError, match="force=True"):
         write_figures(report.figures(), tmp_path / "figures")
+
+
+def test_only_signs_without_a_font_are_replaced(
+    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of a kind that the page has no font for takes its kind with it, and nothing else."""
+    (tmp_path / "data.json").write_text("20 °C, セッション, № 3", encoding="utf-8")
+
+    def compiled(folder: Path, _: Report, *, system_fonts: bool) -> bytes:
+        text = (folder / "data.json").read_text(encoding="utf-8")
+        if "セ" in text:
+            raise pages._MissingSign("セ" if system_fonts else "°")
+        return text.encode()
+
+    monkeypatch.setattr(pages, "_compiled", compiled)
+    text = pages._compile_with_fallback(tmp_path, report).decode()
+    assert "20 °C" in text
+    assert "№ 3" in text
+    assert "[U+30BB][U+30C3]" in text

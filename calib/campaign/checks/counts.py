@@ -20,6 +20,8 @@ from calib.types import BoolArray, FloatArray
 _PLAUSIBLE: Final = 0.15
 #: beyond this no wear and no load explains that every run differs from the nominal radius alike
 _WORN: Final = 0.06
+#: loads within this share are alike
+_ALIKE: Final = 0.05
 
 
 def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
@@ -43,10 +45,20 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
             yield cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
+def _reference_rad(campaign: Campaign) -> FloatArray:
+    """Return how far the reference turned in each run; on a map, whose headings are absolute, by its log."""
+    turned = campaign.runs.number("ref_theta_rad")
+    if campaign.reference.frame == "map":
+        turned = np.full(len(turned), np.nan)
+        for run in np.flatnonzero(campaign.logs.present):
+            heading = campaign.logs.of(int(run)).get("ref_theta_rad", turned[:0])
+            turned[run] = np.diff(np.unwrap(heading[np.isfinite(heading)])).sum() if len(heading) else np.nan
+    return turned
+
+
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a single count while the other one turned and the vehicle did not turn about the first."""
-    runs, turn = campaign.runs, turned_rad(campaign)
-    reference = runs.number("ref_theta_rad")
+    runs, turn, reference = campaign.runs, turned_rad(campaign), _reference_rad(campaign)
     otherwise = ((runs.number("distance_m") > 1.0) & np.isnan(reference)) | (
         np.abs(turn - reference) > 0.5 * np.abs(turn)
     )
@@ -133,7 +145,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose left and right counts are exchanged, by the ratio that the other runs have.
 
     The logarithm of right over left counts is fitted on the wheel loads; a run lies mirrored where minus its value fits
-    and its value does not.
+    and its value does not, unless it is the usual one of such loads.
     """
     runs = campaign.runs
     left, right = (runs.number(f"counts_{side}") / design.per_rev(campaign, side) for side in SIDES)
@@ -141,15 +153,19 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     if usable.sum() < 5:
         return
     ratio = np.log(right[usable] / left[usable])
-    fitted, spread = _robust_fit(ratio, np.column_stack([runs.number(f"load_{side}_N")[usable] for side in SIDES]))
+    loads = np.column_stack([runs.number(f"load_{side}_N")[usable] for side in SIDES])
+    fitted, spread = _robust_fit(ratio, loads)
     spread = max(spread, 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
-    for run, value, usual in zip(np.flatnonzero(usable)[mirrored], ratio[mirrored], fitted[mirrored], strict=True):
+    for at in np.flatnonzero(mirrored):
+        alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
+        if alike.sum() > 1 and abs(ratio[at] - np.median(ratio[alike])) < 8 * spread:
+            continue
         text = (
-            f"right over left is {math.exp(value):.5f}; expected {math.exp(usual):.5f}, as in the other runs; left and "
-            "right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's [log])"
+            f"right over left is {math.exp(ratio[at]):.5f}; expected {math.exp(fitted[at]):.5f}, as in the other runs; "
+            "left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's [log])"
         )
-        yield cell_note(campaign, int(run), "counts_left, counts_right", text, "swapped_wheels")
+        yield cell_note(campaign, int(np.flatnonzero(usable)[at]), "counts_left, counts_right", text, "swapped_wheels")
 
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
@@ -172,7 +188,7 @@ def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, floa
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning that the counts give with the reference heading and with the steering angle."""
-    turned, reference = turned_rad(campaign), campaign.runs.number("ref_theta_rad")
+    turned, reference = turned_rad(campaign), _reference_rad(campaign)
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")

@@ -72,6 +72,12 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
     return tuple(pairs)
 
 
+def refuse_loads(loads: object, to: str) -> None:
+    """Raise BadInputError where a format that holds for every load is given some."""
+    if loads and to not in PATCHING | {"ros2", "csv"}:
+        raise BadInputError(f"load: found it with {to!r}; expected ros2, csv, mjcf, urdf or sdf; leave it out")
+
+
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
     """Choices of an export; a format ignores those that it has no use for."""

@@ -1,8 +1,7 @@
 """C99 headers and the look-up table as CSV, for programs that read no coefficient file.
 
-One header holds the coefficients, with radius functions, integer form and odometry, the other the law with named
-effects, for the loop of a simulator in C or C++: the same motion as `calib.runtime.Effects`, with the same effects left
-out. What an effect does is a macro of its name in ``c_acts.j2``.
+One header holds the coefficients with radius functions, integer form and odometry, the other the law with named
+effects for a simulator's loop, as `calib.runtime.Effects`. What an effect does is a macro of its name in ``c_acts.j2``.
 """
 
 from __future__ import annotations
@@ -210,7 +209,7 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     if empty:
         left, right = pairs[empty[0]]
         raise RefusedError(
-            f"load {left:g} N left, {right:g} N right: found no wheel whose law was measured there; expected "
+            f"load {left:g} N left, {right:g} N right: found no wheel whose law holds there; expected "
             f"{sides['left'].load_min_N:g} to {sides['left'].load_max_N:g} N; give another --load or --outside clamp"
         )
     cells["simulated"] = [str(file.simulated).lower()] * len(pairs)

@@ -11,7 +11,7 @@
 typedef enum {
     CALIB_OK = 0,
     CALIB_NO_LOAD = 1,           /* no valid wheel loads are set */
-    CALIB_LOAD_OUT_OF_RANGE = 2, /* outside the range in which the law was measured */
+    CALIB_LOAD_OUT_OF_RANGE = 2, /* outside the range in which the law holds */
     CALIB_NOT_FINITE = 3,        /* a value is NaN or infinite */
     CALIB_JUMP = 4,              /* counts moved further than a plausible step */
     CALIB_STALE = 5,             /* too long since the last good sample */

@@ -236,8 +236,7 @@ def written(values: tuple[float, ...]) -> str:
 def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     """Write radii, track, and the height of both axles; return what could not be written.
 
-    Each wheel is lowered or raised by the change of its radius, so that the chassis keeps its height and all wheels
-    stay on the floor; both move sideways by the same way until they are a track apart.
+    Each wheel is lowered or raised so that the chassis keeps its height; both move sideways alike, a track apart.
     """
     for wheel, radius in ((left, new.left_m), (right, new.right_m)):
         if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:
@@ -256,11 +255,12 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     apart = math.hypot(xl - xr, yl - yr)
     if apart == 0.0:
         return ("track and axle heights: as they were, since both wheels sit at the same place",)
+    swapped = f"{left.name}: sits right of {right.name}, unless the model drives along -x; they look swapped"
     grow = 0.5 * (new.track_m - apart) / apart
     dx, dy = grow * (xl - xr), grow * (yl - yr)
     left.position.write((xl + dx, yl + dy, zl + new.left_m - left.radius_m))
     right.position.write((xr - dx, yr - dy, zr + new.right_m - right.radius_m))
-    return tuple(
+    return (swapped,) * (yr - yl > 0.5 * apart) + tuple(
         f"{wheel.name}: its round shape sits off its frame; the track is that between the frames, check that between "
         "the shapes"
         for wheel in (left, right)

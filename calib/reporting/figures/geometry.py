@@ -157,7 +157,7 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
             axes.axhline(0.0, color=INK, lw=0.5)
             axes.set_title(f"{word}: {title} ({unit})")
     for axes in grid[1]:
-        axes.set_xlabel("run, in the order driven")
+        style.over_runs(axes)
     shared_legend(figure, *grid[0, 0].get_legend_handles_labels())
     return figure
 

@@ -58,7 +58,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
             _mark_sessions(axis, sessions)
         axis.set(title=f"{wheel.capitalize()} wheel", ylabel="effective radius (mm)")
         axis.margins(x=0.015, y=0.08)
-    axes[-1].set_xlabel("run, in the order driven")
+    style.over_runs(axes[-1])
     if span is None:
         style.group_legend(figure, axes[0], sessions.names)
     else:
@@ -167,9 +167,8 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
             order, PPM * part, mark, ms=2.4, mew=0, color=tint, label=f"{wheel} wheel", rasterized=len(order) > MANY
         )
     strip.axhline(0.0, color=GREY, lw=0.6)
-    strip.set(
-        xlabel="run, in the order driven", ylabel="correction of the radius (ppm)", title="What each run's path added"
-    )
+    strip.set(ylabel="correction of the radius (ppm)", title="What each run's path added")
+    style.over_runs(strip)
     strip.margins(y=0.18)
     strip.legend(loc="upper right", ncols=2, handletextpad=0.2, columnspacing=1.0)
     return figure
@@ -194,6 +193,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
             sessions.draw(axis, x, rest, ms=3)
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
+        style.over_runs(axes[row, 1], "")
         reach = np.array([quantile.min(), quantile.max()])
         axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=style.INK, lw=0.8)
         axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")

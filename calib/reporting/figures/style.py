@@ -120,10 +120,16 @@ class Groups:
 
 
 def _short(name: str, none: str, limit: int) -> str:
-    """Return a label that fits a legend; a leading underscore would hide it."""
+    """Return a label that fits a legend, both its ends kept; a leading underscore would hide it."""
     text = legible(name.strip()) or none
-    text = text if len(text) <= limit else text[: limit - 1] + "…"
+    text = text if len(text) <= limit else f"{text[: limit // 2]}…{text[1 - (limit + 1) // 2 :]}"
     return f"\u200b{text}" if text.startswith("_") else text
+
+
+def over_runs(axis: Axes, label: str = "run, in the order driven") -> None:
+    """Label an axis that counts runs; between two of them there is none."""
+    axis.set_xlabel(label)
+    axis.locator_params(axis="x", integer=True)
 
 
 def draw_ordered(axis: Axes, values: FloatArray, intervals: FloatArray, marked: BoolArray) -> None:
@@ -159,7 +165,12 @@ def legible(text: str) -> str:
     """Return a text with signs that the font lacks given by their code points, so that labels stay apart."""
     if text.isascii():
         return text
-    return "".join(sign if ord(sign) in _known_signs() else f"U+{ord(sign):X} " for sign in text).strip()
+    return "".join(sign if known(sign) else f"U+{ord(sign):X} " for sign in text).strip()
+
+
+def known(sign: str) -> bool:
+    """Return whether the figures' font can show a sign."""
+    return ord(sign) in _known_signs()
 
 
 def round_down(value: float) -> float:
