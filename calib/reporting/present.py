@@ -151,7 +151,7 @@ STEPS: Final = {
     "diagnose wrong": "correct what is named above, see 'calib check {c}', then 'calib diagnose {c}'.",
     "diagnose counters": "correct or exclude {runs_named} by 'calib check {c}', then 'calib diagnose {c}'.",
     "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
-    "plan nothing": "no single run tells more: repeat those driven, on other days if you can, then 'calib diagnose {c}'.",
+    "plan nothing": "no run tells more: repeat those driven, on other days if you can, then 'calib diagnose {c}'.",
     "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
     "report": "'calib export {c} --to dcc --output certificate.xml' for the certificate.",
     "report unstated": "'calib export {c} --to json --output coefficients.json' to use it.",
