@@ -30,7 +30,7 @@ from calib.gap.decision.diagnosis import (
     Situation,
     VerdictKind,
 )
-from calib.gap.decision.fix import beyond_vehicles, fix_of
+from calib.gap.decision.fix import beyond_vehicles, fix_of, without_length
 from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
 from calib.gap.decision.sentences import (
     CERTAIN_PROBABILITY,
@@ -159,9 +159,10 @@ def _misfit(evidence: Evidence) -> float:
 
 
 def _rather_not(causes: Sequence[Cause], certain: Mapping[str, float]) -> bool:
-    """Return whether the large causes are less likely all at work than not: some part has another cause."""
+    """Return whether the large causes are less likely all at work than not, or no length measured says so."""
     large = [cause for cause in causes if cause.share > SMALL_SHARE]
-    return prod(certain.get(cause.effect, cause.probability) for cause in large) < EVEN_PROBABILITY
+    together = prod(certain.get(cause.effect, cause.probability) for cause in large)
+    return together < EVEN_PROBABILITY or bool(without_length(cause.effect for cause in large))
 
 
 def _kind(

@@ -19,6 +19,7 @@ from calib.gap.decision.sentences import (
 )
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.library import effect_class, why_not_transferable
+from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
@@ -108,7 +109,18 @@ def reasons(
     """
     single = (text for cause in causes for text in doubts(cause, unexplained, differing))
     helpful = [*unhelpful(improvement), *remaining(improvement, unexplained)]
-    return [*_doubtful(causes, certain), *helpful, *single, *harm(trials)]
+    measured = without_length(cause.effect for cause in causes)
+    return [*_doubtful(causes, certain), *helpful, *single, *measured, *harm(trials)]
+
+
+def without_length(names: Iterable[str]) -> list[str]:
+    """Return that nothing is left that measures a length, where reference and rangefinder are said to be both off."""
+    named = {*names}
+    if ReferenceScale.id not in named or named.isdisjoint({RangefinderScale.id, BeamMisalignment.id}):
+        return []
+    return [
+        "reference and rangefinder would both read lengths wrong, and nothing is left that measures one: tape one run"
+    ]
 
 
 def doubts(

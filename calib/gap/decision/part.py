@@ -21,6 +21,7 @@ from calib.gap.decision.fix import (
     remaining,
     unhelpful,
     unsized,
+    without_length,
 )
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
@@ -70,7 +71,7 @@ def sure_part(
     apart_m = confounding.agreement_m(evidence, concerned)
     others = elsewhere(names, alternatives(evidence, concerned, unexplained, differing))
     apart = disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned)
-    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *_odd_drifts(evidence, kept, beside)]
+    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *_odd(evidence, kept, beside)]
     # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
@@ -98,11 +99,15 @@ def sure_part(
     )
 
 
-def _odd_drifts(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
-    """Return the drifts of a size that cannot be: beside steps of the sessions they are of what changed with these."""
+def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
+    """Return what cannot be: lengths without an instrument, and drifts of an odd size beside steps of the sessions.
+
+    These are of what changed with the sessions.
+    """
     drifts = {evidence.effects[name].family for name in beside}
     known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
-    return [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
+    odd = [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
+    return [*without_length(cause.effect for cause in kept), *odd]
 
 
 def _unclear(

@@ -111,6 +111,14 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     assert len(found) == against
 
 
+def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:
+    """A tape and a tracking system that agree are not both wrong by one share: the wheels that disagree are."""
+    both = [cause("reference_scale"), cause("rangefinder_scale")]
+    (why,) = reasons(both, {"reference_scale": 0.96, "rangefinder_scale": 0.96}, CLOSES)
+    assert "nothing is left that measures one" in why
+    assert reasons(both[:1], {"reference_scale": 0.96}, CLOSES) == []
+
+
 def test_harm_beyond_noise_keeps_a_fix_back_and_is_named_with_its_size() -> None:
     """The limit is that of one false alarm in a hundred campaigns: 2.33 for one trial, 3.09 for ten (normal tables)."""
     (why,) = reasons([cause()], {"load_radius": 0.9}, CLOSES, [trial(4.2)])
