@@ -1,4 +1,4 @@
-"""A reference in other units or axes is a blunder: no effect is named for it, and the verdict says where to look."""
+"""A reference in other units or axes is a blunder: the verdict says what to correct, and names no effect in its place."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
@@ -33,35 +34,62 @@ def exchanged(columns: Columns) -> Columns:
     return {"ref_x_m": columns["ref_y_m"], "ref_y_m": columns["ref_x_m"]}
 
 
-@pytest.mark.parametrize(
-    ("mistake", "every", "hint"),
-    [
-        (in_degrees, 3, "are they in degrees?"),
-        (clockwise, 3, "is ref_theta_rad positive to the right?"),
-        (in_millimetres, 3, "are they in millimetres?"),
-        (exchanged, 2, "are x and y exchanged"),
-    ],
-)
-def test_a_reference_in_other_units_or_axes_gets_no_cause(
-    mistake: Callable[[Columns], Columns], every: int, hint: str, project_root: Path
-) -> None:
-    """On some runs of the yard; headings in degrees leave no noise that the rest could be held against."""
+def opposed(columns: Columns) -> Columns:
+    return {"ref_x_m": -columns["ref_y_m"], "ref_y_m": -columns["ref_x_m"]}
+
+
+def mirrored(columns: Columns) -> Columns:
+    return {"ref_y_m": -columns["ref_y_m"]}
+
+
+def struck(project_root: Path, mistake: Callable[[Columns], Columns], every: int = 4) -> Campaign:
+    """Some runs of the yard, by a reference that makes a mistake."""
     campaign = read_campaign(project_root / "sample_runs" / "yard")
     campaign = campaign.select(np.arange(0, len(campaign.runs), every))
     numbers = {**campaign.runs.numbers, **mistake(dict(campaign.runs.numbers))}
-    struck = replace(campaign, runs=replace(campaign.runs, numbers=numbers))
-    verdict = diagnose_in_full(struck, plan=False)
+    return replace(campaign, runs=replace(campaign.runs, numbers=numbers))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "hint"),
+    [
+        (in_degrees, "are they in degrees?"),
+        (clockwise, "is ref_theta_rad positive to the right?"),
+        (in_millimetres, "are they in millimetres?"),
+    ],
+)
+def test_a_reference_in_other_units_gets_no_cause(
+    mistake: Callable[[Columns], Columns], hint: str, project_root: Path
+) -> None:
+    """Headings in degrees leave no noise that the rest could be held against."""
+    verdict = diagnose_in_full(struck(project_root, mistake), plan=False)
     assert verdict.kind in {VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
     assert verdict.causes == ()
     assert verdict.sentence.startswith("Correct this first: ")
     assert hint in verdict.correct_first[0]
 
 
+@pytest.mark.parametrize(
+    ("mistake", "remark"),
+    [
+        (exchanged, "x and y are exchanged: correct"),
+        (opposed, "x and y are exchanged, both with the other sign"),
+        (mirrored, "change the sign of ref_y_m, then"),
+    ],
+)
+def test_positions_in_mirrored_axes_are_named_and_the_cause_beside_them_is_found(
+    mistake: Callable[[Columns], Columns], remark: str, project_root: Path
+) -> None:
+    """Headings that are right beside them are what tells the axes from swapped wheels."""
+    axes, *causes = diagnose_in_full(struck(project_root, mistake), plan=False).causes
+    assert (axes.effect, axes.form) == ("reference_yaw", "the axes are mirrored")
+    assert remark in axes.remark
+    assert [cause.effect for cause in causes] == ["temperature_radius"]
+
+
 def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_root: Path) -> None:
     """The two are the same to any data of two wheels: the advice names both."""
-    campaign = read_campaign(project_root / "sample_runs" / "yard")
-    mirrored = {name: -campaign.runs.numbers[name] for name in ("ref_y_m", "ref_theta_rad")}
-    struck = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **mirrored}))
-    cause = diagnose_in_full(struck, plan=False).causes[0]
+    both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=2)
+    cause = diagnose_in_full(both, plan=False).causes[0]
     assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
     assert "y to the left" in cause.remark

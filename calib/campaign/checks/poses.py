@@ -40,6 +40,8 @@ _MOST_STRAIGHT_RUNS: Final = 200
 _LEAST_ANGLE_RAD: Final = 0.01
 #: a mirrored y leaves less than this share of the scatter where it is mirrored back
 _CLEARER: Final = 0.5
+#: a gyro's scale is compared over runs that turn by at least this angle
+_LEAST_GYRO_TURN_RAD: Final = 0.5
 #: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times
 _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
@@ -254,6 +256,25 @@ def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
         kept = near if near.sum() >= _LEAST_STRAIGHT_RUNS else kept
     square = max(float(counted[kept] @ counted[kept]), 1e-300)
     return slope, math.sqrt(float(residual[kept] @ residual[kept]) / (kept.sum() - 1) / square)
+
+
+def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
+    """Compare the turns by gyro and by reference: where both are there, the diagnosis uses those of the reference."""
+    runs = campaign.runs
+    turn, heading = runs.number("gyro_theta_rad"), runs.number("ref_theta_rad")
+    both = ~runs.excluded & np.isfinite(heading) & (np.abs(turn) > _LEAST_GYRO_TURN_RAD)
+    if both.sum() < _LEAST_STRAIGHT_RUNS or campaign.reference.frame == "map":
+        return
+    # headings may be wrapped, turns are not
+    apart = (turn - heading + np.pi)[both] % (2.0 * np.pi) - np.pi
+    scale, error = _slope(turn[both] - apart, apart)
+    if abs(scale) > _SIGMAS * error:
+        text = (
+            f"{int(both.sum())} runs turn by {100 * abs(scale):.2g} % {'more' if scale > 0 else 'less'} by the gyro "
+            f"than by the reference (standard error {100 * error:.1g} %); expected the same; correct the gyro's scale "
+            "where the vehicle navigates by it"
+        )
+        yield column_note("gyro_theta_rad", text, "gyro_against_reference")
 
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:

@@ -19,7 +19,7 @@ from calib.gap.effects.quantities import (
 )
 from calib.gap.observations.arrays import POSE, Channel
 from calib.gap.predict import predict, residuals
-from calib.types import FloatArray
+from calib.types import ComplexArray, FloatArray
 
 
 class _OfRangefinder(Effect):
@@ -249,15 +249,28 @@ class TurnedReference:
     """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
 
     effect = ReferenceYaw
-    label = "the sensor is mounted turned"
     #: yaw_rad, sd_rad: the angle and its standard uncertainty
     yaw_rad: float
     sd_rad: float
+    #: whether y has to be mirrored first
+    mirrored: bool = False
+
+    @property
+    def label(self) -> str:
+        """What is wrong with the axes."""
+        return "the axes are mirrored" if self.mirrored else "the sensor is mounted turned"
 
     @property
     def remark(self) -> str:
         """What to do about it."""
-        return f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml, then diagnose again"
+        state = f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml"
+        if not self.mirrored:
+            return f"{state}, then diagnose again"
+        if abs(abs(self.yaw_rad) - np.pi / 2.0) < MIN_TURN_RAD:
+            signs = "" if self.yaw_rad > 0.0 else ", both with the other sign"
+            return f"x and y are exchanged{signs}: correct ref_x_m and ref_y_m, then diagnose again"
+        also = "" if abs(self.yaw_rad) < MIN_TURN_RAD else f", {state}"
+        return f"y is positive to the right: change the sign of ref_y_m{also}, then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
@@ -270,17 +283,30 @@ class TurnedReference:
         return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
 
     def correct(self, campaign: Campaign) -> Campaign:
-        """Return the campaign with the sensor's yaw stated."""
+        """Return the campaign with the sensor's yaw stated, y mirrored where that is needed."""
+        if self.mirrored:
+            campaign = with_y_mirrored(campaign)
         reference = campaign.reference
         yaw_rad = float(np.angle(np.exp(1j * (reference.sensor_yaw_rad + self.yaw_rad))))
         return replace(campaign, reference=replace(reference, sensor_yaw_rad=yaw_rad))
+
+
+def with_y_mirrored(campaign: Campaign) -> Campaign:
+    """Return a campaign with the sign of the reference's y changed, in the table and in the logs."""
+    runs, logs = campaign.runs, campaign.logs
+    numbers, columns = (
+        {name: -cells if name == "ref_y_m" else cells for name, cells in table.items()}
+        for table in (runs.numbers, logs.columns)
+    )
+    return replace(campaign, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
 
 
 def find_turned(nominal: Path) -> TurnedReference | None:
     """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
-    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns.
+    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns. Axes that are mirrored see the
+    conjugate; where straight runs alone are there, the two are the same, and the turned one is named.
     """
     observations = nominal.s
     on = observations.usable[:, POSE].all(axis=1)
@@ -289,20 +315,31 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     end = nominal.end[on, 0] + 1j * nominal.end[on, 1]
     seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
     turned = np.exp(1j * nominal.end[on, 2]) - 1.0
-    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
-    columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
-    turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
+    turn, left_m2 = _turn(end, turned, seen)
+    mirror, mirrored_left_m2 = _turn(end, turned, seen.conj())
+    mirrored = mirrored_left_m2 < TURN_RESIDUAL_SHARE**2 * left_m2
+    if mirrored:
+        turn, left_m2 = mirror, mirrored_left_m2
     yaw_rad = -float(np.angle(turn))
     if abs(abs(turn) - 1.0) > MAX_STRETCH:
         return None
-    left_m2 = float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))
     by_place = turned.conj() @ (seen - end) / (turned.conj() @ turned + 1e-3)
     before_m2 = float(np.sum(np.abs(seen - end - by_place * turned) ** 2))
     headed = observations.usable[:, Channel.HEADING]
     # radii that bend the path turn its end, and the heading there by twice as much: a mounting leaves that alone
     heading = residuals(nominal, nominal)[headed, Channel.HEADING]
     bent_rad = float(np.sqrt(np.mean(heading**2))) if headed.any() else HEADING_ERROR_RAD
-    if abs(yaw_rad) < max(MIN_TURN_RAD, bent_rad / TURN_RESIDUAL_SHARE) or left_m2 > TURN_RESIDUAL_SHARE**2 * before_m2:
+    # swapped wheels mirror the headings too
+    angle_rad = float(np.sqrt(np.mean(nominal.end[on, 2] ** 2))) if mirrored else abs(yaw_rad)
+    if angle_rad < max(MIN_TURN_RAD, bent_rad / TURN_RESIDUAL_SHARE) or left_m2 > TURN_RESIDUAL_SHARE**2 * before_m2:
         return None
     sd_rad = float(np.sqrt(left_m2 / (2 * (len(seen) - 2)) / np.sum(np.abs(end) ** 2)))
-    return TurnedReference(yaw_rad, sd_rad)
+    return TurnedReference(yaw_rad, sd_rad, mirrored)
+
+
+def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
+    """Return the factor that turns ends into those seen, beside a place on the vehicle, and the squares left, m^2."""
+    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
+    columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
+    turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
+    return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))

@@ -274,7 +274,7 @@ class _Limits:
     def of(self, effect: Effect, forms: Sequence[Form]) -> tuple[float, DetectionLimit]:
         """Return the detection limit of an effect in typical sizes (infinite for `never`), and in words."""
         if not forms:
-            why = "nothing that it acts through is measured, or varies, in these runs"
+            why = "nothing that it acts through varies, or is used, in these runs"
             return np.inf, DetectionLimit(effect.id, why, never=True)
         nuisance = self.front_radius if effect.calibration else self.recalibration
         limit, best, moves = np.inf, None, False
