@@ -14,7 +14,7 @@ from calib.campaign.model import Campaign, Logs
 from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own_replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
-from calib.challenge.sealed_set import each
+from calib.challenge.seal import each
 from calib.documents import plain
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.challenge.cases import Truth
 from calib.challenge.judge import Judged, judge
-from calib.challenge.sealed_set import TRUTH_FORMAT, read_public, truth_path
+from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
 from calib.documents import plain_fields
 from calib.errors import BadFileError
 from calib.io import sha256_file

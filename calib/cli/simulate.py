@@ -289,7 +289,7 @@ def make(
 
     Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
     """
-    from calib.challenge.sealed_set import make
+    from calib.challenge.seal import make
 
     with terminal.progress("making") as tick:
         sealed_set = make(
@@ -312,7 +312,7 @@ def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed
 
     Example: calib challenge run blind
     """
-    from calib.challenge.sealed_set import run as run_set
+    from calib.challenge.run import run as run_set
 
     terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
     with terminal.progress("diagnosing") as tick:

@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.challenge.cases import Truth, campaigns_of, case_design, truth_of
 from calib.challenge.recipe import Recipe, Seeds, recipes
-from calib.challenge.sealed_set import each
+from calib.challenge.seal import each
 from calib.gap import diagnose as diagnosis
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.inference.noise import Noise, estimate_noise

@@ -9,8 +9,9 @@ import pytest
 
 from calib.arguments import inputs_kept, refuse_input
 from calib.challenge.recipe import SEEDS
+from calib.challenge.run import run
 from calib.challenge.score import Score, score
-from calib.challenge.sealed_set import make, read_public, run
+from calib.challenge.seal import make, read_public
 from calib.errors import BadFileError, BadInputError
 
 pytest.importorskip("calib.gap.diagnose")
