@@ -140,7 +140,7 @@ SUMMARIES: Final[dict[str, str]] = {
 #: group -> the example that its help shows
 GROUPS: Final[dict[str, str]] = {
     "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
-    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/ci.toml --into blind",
+    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind",
     "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
 }
 

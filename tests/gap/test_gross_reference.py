@@ -1,4 +1,4 @@
-"""A reference in other units or axes is a blunder: the verdict says what to correct, and names no effect in its place."""
+"""A reference in other units or axes is a blunder: the verdict says what to correct and names no effect instead."""
 
 from __future__ import annotations
 
