@@ -120,12 +120,10 @@ def steps_of(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def end_pose(ds_m: np.ndarray, turn_rad: np.ndarray, lateral_m: np.ndarray | float = 0.0) -> np.ndarray:
     """End pose of exact arcs, by turning complex numbers."""
-    place, heading = 0.0 + 0.0j, 0.0
-    for ds, turn, aside in zip(ds_m, turn_rad, np.broadcast_to(lateral_m, ds_m.shape), strict=True):
-        chord = ds if abs(turn) < 1e-12 else ds * np.sin(0.5 * turn) / (0.5 * turn)
-        place += (chord + 1j * aside) * np.exp(1j * (heading + 0.5 * turn))
-        heading += turn
-    return np.array([place.real, place.imag, heading])
+    before = np.cumsum(turn_rad) - turn_rad
+    chord = ds_m * np.sinc(turn_rad / (2.0 * np.pi))
+    place = np.sum((chord + 1j * np.asarray(lateral_m)) * np.exp(1j * (before + 0.5 * turn_rad)))
+    return np.array([place.real, place.imag, np.sum(turn_rad)])
 
 
 def campaign(
