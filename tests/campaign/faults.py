@@ -251,6 +251,11 @@ def _gyro_of_wrong_scale(made: Campaign) -> Campaign:
     return with_numbers(made, gyro_theta_rad=1.01 * turn, ref_theta_rad=heading)
 
 
+def in_feet(made: Campaign) -> Campaign:
+    made = wandering(made)
+    return with_numbers(made, **{name: made.runs.number(name) / 0.3048 for name in ("ref_x_m", "ref_y_m")})
+
+
 # check, code, level, fault, the run that must be named ("" for the whole campaign)
 FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("missing_values", "missing_counts", "suspicious", number("counts_left", lambda _: np.nan, 4), ""),
@@ -331,6 +336,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("turned_frame", "turned_frame", "suspicious", _turned_poses, ""),
     ("turned_frame", "turned_frame", "suspicious", _sensor_said_to_be_turned, ""),
     ("gyro_against_reference", "gyro_against_reference", "suspicious", _gyro_of_wrong_scale, ""),
+    ("implausible", "implausible", "wrong", in_feet, ""),
     ("implausible", "implausible", "wrong", scaled(4), ""),
     ("implausible", "implausible", "wrong", number("load_left_N", lambda _: -5.0, 4), ""),
     ("assumed_values", "assumed", "info", lambda m: replace(m, assumed=("rangefinder.sigma_m",)), ""),

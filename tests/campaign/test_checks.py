@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import CHECKS, check_campaign
-from tests.campaign.faults import FAULTS, Fault, number, scaled, turning, wandering, without_logs
+from tests.campaign.faults import FAULTS, Fault, in_feet, number, scaled, turning, wandering, without_logs
 from tests.campaign.making import campaign, with_numbers
 
 
@@ -23,6 +23,22 @@ def test_headings_on_a_map_are_absolute() -> None:
     assert not list(CHECKS["turn_direction"](replace(here, logs=replace(logs, columns=columns))))
     columns["ref_theta_rad"] = -heading
     assert list(CHECKS["turn_direction"](replace(here, logs=replace(logs, columns=columns))))
+
+
+@pytest.mark.parametrize(("fault", "said"), [(wandering, []), (in_feet, ["are they in feet?"])])
+def test_positions_on_a_map_are_judged_from_the_start(fault: Fault, said: list[str]) -> None:
+    """However far the map's origin lies, and wherever a run leads; without a start nothing is known."""
+    made, heading = fault(campaign()), 2.0
+    x, y = (made.runs.number(name) for name in ("ref_x_m", "ref_y_m"))
+    end = 5000.0 - 300.0j + (x + 1j * y) * np.exp(1j * heading)
+    theta = made.runs.number("ref_theta_rad") + heading
+    made = with_numbers(made, ref_x_m=end.real, ref_y_m=end.imag, ref_theta_rad=theta)
+    made = replace(made, reference=replace(made.reference, frame="map"))
+    n = int(made.logs.offsets[-1])
+    start = {"ref_x_m": np.full(n, 5000.0), "ref_y_m": np.full(n, -300.0), "ref_theta_rad": np.full(n, heading)}
+    placed = replace(made, logs=replace(made.logs, columns={**made.logs.columns, **start}))
+    assert [note.text.partition("; ")[2].partition("; ")[2] for note in CHECKS["implausible"](placed)] == said
+    assert not list(CHECKS["implausible"](made))
 
 
 def test_a_ratio_that_all_runs_of_such_loads_have_is_not_swapped() -> None:

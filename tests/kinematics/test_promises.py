@@ -10,9 +10,8 @@ from scipy.stats import chi2
 
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
-from calib.gap.plan.drive import Measured
 from calib.gap.plan.next_runs import with_next
-from calib.gap.plan.planned_runs import PlannedRun
+from calib.gap.plan.planned_runs import Measured, PlannedRun
 from calib.kinematics.assemble import promised
 from tests.kinematics.promises import LABS, NOTHING, SIGMA, Lab, kept, promise
 

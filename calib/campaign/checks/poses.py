@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.campaign.checks import design
 from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
-from calib.campaign.model import Campaign, Note
+from calib.campaign.checks.measurements import off
+from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: runs that must agree, and standard errors beyond which they do
@@ -40,6 +41,14 @@ _MOST_STRAIGHT_RUNS: Final = 200
 _LEAST_ANGLE_RAD: Final = 0.01
 #: a mirrored y leaves less than this share of the scatter where it is mirrored back
 _CLEARER: Final = 0.5
+#: positions over what was driven -> the unit that they are in
+_POSITION_UNITS: Final = (
+    (1e3, "millimetres"),
+    (1e2, "centimetres"),
+    (3.28084, "feet"),
+    (39.3701, "inches"),
+    (1e-3, "kilometres, or is distance_m in millimetres"),
+)
 #: a gyro's scale is compared over runs that turn by at least this angle
 _LEAST_GYRO_TURN_RAD: Final = 0.5
 #: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times
@@ -280,29 +289,27 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     """Yield end poses and headings in another unit."""
     runs, own_frame = campaign.runs, campaign.reference.frame != "map"
-    x, y, theta, measured = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad", "distance_m"))
+    theta, measured = (runs.number(name) for name in ("ref_theta_rad", "distance_m"))
+    x, y = _ends_m(campaign)
     rolled = np.abs(rolled_m(campaign, "left") + rolled_m(campaign, "right")) / 2
     distance = np.where(np.isfinite(measured), measured, rolled)
     away = np.hypot(x, y)
     good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
     if good.sum() >= LEAST_RUNS:
         far = good & (away > 3 * distance + 1)
-        # closed routes end near their start: in a frame of its own no run ends farther away than it was driven
-        beyond = good & (away > 1.1 * distance + 0.5) if own_frame else good
-        if far.sum() > max(design.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
-            ratio = float(np.median(away[far] / distance[far]))
-            hint = "are they in millimetres?" if ratio > 300 else "check their unit and frame"
-            text = (
-                f"the end poses lie {ratio:.3g} times as far away as was driven; expected the distance at most; {hint}"
-            )
-            yield implausible_column("ref_x_m, ref_y_m", text)
+        # closed routes end near their start; no run ends farther away than it was driven
+        beyond = good & (away > 1.1 * distance + 0.5)
         # a corridor's end lies where the rangefinder says
         straight = good & np.isfinite(measured) & (np.abs(y) < 0.2 * np.abs(x))
-        share = float(np.median(away[straight] / distance[straight])) if straight.sum() >= LEAST_RUNS else 1.0
-        if share < 0.1:
+        ratio = float(np.median(away[straight] / distance[straight])) if straight.sum() >= LEAST_RUNS else 1.0
+        expected = "the distance"
+        if far.sum() > max(design.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
+            ratio, expected = float(np.median(away[far] / distance[far])), "the distance at most"
+        if off(ratio):
+            unit = "millimetres" if ratio > 300 else design.meaning(ratio, _POSITION_UNITS)
             text = (
-                f"the end poses of straight runs lie {share:.3g} of the distance away; expected the distance; check "
-                "the unit (km, or distance_m in mm?)"
+                f"the end poses lie {ratio:.3g} times as far away as was driven; expected {expected}; "
+                f"{f'are they in {unit}?' if unit else 'check their unit and frame'}"
             )
             yield implausible_column("ref_x_m, ref_y_m", text)
         straight &= np.isfinite(theta) & (np.abs(y) < 0.05 * np.abs(x)) & (away > 0.5 * distance)
@@ -314,6 +321,25 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
             )
             yield implausible_column("ref_theta_rad", text)
     yield from _headings(campaign, distance)
+
+
+def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of each run's end as seen from its start; NaN on a map where no log has the pose at the start."""
+    runs, logs = campaign.runs, campaign.logs
+    x, y = runs.number("ref_x_m"), runs.number("ref_y_m")
+    if campaign.reference.frame != "map":
+        return x, y
+    end = np.full(len(x), complex(math.nan, math.nan))
+    for run in np.flatnonzero(logs.present & np.isfinite(x + y)):
+        log = logs.of(int(run))
+        if not log.keys() >= set(REFERENCE_POSE):
+            continue
+        pose = np.array([log[name] for name in REFERENCE_POSE])
+        known = np.isfinite(pose).all(axis=0)
+        if known.any():
+            start_x, start_y, heading = pose[:, np.argmax(known)]
+            end[run] = complex(x[run] - start_x, y[run] - start_y) * np.exp(-1j * heading)
+    return end.real, end.imag
 
 
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:

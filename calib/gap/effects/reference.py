@@ -316,7 +316,9 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
     turned = np.exp(1j * nominal.end[on, 2]) - 1.0
     turn, left_m2 = _turn(end, turned, seen)
-    mirror, mirrored_left_m2 = _turn(end, turned, seen.conj())
+    # on a map, displacements were turned by start headings that are right
+    start_rad = np.nan_to_num(observations.start_pose[on, 2])
+    mirror, mirrored_left_m2 = _turn(end, turned, seen.conj() * np.exp(-2j * start_rad))
     mirrored = mirrored_left_m2 < TURN_RESIDUAL_SHARE**2 * left_m2
     if mirrored:
         turn, left_m2 = mirror, mirrored_left_m2

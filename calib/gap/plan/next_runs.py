@@ -19,9 +19,16 @@ from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.drive import DEFAULT_CORRIDOR_M, Measured, drive
 from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, noise_at
-from calib.gap.plan.planned_runs import PlannedRun, default_candidates, joined, usual_temperature_C
+from calib.gap.plan.planned_runs import (
+    DEFAULT_CORRIDOR_M,
+    Measured,
+    PlannedRun,
+    default_candidates,
+    drive,
+    joined,
+    usual_temperature_C,
+)
 from calib.gap.predict import predict
 from calib.types import FloatArray
 

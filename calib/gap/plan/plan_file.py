@@ -12,8 +12,16 @@ from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
-from calib.gap.plan.drive import DEFAULT_CORRIDOR_M, Measured, drive, route_of
-from calib.gap.plan.planned_runs import BENDS, CORRIDORS, SQUARES, PlannedRun
+from calib.gap.plan.planned_runs import (
+    BENDS,
+    CORRIDORS,
+    DEFAULT_CORRIDOR_M,
+    SQUARES,
+    Measured,
+    PlannedRun,
+    drive,
+    route_of,
+)
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-plan/1"

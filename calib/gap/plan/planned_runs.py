@@ -1,18 +1,25 @@
-"""Planned runs: what is to be driven, candidates to choose from, and runs of two campaigns joined."""
+"""Planned runs: what is to be driven, candidates, and the campaign that an exact model of the vehicle would record."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign import wheels
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
+from calib.campaign.read import CLOSED, GYRO_SIGMA, GYRO_TURN
+from calib.campaign.settings import FrontModel
+from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.documents import plain_fields
-from calib.errors import BadInputError
+from calib.errors import PLANNED_SAMPLES, BadInputError
+from calib.odometry.integrate import radii_of_model
+from calib.odometry.routes import NAMED, Route, arc, straight
 from calib.types import FloatArray
+from calib.vehicle import wheel_loads_N
 
 #: numbers that say something at zero too; no stop and a place over the axle's middle need no word
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
@@ -21,6 +28,22 @@ CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
 SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
 BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
+#: a route is sampled this finely: below the 0.1 s of a log at walking pace
+ROUTE_SPACING_M: Final = 0.05
+#: the short corridor over the long one: distances far enough apart to tell an offset from a scale
+SHORT_CORRIDOR: Final = 0.6
+DEFAULT_CORRIDOR_M: Final = 20.0
+#: ramps of a laden vehicle
+ACCELERATION_MPS2: Final = 0.5
+#: what vehicles log at
+LOG_PERIOD_S: Final = 0.1
+#: conditions of a run, as the run table names them
+CONDITIONS: Final = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
+#: routes beside those of `calib simulate`, each with a mirror image to the right
+LEFT_ROUTES: Final = {
+    "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
+    "circle_left": (arc(1.2, 4 * np.pi),),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,3 +144,196 @@ def joined(first: Campaign, second: Campaign) -> Campaign:
 
     offsets = np.concatenate([logs[0].offsets, logs[0].offsets[-1] + logs[1].offsets[1:]])
     return replace(first, runs=runs, logs=Logs(offsets, {name: column(name) for name in columns}))
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What is measured on a run."""
+
+    distance: bool = True  #: laser distance on corridor runs
+    position: bool = True  #: reference position at the end
+    heading: bool = True  #: reference heading at the end
+    front: bool = False  #: counts and steering angle of the front wheel, in the log
+    log: bool = True  #: a log at all
+    gyro: bool = False  #: turn of the run by a gyro
+
+
+def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
+    """Return the route of a kind.
+
+    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
+    simulate``; `corridor_m`: length of the corridor.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such route.
+    """
+    left = kind.replace("_right", "_left")
+    if kind == "corridor" or kind.startswith("corridor_"):
+        length_m = corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)
+        return Route.from_segments(kind, straight(length_m))
+    if left in LEFT_ROUTES:
+        route = Route.from_segments(kind, *LEFT_ROUTES[left])
+        return route if kind == left else route.mirrored()
+    if kind in NAMED:
+        return Route.from_segments(kind, *NAMED[kind])
+    known = ["corridor", "corridor_short", *LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES)]
+    known += [name for name in NAMED if name != "corridor"]
+    raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
+
+
+def drive(
+    campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
+) -> Campaign:
+    """Return the noise-free campaign that the runs would give if the vehicle were exactly as its model.
+
+    `campaign` gives vehicle, encoders, model and instruments; its own runs are not part of the result.
+    """
+    logs = [_log(campaign, run, measured, corridor_m) for run in runs]
+    ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])
+    corridor = np.array([run.kind.startswith("corridor") for run in runs])
+    numbers: dict[str, FloatArray] = {
+        name: np.array([float(getattr(run, name)) for run in runs]) for name in CONDITIONS
+    }
+    # without a payload its place means nothing
+    for name in ("payload_x_m", "payload_y_m"):
+        numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
+    numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
+    by_length = corridor & np.array([run.tape or measured.distance for run in runs])
+    if by_length.any():
+        numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
+    closed = np.array([run.loop == CLOSED for run in runs])
+    by_reference = {"ref_x_m": measured.position, "ref_y_m": measured.position, "ref_theta_rad": measured.heading}
+    for number, (name, known) in enumerate(by_reference.items()):
+        if known or closed.any():
+            numbers[name] = np.where(closed | known, ends[:, number], np.nan)
+    if measured.gyro:
+        sigma = campaign.runs.number(GYRO_SIGMA)
+        usual = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else campaign.reference.sigma_theta_rad
+        numbers |= {GYRO_TURN: ends[:, 2], GYRO_SIGMA: np.full(len(runs), usual)}
+    for name in {name for run in runs for name in run.columns}:
+        numbers[name] = np.array([float(run.columns.get(name, np.nan)) for run in runs])
+    labels = {name: np.array([getattr(run, name) for run in runs]) for name in ("session", "kind", "direction", "loop")}
+    labels["run_id"] = np.array([f"next{number:03d}" for number in range(len(runs))])
+    table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
+    return replace(campaign, runs=table, logs=_logs_of(logs, measured))
+
+
+def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Logs:
+    if not measured.log:
+        return Logs.empty(len(logs))
+    names = [name for name in logs[0] if not name.startswith("_")]
+    offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
+    return Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in names})
+
+
+def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: float) -> dict[str, FloatArray]:
+    """Return a run's log; columns that begin with an underscore hold the pose."""
+    vehicle = campaign.vehicle
+    route = route_of(run.kind, corridor_m).divided(ROUTE_SPACING_M)
+    along_m = route.distance_m()
+    stops_m = np.linspace(0.0, along_m[-1], run.stops + 2)
+    time, driven_m = stop_and_go(stops_m, run.speed_mps, read_rolling=run.read_rolling)
+    poses = route.poses()
+    length_m = np.interp(driven_m, along_m, np.append(0.0, np.cumsum(route.length_m)))
+    x, y, heading = (np.interp(driven_m, along_m, part) for part in (poses.x_m, poses.y_m, poses.theta_rad))
+    loads = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
+    counts = wheel_counts(campaign, length_m, heading, (float(loads[1]), float(loads[2])), front=measured.front)
+    return {"t_s": time, **counts, "_x": x, "_y": y, "_theta": heading}
+
+
+def wheel_counts(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float], *, front: bool
+) -> dict[str, FloatArray]:
+    """Return the log columns, each shape (n,), of the wheels that the vehicle counts.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its model gives radii and lengths; its odometry, which wheels are counted.
+    distance_m, heading_rad : array of float, shape (n,)
+        Travelled distance of the axle's middle, and heading, at the samples.
+    loads_N : tuple of float
+        Of the left and the right wheel.
+    front : bool
+        The front wheel is counted too.
+    """
+    if not without_rear_wheels(campaign):
+        counts = _rear(campaign, distance_m, heading_rad, loads_N)
+        model = FrontModel.of(campaign.vehicle)
+        return counts | _steered(campaign, distance_m, heading_rad, model, "front") if front else counts
+    source = odometry_source(campaign)
+    if source in wheels.STEERED:
+        model = campaign.model.front or FrontModel.of(campaign.vehicle)
+        return _steered(campaign, distance_m, heading_rad, model, source)
+    return _mecanum(campaign, distance_m, heading_rad)
+
+
+def _rear(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float]
+) -> dict[str, FloatArray]:
+    encoder, (radius_left, radius_right) = campaign.encoder, radii_of_model(campaign.model, *loads_N)
+    half = 0.5 * campaign.model.track_m * heading_rad
+    return {
+        "counts_left": (distance_m - half) / radius_left * encoder.counts_per_rev_left / (2 * np.pi),
+        "counts_right": (distance_m + half) / radius_right * encoder.counts_per_rev_right / (2 * np.pi),
+    }
+
+
+def _steered(
+    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel, source: str
+) -> dict[str, FloatArray]:
+    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle."""
+    ahead, turn = np.diff(distance_m), np.diff(heading_rad)
+    if source == "shaft":
+        name, per_rev, rolled_m = "counts_rear", counts_per_rev(campaign.encoder, "shaft")[0], distance_m
+        rolling = np.abs(ahead) > 0.0
+        angle = np.where(rolling, np.arctan(model.wheelbase_m * turn / np.where(rolling, ahead, 1.0)), 0.0)
+    else:
+        step_m = np.hypot(ahead, model.wheelbase_m * turn)
+        name, per_rev, rolled_m = "counts_front", campaign.encoder.front, np.append(0.0, np.cumsum(step_m))
+        # abs: the sign of a rounded zero must not reverse the wheel
+        angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
+    steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
+    return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
+
+
+def _mecanum(campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
+    model, encoder = mecanum_model(campaign), campaign.encoder
+    half_m = model.arm_m * heading_rad
+    counts = {
+        "left": (distance_m - half_m) / model.radius_m * encoder.counts_per_rev_left / (2 * np.pi),
+        "right": (distance_m + half_m) / model.radius_m * encoder.counts_per_rev_right / (2 * np.pi),
+    }
+    return {name: counts[name.rsplit("_", 1)[1]] for name in WHEEL_COLUMNS["wheels"]}
+
+
+def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
+    """Return times (s) and travelled distances (m) from stop to stop (n_stops,), start and end included.
+
+    Ramps have `ACCELERATION_MPS2`, stops last half a second; with `read_rolling` the log ends while the vehicle rolls.
+    The period is `LOG_PERIOD_S`, longer where that would exceed `calib.errors.PLANNED_SAMPLES`.
+    """
+    if not speed > 0.0:
+        raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
+    total = float(np.ptp(stops_m)) / speed + len(stops_m) * speed / ACCELERATION_MPS2
+    period = max(LOG_PERIOD_S, total / PLANNED_SAMPLES)
+    time, distance = [np.zeros(1)], [np.zeros(1)]
+    start = 0.0
+    for number, (begin, end) in enumerate(pairwise(stops_m.tolist())):
+        top = min(speed, float(np.sqrt(ACCELERATION_MPS2 * (end - begin))))
+        ramp = top / ACCELERATION_MPS2
+        rolling_end = read_rolling and number == len(stops_m) - 2
+        cruise = (end - begin - (0.5 if rolling_end else 1.0) * top * ramp) / top
+        last = ramp + cruise + (0.0 if rolling_end else ramp)
+        t = np.append(np.arange(period, last, period), last)
+        speeding, slowing = np.minimum(t, ramp), np.maximum(t - ramp - cruise, 0.0)
+        d = 0.5 * ACCELERATION_MPS2 * speeding**2 + top * np.clip(t - ramp, 0.0, cruise)
+        d = d + top * slowing - 0.5 * ACCELERATION_MPS2 * slowing**2
+        pause = np.zeros(0) if rolling_end else LOG_PERIOD_S * np.arange(1.0, 6.0)
+        time.append(np.append(start + t, start + last + pause))
+        distance.append(np.append(begin + d, np.full(len(pause), end)))
+        start = float(time[-1][-1])
+    return np.concatenate(time), np.concatenate(distance)
