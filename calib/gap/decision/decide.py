@@ -12,15 +12,16 @@ import numpy as np
 from calib.campaign.check import implausible
 from calib.gap.decision import confounding
 from calib.gap.decision.causes import (
+    SizeDifference,
     blunder_cause,
     causes_of,
     limited_beside,
     limited_to_even,
     negligible,
     places_as_unexplained,
+    size_differences,
     unexplained_of,
 )
-from calib.gap.decision.constancy import SizeDifference, size_differences
 from calib.gap.decision.diagnosis import (
     Cause,
     Diagnosis,

@@ -8,7 +8,7 @@ from math import prod
 from typing import Final
 
 from calib.gap.decision import confounding
-from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.causes import SizeDifference
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
 from calib.gap.decision.sentences import (

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.gap.decision import confounding
-from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.causes import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.fix import (
     alternatives,

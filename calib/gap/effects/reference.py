@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import (
+    Centre,
+    Effect,
+    Family,
+    Form,
+    Observations,
+    Parameter,
+    Path,
+    Perturbation,
+    Perturbations,
+    varies,
+)
 from calib.gap.effects.quantities import (
     end_motion,
     reach,
@@ -166,7 +177,7 @@ class ReferenceYaw(Effect):
 
 
 class ReferenceScale(Effect):
-    """The pose reference reads (1 + k) times every way; a distance by another instrument does not change."""
+    """The pose reference reads (1 + k) times every way, k constant or by temperature; other distances do not change."""
 
     id = "reference_scale"
     title = "a pose reference of wrong scale"
@@ -175,17 +186,33 @@ class ReferenceScale(Effect):
     needs = "end positions beside distances by another instrument"
     separates = "a length taped on the floor, against the reference"
     needs_calibration = True
+    #: label of the form whose scale changes as the radii of wheels would
+    WITH_TEMPERATURE: ClassVar[str] = "with the temperature"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without both: what alone measures lengths is their standard."""
+        """Return a constant scale and one by temperature; none without both: what alone measures is the standard."""
         if not (observations.usable[:, Channel.DISTANCE].any() and observations.usable[:, Channel.ALONG].any()):
             return []
 
-        def perturbations(path: Path) -> list[Perturbation]:
-            along, lateral = start_to_end_frame(path, path.end[:, 0], path.end[:, 1])
-            return [Perturbation.on_readings(observations, along=along, lateral=lateral)]
+        def of(values: FloatArray) -> Callable[[Centre], Perturbations]:
+            def scaled(path: Path, centre: Centre) -> list[Perturbation]:
+                along, lateral = start_to_end_frame(path, path.end[:, 0], path.end[:, 1])
+                by = path.s.here(centre.deviations(values))
+                return [Perturbation.on_readings(path.s, along=by * along, lateral=by * lateral)]
 
-        return [Form(self.id, "", (Parameter("relative", "1", typical=1e-3, largest=1e-2),), perturbations)]
+            return lambda centre: lambda path: scaled(path, centre)
+
+        temperature_C = observations.number("temperature_C")
+        tries = 1 + varies(temperature_C, 0.5, observations)
+        constant = Parameter("relative", "1", typical=1e-3, largest=1e-2)
+        forms = [Form(self.id, "", (constant,), of(np.ones(len(observations)))(Centre(0.0)), tries=tries)]
+        if tries > 1:
+            # a mount of aluminium or plastic: 2 to 10 times the 1e-5 of the floor
+            parameter = Parameter("per_K", "1/K", typical=5e-5, largest=3e-4)
+            about, centre = of(temperature_C), Centre.of(temperature_C)
+            label = self.WITH_TEMPERATURE
+            forms.append(Form(self.id, label, (parameter,), about(centre), centre=centre, about=about, tries=tries))
+        return forms
 
 
 class ReferenceLatency(Effect):

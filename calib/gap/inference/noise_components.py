@@ -233,7 +233,23 @@ def ambient_trends(path: Path) -> Trends:
     ]
     values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
     columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
-    return replace(session_steps(path), before=_on_radii(path, columns))
+    before = np.concatenate([_on_radii(path, columns), _on_reference(path, _standardised(values[0]))], axis=2)
+    return replace(session_steps(path), before=before)
+
+
+def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
+    """Return a hundredth of each column acting on the scale of the pose reference, shape (n_units, 6, k).
+
+    Without it, what it does beside distances by another instrument would be noise of both.
+    """
+    usable = path.s.usable
+    moved = np.zeros(usable.shape)
+    if usable[:, 0].any():
+        end = (path.end[:, 0] + 1j * path.end[:, 1]) * np.exp(-1j * path.frame)
+        moved[:, 1], moved[:, 2] = end.real, end.imag
+    scaled = [moved * column[:, None] * STEP for column in columns if moved.any()]
+    stacked = np.stack(scaled, axis=2) if scaled else np.zeros((*usable.shape, 0))
+    return np.where(usable[:, :, None], stacked, 0.0)
 
 
 def session_steps(path: Path) -> Trends:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.causes import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
 from calib.gap.decision.held_out import Improvement

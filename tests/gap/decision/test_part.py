@@ -12,8 +12,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
-from calib.gap.decision.causes import negligible
-from calib.gap.decision.constancy import SizeDifference
+from calib.gap.decision.causes import SizeDifference, negligible
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement

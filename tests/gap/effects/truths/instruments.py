@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.gap.effects.making import Motion, Run, end_pose
-from tests.gap.effects.truths.cases import LOGGED, case
+from tests.gap.effects.truths.cases import LOGGED, RUNS, case, mean
 
 
 @case("rangefinder_scale", "", 2e-3)
@@ -32,6 +32,12 @@ def _(run: Run, now: Motion) -> None:
 @case("reference_scale", "", 2e-3)
 def _(run: Run, now: Motion) -> None:
     now.end_x_m, now.end_y_m = 2e-3 * end_pose(now.ds_m, now.turn_rad)[:2]
+
+
+@case("reference_scale", "with the temperature", 1e-4)
+def _(run: Run, now: Motion) -> None:
+    over = run.numbers["temperature_C"] - mean(RUNS, lambda one: one.numbers["temperature_C"])
+    now.end_x_m, now.end_y_m = 1e-4 * over * end_pose(now.ds_m, now.turn_rad)[:2]
 
 
 @case("reference_yaw", "position alone", 4e-3)
