@@ -202,7 +202,9 @@ def _situation(
         return _counts_corrected(campaign, observations, (), (), exclude)
     observations, notes = _observed(campaign, model, applied)
     nominal = predict(observations)
-    turned = None if ReferenceYaw.id in exclude else find_turned(nominal)
+    # effects that the model has stand where an outside simulator's poses would
+    bare = predict(_observed(campaign, model, ())[0]) if applied else nominal
+    turned = None if ReferenceYaw.id in exclude else find_turned(bare)
     omitted = bad_runs(nominal) if turned is None else {}
     if omitted:
         return replace(_situation(_without(campaign, omitted), model, applied, exclude, None), omitted=omitted)

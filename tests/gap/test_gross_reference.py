@@ -11,6 +11,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
+from calib.coefficients.sections import EffectSection, Quantity
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.types import FloatArray
@@ -85,6 +86,18 @@ def test_positions_in_mirrored_axes_are_named_and_the_cause_beside_them_is_found
     assert (axes.effect, axes.form) == ("reference_yaw", "the axes are mirrored")
     assert remark in axes.remark
     assert [cause.effect for cause in causes] == ["temperature_radius"]
+
+
+def test_axes_are_found_beside_a_model_that_has_effects(project_root: Path) -> None:
+    """The temperature's effect is in the model then: the axes alone are left."""
+    alpha = EffectSection(
+        effect="temperature_radius",
+        form="",
+        settings={"centre": 18.7, "spread": 1.0},
+        parameters={"alpha": Quantity(value=6.8e-5, unit="1/K")},
+    )
+    causes = diagnose_in_full(struck(project_root, exchanged), plan=False, applied=(alpha,)).causes
+    assert [cause.effect for cause in causes] == ["reference_yaw"]
 
 
 def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_root: Path) -> None:
