@@ -215,6 +215,8 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     if simulator and diagnosis.recommended:
         tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group.effects)
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
-    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if diagnosis.correct_first else kind
+    # what was corrected before the search has no finite signal
+    wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
+    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if wrong else kind
     step = f"diagnose {kind}"
     return step if step in STEPS else "diagnose"

@@ -14,6 +14,7 @@ from calib.campaign.read import read_campaign
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
+from calib.reporting.present import after_diagnosis
 from calib.types import FloatArray
 
 Columns = dict[str, FloatArray]
@@ -82,7 +83,10 @@ def test_positions_in_mirrored_axes_are_named_and_the_cause_beside_them_is_found
     mistake: Callable[[Columns], Columns], remark: str, project_root: Path
 ) -> None:
     """Headings that are right beside them are what tells the axes from swapped wheels."""
-    axes, *causes = diagnose_in_full(struck(project_root, mistake), plan=False).causes
+    verdict = diagnose_in_full(struck(project_root, mistake), plan=False)
+    # the model is not what has to be corrected first
+    assert after_diagnosis(verdict) == "diagnose wrong"
+    axes, *causes = verdict.causes
     assert (axes.effect, axes.form) == ("reference_yaw", "the axes are mirrored")
     assert remark in axes.remark
     assert [cause.effect for cause in causes] == ["temperature_radius"]
