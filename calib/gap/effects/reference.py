@@ -312,13 +312,13 @@ class TurnedReference:
     def correct(self, campaign: Campaign) -> Campaign:
         """Return the campaign with the sensor's yaw stated, y mirrored where that is needed."""
         if self.mirrored:
-            campaign = with_y_mirrored(campaign)
+            campaign = _with_y_mirrored(campaign)
         reference = campaign.reference
         yaw_rad = float(np.angle(np.exp(1j * (reference.sensor_yaw_rad + self.yaw_rad))))
         return replace(campaign, reference=replace(reference, sensor_yaw_rad=yaw_rad))
 
 
-def with_y_mirrored(campaign: Campaign) -> Campaign:
+def _with_y_mirrored(campaign: Campaign) -> Campaign:
     """Return a campaign with the sign of the reference's y changed, in the table and in the logs."""
     runs, logs = campaign.runs, campaign.logs
     numbers, columns = (
@@ -367,7 +367,10 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
 
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    """Return the factor that turns ends into those seen, beside a place on the vehicle, and the squares left, m^2."""
+    """Return the factor that turns ends into those seen, and the squares left, m^2, beside a place on the vehicle.
+
+    `end`, `seen` (shape (n_runs,), m): by the counts and by the reference; `turned`: ``exp(i theta) - 1`` of the ends.
+    """
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
     columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
