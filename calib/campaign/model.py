@@ -6,7 +6,7 @@ Arrays over all runs, and logs of all runs laid end to end, so that later stages
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import finalize
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Reference
 from calib.errors import BadFileError, BadInputError
@@ -170,6 +170,20 @@ class RunTable:
         labels = {name: column[index] for name, column in self.labels.items()}
         numbers = {name: column[index] for name, column in self.numbers.items()}
         return RunTable(labels=labels, numbers=numbers, excluded=self.excluded[index], line=self.line[index])
+
+
+def stacked(tables: Sequence[RunTable]) -> RunTable:
+    """Return the runs of several tables, one after another; empty cells where one lacks a column of another."""
+
+    def whole(names: Iterable[str], column: Callable[[RunTable, str], NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        return {name: np.concatenate([column(runs, name) for runs in tables]) for name in dict.fromkeys(names)}
+
+    return RunTable(
+        labels=whole((name for runs in tables for name in runs.labels), RunTable.label),
+        numbers=whole((name for runs in tables for name in runs.numbers), RunTable.number),
+        excluded=np.concatenate([runs.excluded for runs in tables]),
+        line=np.concatenate([runs.line for runs in tables]),
+    )
 
 
 #: columns that come to more are kept in a temporary file

@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.ingest.logs import MappedLog, read_mapped
-from calib.campaign.ingest.mapping import Mapping, bad_line, read_mapping
+from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
 from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
-from calib.campaign.model import Border, Campaign, Note, RunTable
+from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
 from calib.campaign.settings import Encoder
@@ -157,9 +157,12 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         tables = ((path, _run_table(path, work, named=True)) for path in beside)
         first, table = next(((path, found) for path, found in tables if found is not None), (first, None))
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
-    if table is not None:
+    runs = None
+    if table is not None and work.mapping.table.sheets:
+        runs = _runs_of_sheets(first, work)
+    elif table is not None:
         table, work.mapping = with_lookups(table, work.mapping, first, work.border)
-    runs = None if table is None else mapped_runs(table, work.mapping, str(first), work.border)
+        runs = mapped_runs(table, work.mapping, work.settings.encoder, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
@@ -176,7 +179,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
             names = object_array(several or [path.stem for path in files])
             shown = "the files given"
             raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))
-            runs = mapped_runs(raw, work.mapping, shown, work.border)
+            runs = mapped_runs(raw, work.mapping, work.settings.encoder, shown, work.border)
             matched = None if several else {index: {"": path} for index, path in enumerate(files)}
         missing: dict[int, str] = {}
         if matched is None:
@@ -203,7 +206,8 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
     if path.is_dir() or holds_recording(path):
         return None
-    raw = read_table(path, str(path), None, work.mapping.table.layout)
+    sheets, layout = work.mapping.table.sheets, work.mapping.table.layout
+    raw = read_table(path, str(path), None, replace(layout, sheet=sheets[0]) if sheets else layout)
     if named and not names_runs(raw, work.mapping):
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
@@ -212,8 +216,37 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
         if log_columns & set(raw.columns):
             return None
     work.hashes[str(path)] = sha256_file(path)
-    work.border.notes.extend(raw.notes)
+    if not sheets:
+        work.border.notes.extend(raw.notes)
     return raw
+
+
+def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
+    """Return the runs of several sheets, one after another, or by their numbers where each has one of its own.
+
+    Names that come again get the sheet's before them.
+    """
+    given, tables = work.mapping.table, []
+    for sheet in given.sheets:
+        shown = f"{path}, sheet {sheet!r}"
+        raw = read_table(path, shown, None, replace(given.layout, sheet=sheet))
+        work.border.notes.extend(raw.notes)
+        if any(line.column == SHEET for line in given.columns.values()):
+            raw = replace(raw, columns={SHEET: object_array([sheet] * len(raw.line)), **raw.columns})
+        raw, mapping = with_lookups(raw, work.mapping, path, work.border)
+        tables.append(mapped_runs(raw, mapping, work.settings.encoder, shown, work.border))
+    named = [str(run_id) for runs in tables for run_id in runs.run_id]
+    if len({*named}) < len(named):
+        text = "runs of several sheets have the same names; the sheet's name stands before each"
+        work.border.say(str(path), text, "run_names")
+        tables = [
+            replace(runs, labels={**runs.labels, "run_id": np.char.add(f"{sheet} ", runs.run_id)})
+            for sheet, runs in zip(given.sheets, tables, strict=True)
+        ]
+    runs = stacked(tables)
+    numbered = runs.run_id.tolist() == named and all(name.isdecimal() for name in named)
+    # drift and wear are judged in the order driven
+    return runs.select(np.argsort([int(name) for name in named], kind="stable")) if numbered else runs
 
 
 def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:

@@ -108,6 +108,8 @@ class FileContents:
     sheet: str = ""
     #: other sheets that hold tables, by their names
     others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
+    #: sheets that have the same columns, this one among them; empty where it is the only one
+    alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
     #: whether each run stands in a column of its own
     runs_in_columns: bool = field(default=False, metadata={"json": False})
 
@@ -141,11 +143,24 @@ def file_contents(path: Path) -> FileContents:
     chosen = next(iter(runs or usual), None)
     if chosen is None:
         return _table_contents(path, shown, "")
+    alike = tuple(name for name in usual if sheets[name].alike(sheets[chosen]))
+    sheets[chosen] = _with_texts_of([sheets[name] for name in (chosen, *alike)])
     others = {name: sheets[name].columns for name in usual if name != chosen}
     contents = _table_contents(path, shown, "")
-    if contents.columns == sheets[chosen].columns:
-        return replace(contents, others=others)
-    return replace(sheets[chosen], sheet=chosen, others=others)
+    if contents.alike(sheets[chosen]):
+        contents = replace(contents, columns=sheets[chosen].columns)
+    else:
+        contents = replace(sheets[chosen], sheet=chosen)
+    return replace(contents, others=others, alike_sheets=alike if len(alike) > 1 else ())
+
+
+def _with_texts_of(sheets: Sequence[FileContents]) -> FileContents:
+    """Return the first of sheets that have the same columns, with the different texts of all."""
+    columns = []
+    for alike in zip(*(sheet.columns for sheet in sheets), strict=True):
+        texts = dict.fromkeys(text for column in alike for text in column.texts)
+        columns.append(replace(alike[0], texts=tuple(texts)[:_LISTED_TEXTS]))
+    return replace(sheets[0], columns=tuple(columns))
 
 
 def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:

@@ -73,6 +73,14 @@ def direction_of(text: str) -> str | None:
     return next((way for way, pattern in _DIRECTIONS if re.fullmatch(pattern, plain_text(text))), None)
 
 
+def mass_of(text: str) -> float | None:
+    """Return the payload in kg that a text names: ``200 kg``, ``with 62,5kg``, ``leer``; None where it names none."""
+    if re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
+        return 0.0
+    found = re.search(r"(\d+(?:[.,]\d+)?)_?\s*kg", plain_text(text))
+    return float(found[1].replace(",", ".")) if found else None
+
+
 def stem_and_unit(name: str) -> tuple[str, str | None]:
     """Return a column's name without its unit, plain, and the unit where it names one that calib knows.
 
@@ -90,15 +98,35 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
 
 def count_unit(name: str) -> str | None:
-    """Return the unit of a wheel's column where its name has one in brackets: ``counts``, ``rad``, ``rad/s``."""
+    """Return the unit of a wheel's column where its name has one, as ``rad`` or ``turns``; ``[counts]`` in brackets."""
     unit = unit_spelled(bracketed(name)[1] or "")
-    return unit if unit in COUNT_UNITS else None
+    if unit in COUNT_UNITS:
+        return unit
+    turned = re.match(f"{_names()['parts']['turns']}_", stem_and_unit(name)[0])
+    return "turns" if turned and side_of(name) else None
 
 
 def guessed_table_column(name: str) -> str | None:
     """Return the column of the run table that a name may mean, or None."""
     exact = recognise(name, TABLE_COLUMNS).name
     return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), "table")
+
+
+def reading_of(name: str) -> tuple[str, str] | None:
+    """Return what a column of readings would give as a difference, and ``start`` or ``end``; None where it is neither.
+
+    `name`: as ``Laser start [mm]`` or ``Zähler links Ende``. A difference is a distance or a wheel's counts.
+    """
+    stem, unit = stem_and_unit(name)
+    parts, words = _names()["parts"], stem.split("_")
+    for moment in ("start", "end"):
+        rest = [word for word in words if not re.fullmatch(parts[moment], word)]
+        if 0 < len(rest) == len(words) - 1:
+            plain = "_".join(rest)
+            target = "distance_m" if re.fullmatch(parts["rangefinder"], plain) else _matching(plain, unit, "table")
+            if target in {"distance_m", "counts_left", "counts_right"}:
+                return target, moment
+    return None
 
 
 def guessed_log_column(name: str) -> str | None:

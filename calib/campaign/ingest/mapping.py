@@ -22,9 +22,12 @@ from calib.errors import BadFileError
 from calib.io import inside
 from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix
 
+#: a column of the run table that holds the sheet's name, where runs stand on several
+SHEET: Final = "sheet"
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
 _COLUMN: Final = 'a column name, or {column = "...", unit = "...", factor = 1}'
+_READINGS: Final = '{column = "...", minus = "..."}, two columns of the run table, without sheet and values'
 _TIMES: Final = "pairs of start and end, as [[0, 41.5], [60, 101]]"
 _LOG_FILE: Final = (
     "a name that holds {run_id} or {n}, beside them {date}, {time} or * for any text, "
@@ -70,6 +73,8 @@ class MappedColumn(_Model):
     value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
         default=None, description="a text or a number, or a list of one a run"
     )
+    #: the source's column that is subtracted, as the reading at a run's start from that at its end
+    minus: str = Field(default="", description="the name of a column of numbers")
     #: the source's unit
     unit: str | None = Field(default=None, description="the name of a unit")
     #: sheet of the same workbook on which the value is looked up, by the text of the run table's column `by`
@@ -96,6 +101,8 @@ class MappedColumn(_Model):
             raise _UnfitError("", None, _COLUMN)
         if bool(self.sheet) != bool(self.by):
             raise _UnfitError("", None, '{column = "...", sheet = "...", by = "..."}, by a column of the run table')
+        if self.minus and (not self.column or self.sheet or self.values):
+            raise _UnfitError("", self.minus, _READINGS)
         if self.factor == 0:
             raise _UnfitError("", 0, "a factor that is a number other than 0")
         return self
@@ -180,6 +187,8 @@ class TableSection(_Section):
 
     file: str | None = Field(default=None, description="the name of the run table, relative to the mapping")
     runs_in: Literal["rows", "columns"] = Field(default="rows", description='"rows" or "columns"')
+    #: sheets that hold runs, one after another; a line may name the column `SHEET`
+    sheets: list[str] = Field(default_factory=list, description='names of sheets, as ["empty", "200 kg"]')
 
     @property
     def layout(self) -> Layout:
@@ -205,10 +214,12 @@ class LogSection(_Section):
     @field_validator("columns")
     @classmethod
     def _known(cls, columns: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
-        for name in columns:
+        for name, line in columns.items():
             if name not in LOG_COLUMNS:
                 known = (*sorted(set(cls.model_fields) - {"columns"}), *LOG_COLUMNS)
                 raise _UnfitError(name, name, f"one of {', '.join(known)}")
+            if line.minus:
+                raise _UnfitError(name, line.minus, "minus in [table] alone, where runs have two readings")
         return columns
 
 

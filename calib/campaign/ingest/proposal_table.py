@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import takewhile
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest import guesses
 from calib.campaign.ingest.contents import ColumnContents, FileContents
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
-from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
+from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
-from calib.campaign.settings import recognise
+from calib.campaign.settings import bracketed, recognise
 from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix
 
@@ -36,6 +36,8 @@ def unit_remark(name: str) -> str:
     return f"   # names no unit: {', '.join(units_for(name))[:_LISTED_UNITS]}"
 
 
+#: what a column may mean that holds the load on both rear wheels together
+_AXLE: Final = "load_axle_N"
 #: characters of a remark that lists columns
 _LISTED_COLUMNS: Final = 110
 #: a date in a file's name, and a time behind it -> how a mapping says so
@@ -50,18 +52,20 @@ _MOMENTS: Final = (
 
 def table_lines(table: FileContents) -> list[str]:
     """Return the lines that name the run table's columns, and remarks on those without one."""
-    lines: list[str] = []
-    own, unused, texts = list(lines), list(lines), list(lines)
-    if table.sheet:
-        lines.append(f"sheet = {toml_value(table.sheet)}")
-    if table.runs_in_columns:
-        lines.append('runs_in = "columns"')
+    lines = _place_lines(table)
+    own: list[str] = []
+    unused: list[str] = []
+    texts: list[str] = []
     sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
     dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
-    named: set[str] = set()
+    readings, sided = _reading_lines(table.columns), _sided_lines(table)
+    lines += [*readings.values(), *chain.from_iterable(sided.values())]
+    named = {*readings, *sided}
     for column in table.columns:
+        if (guesses.reading_of(column.name) or ("", ""))[0] in readings or _of_wheel(column, "left") in sided:
+            continue
         directions = [direction_of(text) for text in column.texts]
         is_direction = 0 < len(directions) <= 2 and all(directions)
         name = "direction" if is_direction else guessed_table_column(column.name)
@@ -72,12 +76,12 @@ def table_lines(table: FileContents) -> list[str]:
             (unused if column.kind == "number" else texts).append(column.name)
             continue
         named.add(name)
-        line = _column_line(column, name)
-        if line:
-            lines.append(line)
-        else:
-            own.append(column.name)
+        proposed = _axle_lines(column) if name == _AXLE else [_column_line(column, name)]
+        lines += filter(None, proposed)
+        own += [] if any(proposed) else [column.name]
     lines += _lookup_lines(table, named)
+    if table.alike_sheets and not sided:
+        lines.append(_sheet_line(table.alike_sheets, named))
     if "run_id" not in named:
         lines.append('#run_id = ""   # the column that names the runs')
     if "kind" not in named:
@@ -88,6 +92,80 @@ def table_lines(table: FileContents) -> list[str]:
         lines.append(f"# kept as covariates: {', '.join(unused)[:_LISTED_COLUMNS]}")
     if texts:
         lines.append(f"# not used: {', '.join(texts)[:_LISTED_COLUMNS]}")
+    return lines
+
+
+def _axle_lines(column: ColumnContents) -> list[str]:
+    """Return the lines for the load on both rear wheels together: half of it on each."""
+    lines = [_column_line(column, f"load_{side}_N", {"factor": 0.5}) for side in ("left", "right")]
+    return [f"{line}   # half of the axle's" for line in lines]
+
+
+def _place_lines(table: FileContents) -> list[str]:
+    """Return the lines that say where the runs stand: on which sheets, in rows or in columns."""
+    lines, sides = [], _sheets_of_sides(table)
+    if table.alike_sheets and not sides:
+        lines.append(f"sheets = {toml_value(list(table.alike_sheets))}   # runs on several sheets, one after another")
+    elif table.sheet or sides:
+        lines.append(f"sheet = {toml_value(sides.get('left', table.sheet))}")
+    if table.runs_in_columns:
+        lines.append('runs_in = "columns"')
+    return lines
+
+
+def _sheets_of_sides(table: FileContents) -> dict[str, str]:
+    """Return the sheets of the left and the right wheel, where there are two that are called so."""
+    sides = {guesses.side_of(sheet) or "": sheet for sheet in table.alike_sheets}
+    return sides if set(sides) == {"left", "right"} and len(table.alike_sheets) == len(sides) else {}
+
+
+def _of_wheel(column: ColumnContents, side: str) -> str | None:
+    """Return the wheel's column that one on the sheet of a side may mean: ``Load [N]`` is the load of that wheel."""
+    name, unit = bracketed(column.name)
+    target = guessed_table_column(f"{name} {side}" + (f" [{unit}]" if unit else ""))
+    return target if target and side in target else None
+
+
+def _sided_lines(table: FileContents) -> dict[str, list[str]]:
+    """Return the lines for columns that stand on a sheet for each wheel, by calib's column of the left one."""
+    sides = _sheets_of_sides(table)
+    runs = next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
+    if not sides or runs is None:
+        return {}
+    other: dict[str, object] = {"sheet": sides["right"], "by": runs.name}
+    lines: dict[str, list[str]] = {}
+    for column in table.columns:
+        left, right = _of_wheel(column, "left"), _of_wheel(column, "right")
+        if left and right and column.kind == "number":
+            lines[left] = [_column_line(column, left, {}), _column_line(column, right, other)]
+    return lines
+
+
+def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
+    """Return the line for what the sheets' names say: payloads in kg, else maybe sessions."""
+    masses = [guesses.mass_of(sheet) for sheet in sheets]
+    if None in masses or {"payload_kg", "load_left_N"} & named:
+        return f'#session = "{SHEET}"   # where each sheet holds a session of its own'
+    named.add("payload_kg")
+    return f"payload_kg = {toml_value({'column': SHEET, 'values': dict(zip(sheets, masses, strict=True))})}"
+
+
+def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
+    """Return the lines for columns that hold readings at the start and at the end of each run, by calib's column."""
+    found: dict[str, dict[str, ColumnContents]] = {}
+    for column in columns:
+        reading = guesses.reading_of(column.name)
+        if reading and column.kind == "number":
+            found.setdefault(reading[0], {}).setdefault(reading[1], column)
+    lines = {}
+    for target, ends in found.items():
+        if len(ends) < 2:
+            continue
+        last, first = ends["end"], ends["start"]
+        # to a target ahead the distance falls
+        if target == "distance_m" and (last.high or 0.0) < (first.high or 0.0):
+            last, first = first, last
+        lines[target] = _column_line(last, target, {"minus": first.name})
     return lines
 
 
@@ -106,7 +184,11 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
     if recognise(column.name, TABLE_COLUMNS).name == name and not further:
         return ""
     needs, unit = split_suffix(name)[1], stem_and_unit(column.name)[1]
-    if needs and unit is None:
+    if name.startswith("counts_"):
+        unit = guesses.count_unit(column.name)
+        if unit is None and not column.whole:
+            unit, remark = "turns", "   # not whole: turns, rad, deg"
+    elif needs and unit is None:
         unit, remark = needs, unit_remark(name)
     return entry(name, column, unit, further) + remark
 
@@ -122,6 +204,9 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
     """Return lines for columns of other sheets whose labels the run table holds, and add their names to `named`."""
     lines = []
     for sheet, columns in table.others.items():
+        if sheet in table.alike_sheets:
+            # runs, or of a wheel
+            continue
         pairs = [(by, key) for by in table.columns for key in columns if _same_labels(by, key)]
         if not pairs:
             continue

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
 from calib.campaign.model import Border, RunTable
 from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
-from calib.campaign.readers.table import is_filled, object_array
-from calib.campaign.settings import bracketed, converted, recognise
+from calib.campaign.readers.sheets import COUNT_UNITS
+from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
+from calib.campaign.settings import Encoder, bracketed, converted, recognise
 from calib.campaign.tables import run_table
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
@@ -38,10 +39,12 @@ def whole_name(column: str, names: Collection[str]) -> str:
 
 def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
     """Return lines with the columns' whole names, where a line names one without the unit that the file gives it."""
-    return {
-        target: line.model_copy(update={"column": whole_name(line.column, names)}) if line.column else line
-        for target, line in lines.items()
-    }
+
+    def whole(line: MappedColumn) -> MappedColumn:
+        update = {key: whole_name(name, names) for key in ("column", "minus") if (name := getattr(line, key))}
+        return line.model_copy(update=update)
+
+    return {target: whole(line) for target, line in lines.items()}
 
 
 def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) -> tuple[RawTable, Mapping]:
@@ -129,11 +132,19 @@ def names_runs(raw: RawTable, mapping: Mapping) -> bool:
     return own or (line is not None and line.column in raw.columns)
 
 
-def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> RunTable:
+def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, border: Border) -> RunTable:
     """Return the run table that a laboratory's table and a mapping give.
 
-    `mapping`: its lines for the table. Raises BadFileError where the mapping names a column or a text that is not
-    there, or the table cannot be used.
+    Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
+
+    Parameters
+    ----------
+    raw, mapping
+        The table, and the lines for it.
+    encoder
+        Turns angles of the wheels into counts.
+    shown, border
+        The table's name in messages, and what takes notes.
     """
     lines = resolved(mapping.table.columns, raw.columns)
     raw = without_repeats(_without_end(raw, lines, shown, border), shown, border)
@@ -142,8 +153,11 @@ def mapped_runs(raw: RawTable, mapping: Mapping, shown: str, border: Border) -> 
     for name, line in lines.items():
         if line.column:
             columns[line.target(name)] = _cells(raw, name, line, mapping, shown)
-            factors[recognise(line.target(name), TABLE_COLUMNS).name] = line.scale(name)
-    used = {line.column for line in lines.values()}
+            factor = line.scale(name)
+            if name.startswith("counts_"):
+                factor *= _counts_per_unit(name, line, encoder, mapping)
+            factors[recognise(line.target(name), TABLE_COLUMNS).name] = factor
+    used = {name for line in lines.values() for name in (line.column, line.minus)}
     for name, cells in raw.columns.items():
         # a column that the mapping uses is not taken a second time under its own name
         if name not in used and recognise(name, TABLE_COLUMNS).name not in lines:
@@ -168,16 +182,24 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
 
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
-    """Return the source's cells, its texts translated where the mapping does so."""
-    if line.column not in raw.columns:
-        raise BadFileError(
-            shown,
-            row=1 if not len(raw.line) else max(1, int(raw.line[0]) - 1),
-            column=line.column,
-            found=f"only {', '.join(raw.columns)[:200]}",
-            expected="the column that the mapping names",
-            remedy=f"correct table.{name} in {mapping.shown}",
+    """Return the source's cells: texts translated, readings subtracted, where the mapping does so."""
+    for column in filter(None, (line.column, line.minus)):
+        if column not in raw.columns:
+            raise BadFileError(
+                shown,
+                row=1 if not len(raw.line) else max(1, int(raw.line[0]) - 1),
+                column=column,
+                found=f"only {', '.join(raw.columns)[:200]}",
+                expected="the column that the mapping names",
+                remedy=f"correct table.{name} in {mapping.shown}",
+            )
+    if line.minus:
+        comma = comma_evidence(list(raw.columns.values()))
+        end, start = (
+            numbers(raw.columns[column], shown=shown, column=column, line=raw.line, decimal_comma=comma)[0]
+            for column in (line.column, line.minus)
         )
+        return end - start
     cells = raw.columns[line.column]
     if not line.values:
         return cells
@@ -190,6 +212,14 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
             raise bad_line(mapping.shown, "table", f"{name}.values", list(line.values), expected)
         texts.append(meanings.get(text, str(cell).strip()) if text else None)
     return object_array(texts)
+
+
+def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: Mapping) -> float:
+    """Return the counts in a unit of a wheel's column, which holds what the wheel turned in the whole run."""
+    kind, turns = COUNT_UNITS[line.wheel_unit]
+    if kind not in {"counts", "angle"}:
+        raise bad_line(mapping.shown, "table", f"{name}.unit", line.wheel_unit, "counts, turns, rad or deg of a run")
+    return turns * encoder.per_rev(name) if kind == "angle" else 1.0
 
 
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:

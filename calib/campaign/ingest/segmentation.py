@@ -18,6 +18,7 @@ from calib.campaign.ingest.runs import mapped_runs, with_number
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
+from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
 from calib.types import BoolArray, FloatArray
 
@@ -100,7 +101,7 @@ def segment_recordings(
         remedy = "see what moves with 'calib ingest --describe', or cut by times"
         raise BadFileError(shown, f"no run, cut by {cut.by}", expected, remedy)
     if runs is None:
-        runs = _numbered(cut, names, mapping, border)
+        runs = _numbered(cut, names, mapping, settings.encoder, border)
     elif len(runs) != len(logs):
         spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:_LISTED_RUNS])
         found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
@@ -126,13 +127,13 @@ def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str,
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
 
 
-def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, border: Border) -> RunTable:
+def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, encoder: Encoder, border: Border) -> RunTable:
     """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
     columns = {"run_id": object_array([with_number(cut.run_id, number) for number in range(1, len(names) + 1)])}
     if "session" not in mapping.table.columns:
         columns["session"] = object_array(names)
     raw = RawTable(columns, np.arange(2, len(names) + 2, dtype=np.int64))
-    return mapped_runs(raw, mapping, "the runs cut", border)
+    return mapped_runs(raw, mapping, encoder, "the runs cut", border)
 
 
 def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[Any]]:

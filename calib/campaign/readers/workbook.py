@@ -72,7 +72,7 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
     notes: list[Note] = []
     with _opened(path, shown) as book:
         sheet = _sheet(book, path, shown, layout, last_row)
-        if len(book.sheetnames) > 1 and sheet.rows:
+        if len(book.sheetnames) > 1 and sheet.rows and not layout.sheet:
             text = f"the workbook has {len(book.sheetnames)} sheets; {sheet.name!r} was read"
             notes.append(Note("info", shown, text, "sheet"))
     if not sheet.rows:
