@@ -292,7 +292,7 @@ def _read_cells(
     notes += recognised
     rows, lines = rows[n_rows:], lines[n_rows:]
     if layout.lab:
-        rows, lines, omitted = table_rows(names, rows, lines, shown)
+        names, rows, lines, omitted = table_rows(names, rows, lines, shown)
         notes += omitted
     filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
     rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]

@@ -6,7 +6,8 @@ Nothing is dropped in silence: what is no row of the table is noted by its place
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, repeat
 from math import pi
 from typing import Any, Final
 
@@ -63,6 +64,8 @@ _LEAST_COLUMNS: Final = 3
 #: what columns are called that no row names
 UNNAMED: Final = re.compile(r"column \d+")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
+_UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
+_WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
     r"|gesamt|standardabweichung|stabw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
@@ -190,7 +193,9 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
-        for at, cell in enumerate(group[: len(names)]):
+        for at in range(len(names)):
+            # cells merged over the last columns end a row early
+            cell = group[at] if at < len(group) else ""
             last = cell or last
             spread[at] = last or spread[at]
             own[at] = cell or own[at]
@@ -198,7 +203,10 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     for at, name in enumerate(names):
         unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
         group = (spread[at] if name else own[at]) if unclear else ""
-        out.append(" ".join(part for part in (group, name) if part))
+        # a unit of the group stands last, where units are read
+        unit = _UNIT_AT_END.search(group) if name else None
+        parts = (group[: unit.start()].rstrip(), name, unit[0].strip()) if unit else (group, name)
+        out.append(" ".join(part for part in parts if part))
     return out
 
 
@@ -207,7 +215,7 @@ def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple
     out, unknown = [], []
     for at, name in enumerate(names):
         unit = bare(units[at]) if at < len(units) else ""
-        if name and unit not in _NO_UNIT and not re.search(r"[\[(][^\[\]()]*[\])]\s*$", name):
+        if name and unit not in _NO_UNIT and not _UNIT_AT_END.search(name):
             out.append(f"{name} [{unit}]")
             if not _is_unit(unit):
                 unknown.append(f"{unit} ({name})")
@@ -277,11 +285,12 @@ def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArra
 
 def table_rows(
     names: Sequence[str], rows: Sequence[Sequence[Any]], lines: Sequence[int], shown: str
-) -> tuple[list[Sequence[Any]], list[int], list[Note]]:
-    """Return rows and lines without remarks, means and sums, and a note on each that is omitted.
+) -> tuple[list[str], list[Sequence[Any]], list[int], list[Note]]:
+    """Return names, rows and lines without remarks, means and sums, and a note on each that is omitted.
 
     `rows`, `lines`: cells as read, and their rows in the file. A row of one text is a remark, unless it is written as
-    other cells of its column are; one that begins with ``mean``, ``sum``, ... is a summary.
+    other cells of its column are; one that begins with ``mean``, ``sum``, ... is a summary. A unit that all cells of a
+    column repeat goes into its name.
     """
     kept: list[Sequence[Any]] = []
     kept_lines, notes = [], []
@@ -304,7 +313,29 @@ def table_rows(
             continue
         kept.append(row)
         kept_lines.append(line)
-    return kept, kept_lines, notes
+    units = [_unit_of_cells(row[at] for row in kept if at < len(row)) for at in range(len(names))]
+    if any(units):
+        kept = [list(map(_without_unit, row, chain(units, repeat("")))) for row in kept]
+    whole = [
+        f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
+        for name, unit in zip(names, units, strict=True)
+    ]
+    return whole, kept, kept_lines, notes
+
+
+def _without_unit(cell: Any, unit: str) -> Any:
+    return str(cell).strip().removesuffix(unit).rstrip() if unit and is_filled(cell) else cell
+
+
+def _unit_of_cells(cells: Iterable[Any]) -> str:
+    """Return the one known unit that follows the number in each filled cell; empty where there is none."""
+    unit = ""
+    for cell in filter(is_filled, cells):
+        match = _WITH_UNIT.fullmatch(str(cell).strip())
+        if match is None or (unit and match[2] != unit):
+            return ""
+        unit = match[2]
+    return unit if unit and _is_unit(unit) else ""
 
 
 def _shape(text: str) -> str:

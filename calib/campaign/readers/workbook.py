@@ -87,7 +87,7 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
     notes += [*recognised, *sheet.notes]
     rows, lines = rows[at + n_rows :], lines[at + n_rows :]
     if layout.lab:
-        rows, lines, omitted = table_rows(header, rows, lines, shown)
+        header, rows, lines, omitted = table_rows(header, rows, lines, shown)
         notes += omitted
     notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
     columns = {

@@ -139,6 +139,30 @@ def test_turns_and_the_load_of_an_axle_are_proposed(tmp_path: Path) -> None:
         np.testing.assert_allclose(runs.number(f"counts_{side}"), counts, rtol=1e-7)
 
 
+@pytest.mark.parametrize("comment", [(), ("Comment",)])
+def test_a_group_names_the_last_columns_and_their_unit(comment: tuple[str, ...], tmp_path: Path) -> None:
+    """Cells merged over the last columns end their row early; the group's unit is that of each column under it."""
+    rows: list[Sequence[Any]] = [
+        ("Run", "Distance [m]", "Encoder", None, "Wheel load [kg]", *([None, *comment] if comment else [])),
+        (None, None, "L", "R", "L", "R"),
+        *((n + 1, WAY_M[n], LEFT[n], RIGHT[n], 30.0 + n, 40.0) for n in range(3)),
+    ]
+    runs = _as_proposed(_workbook(tmp_path / "w.xlsx", {"Runs": rows}))[0].runs
+    np.testing.assert_allclose(runs.number("load_left_N"), GRAVITY_MPS2 * np.array([30.0, 31.0, 32.0]), rtol=1e-12)
+    np.testing.assert_allclose(runs.number("load_right_N"), 40.0 * GRAVITY_MPS2, rtol=1e-12)
+
+
+def test_a_unit_that_each_cell_repeats_is_the_columns(tmp_path: Path) -> None:
+    """Also beside decimal commas and a mean; a text that is no unit stays one."""
+    rows = [f"R{n};{1000 * WAY_M[n]:.1f} mm;{LEFT[n]};{RIGHT[n]};{n} m/x".replace(".", ",") for n in range(3)]
+    source = tmp_path / "runs.csv"
+    source.write_text("\n".join(["Lauf;Strecke;Geber L;Geber R;Notiz", *rows, "Mittel;20016,7 mm;;;"]))
+    campaign, text = _as_proposed(source)
+    np.testing.assert_allclose(campaign.runs.number("distance_m"), WAY_M, rtol=1e-12)
+    assert 'distance_m = "Strecke [mm]"' in text
+    assert "not used: Notiz" in text
+
+
 def test_sheets_of_a_day_each_are_sessions_where_the_mapping_says_so(tmp_path: Path) -> None:
     """Names that are there once stay as they are, and a column that one sheet lacks is empty there."""
     first = [HEADER, *((f"a{n}", WAY_M[n], LEFT[n], RIGHT[n]) for n in range(3))]
