@@ -23,7 +23,7 @@ from calib.gap.decision.fix import (
     unsized,
     without_length,
 )
-from calib.gap.decision.held_out import Improvement, improvement_of
+from calib.gap.decision.held_out import Improvement, gain_over_sessions, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -61,8 +61,7 @@ def sure_part(
     if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
         return whole
     # what the dropped causes explain is left by design: the closure is that of all of them
-    all_kept = not dropped and set(evidence.search.effects) <= names
-    if causes and (all_kept or any(True for _ in remaining(whole.held_out, unexplained))):
+    if causes and (_is_whole(evidence, names) or any(True for _ in remaining(whole.held_out, unexplained))):
         return whole
     stepping = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
     # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
@@ -137,8 +136,7 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
     they are but for what is named, or what another zero point of a named effect would look like.
     """
     names = {cause.effect for cause in causes}
-    free = names.issuperset(evidence.search.effects) and len(_along(evidence, names)) == len(DIRECTIONS)
-    if not fix.recommended or fix.corrects is not None or free:
+    if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
@@ -148,6 +146,11 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+
+
+def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
+    """Return whether some causes are all that was fitted, radii and track included."""
+    return set(evidence.search.effects) <= names and len(_along(evidence, names)) == len(DIRECTIONS)
 
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
@@ -180,12 +183,22 @@ def _tried(
     tried = trials(left_out, before - steps, evidence.noise.dof)
     as_is, alone = (float(np.sqrt(left_out.squares(gap).mean())) for gap in (before, fitted.left + steps))
     text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
-    return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
+    worse = [text] if stepping and alone > as_is else []
+    if any(evidence.effects[name].per_session for name in set(evidence.named).difference(stepping)):
+        gain, half = gain_over_sessions(left_out, stated)
+        if gain < half:
+            worse.append(
+                f"on sessions held out whole, by their scatter, the fix removes {100 * gain:.0f} +- {100 * half:.0f} % "
+                "of its own size: drive more sessions, or calibrate in each"
+            )
+    return fitted, improvement, tried, tuple(worse)
 
 
 def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
     """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
-    if fix.corrects is None or cause.effect in fix.corrects:
+    kind = effect_class(cause.effect)
+    # what steps is left out for what it is, not for doubt
+    if fix.corrects is None or cause.effect in fix.corrects or (kind is not None and kind.per_session):
         return True
     return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
 
