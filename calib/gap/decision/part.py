@@ -23,7 +23,7 @@ from calib.gap.decision.fix import (
     unsized,
     without_length,
 )
-from calib.gap.decision.held_out import Improvement, gain_over_sessions, improvement_of
+from calib.gap.decision.held_out import Improvement, improvement_of, size_over_sessions
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -185,11 +185,11 @@ def _tried(
     text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
     worse = [text] if stepping and alone > as_is else []
     if any(evidence.effects[name].per_session for name in set(evidence.named).difference(stepping)):
-        gain, half = gain_over_sessions(left_out, stated)
-        if gain < half:
+        size, half = size_over_sessions(left_out, stated)
+        if size < half:
             worse.append(
-                f"on sessions held out whole, by their scatter, the fix removes {100 * gain:.0f} +- {100 * half:.0f} % "
-                "of its own size: drive more sessions, or calibrate in each"
+                f"by the scatter of the sessions, each held out whole, its size is {100 * size:.0f} +- "
+                f"{100 * half:.0f} % of what is corrected, and holds zero: drive more sessions, or calibrate in each"
             )
     return fitted, improvement, tried, tuple(worse)
 

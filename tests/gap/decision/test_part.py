@@ -16,7 +16,7 @@ from calib.gap.decision.causes import SizeDifference, negligible
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
-from calib.gap.decision.part import _parted, is_named_beside
+from calib.gap.decision.part import _parted, is_named_beside, sure_part
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from tests.gap import workshop
@@ -158,6 +158,25 @@ def test_a_radius_that_follows_the_speed_is_no_error_of_lost_counts(tmp_path: Pa
     (by_speed,) = (one.parameters["per_mps"] for one in diagnosis.causes if one.effect == "speed_radius")
     # the world's radius follows the speed of the run, the effect's that of each step
     assert by_speed.value == pytest.approx(sizes["speed_radius"], rel=RAMPS)
+
+
+def test_a_step_of_each_session_stays_named_beside_the_fix_of_another_cause() -> None:
+    """It is left out for what it is: unnamed, the closure that it makes would be ascribed to the others."""
+    fix = Fix(recommended=True, corrects=("unequal_radii",))
+    assert is_named_beside(cause("session_step"), fix, {"session_step": 0.7})
+
+
+def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_delivered(tmp_path: Path) -> None:
+    """Radii and track are no part of a fix that names neither: what they do to a route held out is no reason."""
+    campaign = read_campaign(
+        workshop.write(tmp_path / "c", "mixed", {"reference_lever_arm": 5e-2}, np.random.default_rng(4))
+    )
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    (arm,) = diagnosis.causes
+    kept_back = replace(diagnosis.fix, recommended=False, corrects=None, why=("a route held out gets worse",))
+    assert diagnosis.evidence is not None
+    fix = sure_part(diagnosis.evidence, [], [arm], {arm.effect: arm.probability}, None, kept_back)
+    assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
 
 
 def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
