@@ -165,6 +165,8 @@ def _trimmed(squares: FloatArray) -> float:
 CLEAR: Final = 6.0
 #: of slip: sound runs have up to 2.2
 CLEAR_SLIP: Final = 4.5
+#: of an axis: displacements by a laser scanner, which have no axes, make up to 9.4
+CLEAR_AXIS: Final = 12.0
 #: share of the weighted squares, noise included, that a departure must explain
 EXPLAINED: Final = 0.5
 #: plays of a steering that are tried, rad
@@ -255,7 +257,8 @@ def _departures(model: Model) -> Iterator[Departure]:
     for sign in (1.0, -1.0):
         yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
-            yield Departure(partial(_stretched, axis=axis), sign * AXIS_SCALE, partial(_axis, name=name))
+            change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
+            yield Departure(change, sign * AXIS_SCALE, named, share, CLEAR_AXIS)
 
 
 def _clocked(recording: Recording, rate: float) -> Recording:
