@@ -13,7 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations, let_go
+from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap.observations.observation import let_go
 from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
 from calib.types import BoolArray, FloatArray
 

@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations, let_go, step_array
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.observations.observation import let_go, step_array
 from calib.types import FloatArray
 
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import mmap
-import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
 from itertools import pairwise
-from tempfile import TemporaryFile
 from typing import Any, Final, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.campaign.settings import OdometryModel
+from calib.gap.observations.observation import let_go
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
@@ -71,26 +68,6 @@ _OF_STEPS: Final = frozenset(
     | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m"}
 )
 Value = TypeVar("Value")
-#: arrays of more steps lie in temporary files
-HELD_STEPS: Final = 2**21
-
-
-def step_array(n_steps: int) -> FloatArray:
-    """Return zeros, shape (n_steps,): of many steps in a temporary file, mapped, whose pages `let_go` gives back."""
-    if n_steps > HELD_STEPS and hasattr(os, "posix_fallocate") and hasattr(mmap, "MADV_DONTNEED"):
-        # all of its room is taken here: where the disk has none, the array is held in memory
-        with suppress(OSError), TemporaryFile() as file:
-            os.posix_fallocate(file.fileno(), 0, 8 * n_steps)
-            return np.ndarray(n_steps, buffer=mmap.mmap(file.fileno(), 8 * n_steps))
-    return np.zeros(n_steps)
-
-
-def let_go(*arrays: FloatArray | None) -> None:
-    """Give back the memory of arrays that lie in files; the system reads again what is asked for again."""
-    bases: list[object] = [array.base for array in arrays if array is not None]
-    for base in bases:
-        if isinstance(base, mmap.mmap):
-            base.madvise(mmap.MADV_DONTNEED)
 
 
 class _KeptIfFew(Generic[Value]):
@@ -254,8 +231,7 @@ class Observations:
 
     def total(self, steps: ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each observation, shape (n_obs,)."""
-        summed: FloatArray = np.add.reduceat(floats(steps), self.starts[:-1])
-        return summed
+        return np.asarray(np.add.reduceat(floats(steps), self.starts[:-1]))
 
     def cumulative(self, steps: FloatArray) -> FloatArray:
         """Return the running sum of a step array (n_steps,) of an observation, the step included, shape (n_steps,)."""
@@ -267,25 +243,26 @@ class Observations:
 
     def number(self, name: str) -> FloatArray:
         """Return a covariate, shape (n_obs,); NaN where the campaign has none."""
-        found = self.numbers.get(name)
-        return found if found is not None else np.full(len(self), np.nan)
+        return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
 
     @property
     def wheel_loads_N(self) -> FloatArray:
         """Load of the left and of the right wheel, shape (2, n_obs); NaN where not known."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
 
+    @property
+    def _over_N(self) -> FloatArray:
+        return np.asarray(np.nan_to_num(self.wheel_loads_N - self.model.reference_load_N))
+
     @cached_property
     def radius_left_m(self) -> FloatArray:
         """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
-        over_N: FloatArray = np.nan_to_num(self.wheel_loads_N[0] - self.model.reference_load_N)
-        return self.model.radius_left_m + self.model.slope_left_m_per_N * over_N
+        return np.asarray(self.model.radius_left_m + self.model.slope_left_m_per_N * self._over_N[0])
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
         """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
-        over_N: FloatArray = np.nan_to_num(self.wheel_loads_N[1] - self.model.reference_load_N)
-        return self.model.radius_right_m + self.model.slope_right_m_per_N * over_N
+        return np.asarray(self.model.radius_right_m + self.model.slope_right_m_per_N * self._over_N[1])
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
@@ -311,20 +288,14 @@ class Observations:
     def steer_cos(self) -> FloatArray:
         """Return what of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
 
-        One over the mean of 1 / cos at the ends of the step: over a whole turn the errors of this mean cancel, wherever
-        between two samples the angle begins and ends to change (Euler and Maclaurin). 1 where the rear axle's own way
-        is counted.
+        1 where the rear axle's own way is counted.
         """
-        if self.by_shaft:
-            return np.ones(len(self.unit))
-        begin, end = self._steer_ends
-        return 1.0 / (0.5 * (1.0 / np.cos(begin) + 1.0 / np.cos(end)))
+        return np.ones(len(self.unit)) if self.by_shaft else self._over_way(np.cos)
 
     @_KeptIfFew
     def steer_sin(self) -> FloatArray:
         """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
-        begin, end = self._steer_ends
-        return self.steer_cos * (0.5 * (np.tan(begin) + np.tan(end)))
+        return self._over_way(np.tan if self.by_shaft else np.sin)
 
     @cached_property
     def front_ways(self) -> FloatArray:
@@ -334,6 +305,21 @@ class Observations:
         front_m = np.nan_to_num(self.front_roll_rad) * self.vehicle.front_radius_m
         turn = self.total(front_m * self.steer_sin) / self.vehicle.wheelbase_m
         return np.stack([self.total(front_m * self.steer_cos), turn], axis=1)
+
+    def _over_way(self, of: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the mean of a function of the steering angle over the front wheel's way in each step (n_steps,).
+
+        The mean of both ends, and a sixth of what the function and the wheel's rate change by: over a whole turn the
+        errors of this cancel, wherever between two samples the angle begins and ends to change, whether the front wheel
+        or the rear axle keeps its speed (Euler and Maclaurin, for an integral by the way).
+        """
+        begin, end = map(of, self._steer_ends)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = np.nan_to_num(self.front_roll_rad / self.duration_s, posinf=0.0, neginf=0.0)
+            before, behind = np.roll(rate, 1), np.roll(rate, -1)
+            before[self.starts[:-1]], behind[self.starts[1:] - 1] = rate[self.starts[:-1]], rate[self.starts[1:] - 1]
+            faster = np.nan_to_num(0.5 * (behind - before) / rate, posinf=0.0, neginf=0.0)
+        return np.asarray(0.5 * (begin + end) + faster * (end - begin) / 6.0)
 
     @property
     def _steer_ends(self) -> tuple[FloatArray, FloatArray]:

@@ -6,9 +6,13 @@ own start.
 
 from __future__ import annotations
 
+import mmap
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
+from tempfile import TemporaryFile
 from typing import Final
 
 import numpy as np
@@ -22,6 +26,8 @@ from calib.types import FloatArray, IntArray
 MAX_STEPS: Final = 400
 #: steps of a run whose totals alone are known
 STEPS_WITHOUT_LOG: Final = 40
+#: arrays of more steps lie in temporary files
+HELD_STEPS: Final = 2**21
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,3 +312,21 @@ def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) 
     if place != 0.0:
         at = at - np.exp(1j * heading) * place
     return np.stack([at.real, at.imag, heading], axis=1)
+
+
+def step_array(n_steps: int) -> FloatArray:
+    """Return zeros, shape (n_steps,): of many steps in a temporary file, mapped, whose pages `let_go` gives back."""
+    if n_steps > HELD_STEPS and hasattr(os, "posix_fallocate") and hasattr(mmap, "MADV_DONTNEED"):
+        # all of its room is taken here: where the disk has none, the array is held in memory
+        with suppress(OSError), TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, 8 * n_steps)
+            return np.ndarray(n_steps, buffer=mmap.mmap(file.fileno(), 8 * n_steps))
+    return np.zeros(n_steps)
+
+
+def let_go(*arrays: FloatArray | None) -> None:
+    """Give back the memory of arrays that lie in files; the system reads again what is asked for again."""
+    bases: list[object] = [array.base for array in arrays if array is not None]
+    for base in bases:
+        if isinstance(base, mmap.mmap):
+            base.madvise(mmap.MADV_DONTNEED)
