@@ -5,7 +5,7 @@ A cause has one size; an imitation is larger on some routes, speeds, loads, dire
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,6 +15,7 @@ from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
+from calib.gap.effects.drift import SessionStep
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.reference import TurnedReference
@@ -42,6 +43,7 @@ FALSE_REJECTION: Final = 0.05
 LEAST_SQUARE: Final = 4.0
 #: spread of a size over groups that leaves it the same: two sizes a tenth apart leave a hundredth of the squares
 SAME_SIZE_SD: Final = 0.05
+_SIDES: Final = ("left", "right")
 #: prior precision of a size's difference between groups: a hundred times the size, which leaves it to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
@@ -96,7 +98,36 @@ def causes_of(
         for sized, (share, half) in zip(every, _shares(evidence, every, variance_factor, coverage), strict=True)
     ]
     classes = {name: int(np.digitize(probability, PROBABILITY_CLASSES)) for name, probability in certain.items()}
+    causes = list(_beside_steps(causes))
     return sorted(causes, key=lambda cause: (-classes[cause.effect], -cause.signal))
+
+
+def _beside_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
+    """Yield the causes, radii beside steps of the sessions with an interval that holds the scatter of these.
+
+    They are the mean of the sessions driven: of sessions to come they tell no more than so many results.
+    """
+    steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
+    # of the first session none is stated: the others' are counted from it
+    by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
+    for cause in causes:
+        if steps and cause.effect in SessionStep.shifts:
+            direction = DIRECTIONS[NAMES.index(cause.effect), : len(_SIDES)]
+            more = half_of_mean(direction @ np.array(by_session) / (direction @ direction))
+            (name, size) = next(iter(cause.parameters.items()))
+            half = float(np.hypot(more, 0.5 * (size.ci95[1] - size.ci95[0])))
+            whole = replace(size, ci95=(size.value - half, size.value + half))
+            text = f"the mean of {len(by_session[0])} sessions, and the interval holds their steps"
+            cause = replace(cause, parameters={name: whole}, remark=cause.remark or text)
+        yield cause
+
+
+def half_of_mean(results: FloatArray) -> float:
+    """Return half the 95 % interval of the mean of independent results, shape (n,), by Student's t."""
+    from scipy.special import stdtrit
+
+    n = len(results)
+    return float(stdtrit(n - 1, 0.975) * np.std(results, ddof=1) / np.sqrt(n))
 
 
 def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[str, ...]:

@@ -171,8 +171,16 @@ def improbable(causes: Sequence[Cause], certain: Mapping[str, float]) -> Cause |
 def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
     if improbable(causes, certain) is not None:
         together = prod(certain.get(cause.effect, cause.probability) for cause in causes)
-        listed = ", ".join(f"{cause.effect} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes)
+        listed = ", ".join(
+            f"{_or_alias(cause, certain)} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes
+        )
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
+
+
+def _or_alias(cause: Cause, certain: Mapping[str, float]) -> str:
+    """Return the name of a cause, with word of its alternatives where these make up a tenth of its probability."""
+    alone = cause.probability >= 0.9 * certain.get(cause.effect, cause.probability)
+    return cause.effect if alone else f"{cause.effect} or what looks like it"
 
 
 def unsized(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None) -> Iterator[str]:
@@ -204,8 +212,15 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
         )
 
 
-def remaining(improvement: Improvement | None, unexplained: Unexplained | None) -> Iterator[str]:
-    """Yield that part of the gap is certainly left, and that it closes too little of it, where that is so."""
+#: what a fix leaves
+REST: Final = "the rest has a cause of its own; look where the residual lies"
+
+
+def remaining(improvement: Improvement | None, unexplained: Unexplained | None, rest: str = REST) -> Iterator[str]:
+    """Yield that part of the gap is certainly left, and that it closes too little of it, where that is so.
+
+    `rest`: what that part is.
+    """
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
     large = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
@@ -214,7 +229,7 @@ def remaining(improvement: Improvement | None, unexplained: Unexplained | None) 
         low, high = (100 * share for share in improvement.closed_ci95)
         yield (
             f"on held-out runs it closes {low:.0f} to {high:.0f} % of the gap, where {100 * wanted:.0f} % are to be "
-            f"certain ({_errors(improvement)}): the rest has a cause of its own; look where the residual lies"
+            f"certain ({_errors(improvement)}): {rest}"
         )
 
 
@@ -238,7 +253,7 @@ def holds_zero(cause: Cause) -> bool:
 
 def _sizeless(cause: Cause) -> str:
     sizes = ", ".join(
-        f"{name} {quantity.ci95[0]:.2g} to {quantity.ci95[1]:.2g} {quantity.unit}".rstrip()
+        f"{name} {quantity.ci95[0]:.2g} to {quantity.ci95[1]:.2g} {quantity.unit.removeprefix('1')}".rstrip()
         for name, quantity in cause.parameters.items()
     )
     return f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"

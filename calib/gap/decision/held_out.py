@@ -207,26 +207,6 @@ def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) 
     return _improvement(left_out, stated, after, left_out.noise.dof, 1.0)
 
 
-def size_over_sessions(left_out: HeldOutFit, before: FloatArray) -> tuple[float, float]:
-    """Return the size that sessions held out whole show, and half its 95 % interval by their own scatter.
-
-    In parts of the correction fitted on the others: what steps from session to session leaves so many results as there
-    are sessions (a ratio estimate; Cochran, Sampling Techniques, 1977, 6.4). `before`, shape (n_units, n_channels).
-    """
-    from scipy.special import stdtrit
-
-    _, session = np.unique(left_out.observations.labels["session"], return_inverse=True)
-    n = int(session.max()) + 1
-    after = _after(left_out, sessions=True)[0]
-    squares = [left_out.squares(values) for values in (before, after, before - after)]
-    was, left, correction = (np.bincount(session, values, n) for values in squares)
-    # r^2 - (r - d)^2 = 2 r d - d^2
-    shown, total = 0.5 * (was - left + correction), max(float(correction.sum()), 1e-12)
-    size = float(shown.sum()) / total
-    variance = n / max(n - 1, 1) * float(((shown - size * correction) ** 2).sum())
-    return size, float(stdtrit(max(n - 1, 1), 0.975)) * float(np.sqrt(variance)) / total
-
-
 def _improvement(
     left_out: HeldOutFit, before: FloatArray, after: FloatArray, dof: float, floor_factor: float
 ) -> Improvement:

@@ -23,7 +23,7 @@ from calib.gap.decision.fix import (
     unsized,
     without_length,
 )
-from calib.gap.decision.held_out import Improvement, improvement_of, size_over_sessions
+from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
@@ -140,8 +140,8 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
-    why = (*unhelpful(improvement), *remaining(improvement, unexplained), *harm(tried))
     beside = unnamed or "other radii or another track"
+    why = (*unhelpful(improvement), *remaining(improvement, unexplained, f"the rest goes with {beside}"), *harm(tried))
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in causes)
@@ -183,15 +183,7 @@ def _tried(
     tried = trials(left_out, before - steps, evidence.noise.dof)
     as_is, alone = (float(np.sqrt(left_out.squares(gap).mean())) for gap in (before, fitted.left + steps))
     text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
-    worse = [text] if stepping and alone > as_is else []
-    if any(evidence.effects[name].per_session for name in set(evidence.named).difference(stepping)):
-        size, half = size_over_sessions(left_out, stated)
-        if size < half:
-            worse.append(
-                f"by the scatter of the sessions, each held out whole, its size is {100 * size:.0f} +- "
-                f"{100 * half:.0f} % of what is corrected, and holds zero: drive more sessions, or calibrate in each"
-            )
-    return fitted, improvement, tried, tuple(worse)
+    return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
 
 
 def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:

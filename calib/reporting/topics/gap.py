@@ -103,7 +103,8 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
     if fix.transfer:
         blocks.append(_transfer(verdict))
     if verdict.unexplained is not None:
-        blocks.append(Text(f"No named cause explains {percent(verdict.unexplained.share)} of the gap."))
+        none = "No named cause" if verdict.causes else "No effect of the library"
+        blocks.append(Text(f"{none} explains {percent(verdict.unexplained.share)} of the gap."))
         blocks += items(map(prose, verdict.unexplained.where))
     return blocks
 

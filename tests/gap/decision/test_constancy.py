@@ -10,12 +10,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import statsmodels.api as sm
+from scipy import stats
 
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.recipe import Seeds, read_seeds, recipes
-from calib.gap.decision.causes import SAME_SIZE_SD, SizeDifference, _difference, size_differences
-from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.causes import (
+    SAME_SIZE_SD,
+    SizeDifference,
+    _beside_steps,
+    _difference,
+    half_of_mean,
+    size_differences,
+)
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
 from calib.gap.diagnose import diagnose_in_full
 
 #: cases of development, and the one of them that `tests.challenge.fixes` recommended a wrong fix for
@@ -145,3 +153,37 @@ def test_in_a_crowd_with_an_outside_effect_a_zone_of_the_floor_is_no_cause(proje
     assert {one.effect for one in diagnosis.causes} <= {"travel_direction", "load_creep", "rear_drag"}
     assert diagnosis.unexplained is not None and diagnosis.unexplained.where[0].startswith("on the floor, x")
     assert diagnosis.probabilities["floor_zone"] <= 0.5 <= diagnosis.probabilities["unknown"]
+
+
+def test_the_interval_of_a_mean_of_sessions_is_that_of_student() -> None:
+    """By another library, and by what it holds: of independent sessions about zero one in twenty excludes it."""
+    rng = np.random.default_rng(7)
+    draws = rng.normal(0.0, 3e-4, (2000, 4))
+    half = np.array([half_of_mean(results) for results in draws])
+    low, high = stats.t.interval(0.95, 3, loc=draws.mean(axis=1), scale=stats.sem(draws, axis=1))
+    np.testing.assert_allclose(half, 0.5 * (high - low), rtol=1e-12)
+    # 0.05 +- 3 standard errors of a share of 2000
+    assert 0.035 < np.mean(np.abs(draws.mean(axis=1)) > half) < 0.065
+
+
+def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
+    """Their intervals hold the scatter of these: of two radii that step alike, the scale's; against each other, the
+    difference's.
+    """
+    names = [f"{side}_{session}" for session in ("b", "c") for side in ("left", "right")]
+    radii = {name: Cause(name, "", "", 0.9, 0.5, 30.0, {"relative": Quantity(1e-3, (9e-4, 1.1e-3), "1")})
+             for name in ("radius_scale", "unequal_radii", "track_width")}  # fmt: skip
+    for signs, stepping in (((1, 1), "radius_scale"), ((-1, 1), "unequal_radii")):
+        sizes = dict(zip(names, np.outer([4e-4, -2e-4], signs).ravel().tolist(), strict=True))
+        steps = Cause("session_step", "", "", 0.9, 0.5, 30.0, {n: Quantity(v, (v, v), "1") for n, v in sizes.items()})
+        widened = {one.effect: one for one in _beside_steps([*radii.values(), steps])}
+        # of left and right against each other by 4e-4 each, the difference is 8e-4
+        results = np.array([0.0, 4e-4, -2e-4]) * (1.0 if stepping == "radius_scale" else 2.0)
+        half = float(np.hypot(1e-4, half_of_mean(results)))
+        for name, one in widened.items():
+            if name == stepping:
+                assert one.parameters["relative"].ci95 == pytest.approx((1e-3 - half, 1e-3 + half))
+                assert "mean of 3 sessions" in one.remark
+            elif name in radii:
+                assert one.parameters["relative"].ci95 == pytest.approx((9e-4, 1.1e-3))
+    assert [one.remark for one in _beside_steps(list(radii.values()))] == ["", "", ""]

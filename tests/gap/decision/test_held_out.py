@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
 
 import numpy as np
 import pytest
 
-from calib.gap.decision.held_out import HeldOut, folds, measure_closure, size_over_sessions
+from calib.gap.decision.held_out import HeldOut, folds, measure_closure
 from calib.gap.effects.drift import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
-from calib.types import BoolArray, FloatArray
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
-
-#: campaigns drawn: the share of a few per cent is then known to one
-DRAWS: Final = 400
 
 
 def noisy(truth: Callable[[Run, Motion], None], seed: int = 1) -> Observations:
@@ -128,43 +123,3 @@ def test_what_a_session_measured_does_not_enter_its_own_prediction() -> None:
         for one in (nominal, other)
     )
     np.testing.assert_allclose((b.after - a.after)[mine & s.usable[:, 0], 0], 0.01, atol=SECOND_ORDER_M)
-
-
-class _Sessions:
-    """A correction of the mean, judged on sessions of two runs each: stands in for a fit with one channel."""
-
-    def __init__(self, gap: FloatArray) -> None:
-        self.before = np.repeat(gap, 2)[:, None]
-        self.labels = {"session": np.repeat([f"s{number}" for number in range(len(gap))], 2)}
-        self.measured, self.observations = np.zeros_like(self.before), self
-
-    def __len__(self) -> int:
-        return len(self.before)
-
-    def is_predictive(self, _: BoolArray) -> bool:
-        return True
-
-    def after(self, left_out: BoolArray) -> FloatArray:
-        return np.asarray(self.before - self.before[~left_out].mean())
-
-    def squares(self, values: FloatArray) -> FloatArray:
-        return np.asarray((values**2).sum(axis=1))
-
-
-def test_a_gap_that_is_the_same_in_all_sessions_has_a_size_and_no_scatter() -> None:
-    fake: Any = _Sessions(np.full(4, 0.3))
-    assert size_over_sessions(fake, fake.before) == pytest.approx((1.0, 0.0), abs=1e-12)
-
-
-@pytest.mark.parametrize("n_sessions", [3, 6])
-def test_steps_of_sessions_alone_are_hardly_ever_a_size(n_sessions: int) -> None:
-    """Of steps about zero 2.5 % have an interval above it; of steps about six times their scatter most."""
-    rng = np.random.default_rng(5)
-
-    def share(mean: float) -> float:
-        fakes: list[Any] = [_Sessions(rng.normal(mean, 1.0, n_sessions)) for _ in range(DRAWS)]
-        sizes = [size_over_sessions(fake, fake.before) for fake in fakes]
-        return float(np.mean([size > half for size, half in sizes]))
-
-    assert share(0.0) <= 0.025 + 3.0 * np.sqrt(0.025 * 0.975 / DRAWS)
-    assert share(6.0) > 0.8
