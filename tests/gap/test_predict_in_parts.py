@@ -14,6 +14,7 @@ from calib.gap.effects.library import library
 from calib.gap.inference.fit import hypothesis_path, signature_columns
 from calib.gap.inference.noise_components import kernels
 from calib.gap.observations import arrays as data
+from calib.gap.observations import observation as held_steps
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
@@ -40,15 +41,15 @@ def parted(request: pytest.FixtureRequest, whole: Observations, monkeypatch: pyt
     monkeypatch.setattr(data, "KEPT_STEPS", 0)
     if request.param == "made anew":
         return replace(whole)
-    monkeypatch.setattr(data, "HELD_STEPS", 0)
+    monkeypatch.setattr(held_steps, "HELD_STEPS", 0)
     steps = {}
     for name in data._OF_STEPS:
         values = getattr(whole, name)
         if values is not None:
-            steps[name] = data.step_array(len(values))
+            steps[name] = held_steps.step_array(len(values))
             steps[name][:] = values
             assert isinstance(steps[name].base, mmap.mmap)
-            data.let_go(steps[name])
+            held_steps.let_go(steps[name])
     return replace(whole, **steps)
 
 
@@ -111,14 +112,14 @@ def test_steps_are_held_where_the_disk_has_no_room(monkeypatch: pytest.MonkeyPat
     def full(file: int, first: int, size: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(data, "HELD_STEPS", 0)
-    in_file = data.step_array(1000)
+    monkeypatch.setattr(held_steps, "HELD_STEPS", 0)
+    in_file = held_steps.step_array(1000)
     monkeypatch.setattr(os, "posix_fallocate", full)
-    held = data.step_array(1000)
+    held = held_steps.step_array(1000)
     assert isinstance(in_file.base, mmap.mmap)
     assert held.base is None
     for steps in (in_file, held):
         assert not steps.any()
         steps[:] = np.arange(1000.0)
-        data.let_go(steps)
+        held_steps.let_go(steps)
         np.testing.assert_array_equal(steps, np.arange(1000.0))
