@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.gap.predict import predict, signature
+from calib.gap.observations.arrays import POSE, Channel
+from calib.gap.predict import predict, residuals, signature
 from calib.gap.steps import Perturbation, total_perturbation
-from tests.gap.effects.making import SQUARE, TRACK_M, Run, end_pose, rich_runs, situation, steps_of
+from tests.gap.effects.making import SQUARE, TRACK_M, Motion, Run, end_pose, rich_runs, situation, steps_of
 
 LINE = [(12.0, 0.0)]
 RUNS = 12
@@ -147,3 +148,32 @@ def test_a_turn_at_the_start_swings_the_end_about_the_start(bends: list[float], 
     # the first step itself (0.04 m) bends, the rest turns about its middle: no further off than that step is long
     assert abs(moved - (0.5 * first + (place - 0.5 * first) * np.exp(1j * angle))) <= first
     assert turned.end[0, 2] == pytest.approx(plain.end[0, 2] + angle, abs=1e-9)
+
+
+#: radii off against each other by so much a run: headings off by 0 to 0.03 rad
+BENDS = (0.0, 6e-4, -1e-3, 2e-3)
+#: what is left of the second order, a share of it: the third is smaller by the heading in radians
+THIRD_ORDER = 0.05
+
+
+@pytest.mark.parametrize(
+    "pieces", [LINE, [(4.0, 0.0), (1.5, 1.0), (4.0, 0.0)], SQUARE], ids=["straight", "bend", "square"]
+)
+def test_a_run_that_bends_ends_off_by_its_signature_to_second_order(pieces: list[tuple[float, float]]) -> None:
+    """A guided vehicle whose radii are off against each other: the square of the bend is of one sign in every run."""
+    sizes = iter(BENDS)
+
+    def truth(_: Run, now: Motion) -> None:
+        size = next(sizes)
+        now.left, now.right = -size / 2, size / 2
+
+    s = situation([Run(pieces, steps=400, front=False) for _ in BENDS], truth=truth)
+    nominal = predict(s)
+    gap = residuals(nominal, nominal)
+    size = np.array(BENDS)
+    linear = signature(nominal, Perturbation(left=-size / 2, right=size / 2))
+    first = [Channel.DISTANCE, *POSE] if pieces is LINE else list(POSE)
+    largest = np.abs(gap[:, Channel.HEADING, None] ** 2 * nominal.bent_m).max()
+    # the first run is off by what its steps are chords of arcs
+    assert np.abs(gap - gap[0] - linear)[:, first].max() < THIRD_ORDER * largest
+    assert largest > 3e-4
