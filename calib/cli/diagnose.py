@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Texts, arg, opt
-from calib.errors import BadInputError, RefusedError
+from calib.errors import BadInputError, RefusedError, refuse_workers
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -138,7 +138,6 @@ def _simulated(
 ) -> tuple[Diagnosis, str]:
     """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
-    from calib.errors import refuse_workers
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
     from calib.gap.simulator.settings import read_settings

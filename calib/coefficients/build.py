@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import __version__
+from calib.campaign.model import Campaign
+from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import formats, sections
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients, sealed
@@ -21,14 +23,12 @@ from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.result import Fit, is_result, read_result
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-    from calib.campaign.settings import Encoder
     from calib.kinematics.result import Geometry
-    from calib.radius.result import Fit
 
 # Defaults for numbers that a corridor campaign does not measure; the file states each, so that it can be replaced.
 TRACK_STD_M: Final = 1e-3
@@ -302,8 +302,6 @@ def coefficients_of(
     beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises BadInputError where one of
     them cannot be used; RefusedError where the campaign allows no law.
     """
-    from calib.radius.result import is_result, read_result
-
     path = Path(path)
     if outside not in (None, *get_args(Outside)):
         raise BadInputError(f"outside: found {outside!r}; expected refuse or clamp; choose one of them")
@@ -326,7 +324,6 @@ def coefficients_of(
 def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -> Source:
     """Return the coefficients of a fit or of a campaign, which is fitted now; see `coefficients_of`."""
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import Fit
 
     if isinstance(given, Fit):
         fit, inputs = given, None

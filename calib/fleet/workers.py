@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 from calib.errors import BadInputError, MissingExtraError, RefusedError, error_words
-
-if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -202,7 +200,6 @@ class ProcessEngine(Engine):
             ) from error
 
     def _started(self) -> ProcessPoolExecutor:
-        from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
 
         context = get_context("fork") if _may_fork() else _server()
@@ -212,7 +209,6 @@ class ProcessEngine(Engine):
 def _may_fork() -> bool:
     """Return whether this process may be copied: no other thread runs in it, a library's own included."""
     from multiprocessing import get_all_start_methods
-    from pathlib import Path
 
     try:
         return "fork" in get_all_start_methods() and len(list(Path("/proc/self/task").iterdir())) == 1

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import fdtrc, stdtr
 
 from calib.radius.law import COVERAGE
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, distinct_loads, load_groups
@@ -223,15 +224,11 @@ def tested(
 
 
 def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    from scipy.special import fdtrc
-
     return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
 def p_of_t(statistic: float, dof: float) -> float:
     """Return the two-sided probability of a Student's t."""
-    from scipy.special import stdtr
-
     return float(2 * stdtr(dof, -abs(statistic)))
 
 

@@ -194,10 +194,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     for side, (per_rev, excess) in wheels.items():
         counts = np.abs(runs.number(f"counts_{side}"))
         radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
-        parts = {
-            "rangefinder": radius * sigma / distance,
-            "quantisation": radius * QUANTISATION_COUNTS / counts,
-        }
+        parts = {"rangefinder": radius * sigma / distance, "quantisation": radius * QUANTISATION_COUNTS / counts}
         off, logged = (
             radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
             path.source == "log",

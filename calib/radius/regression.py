@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
@@ -247,8 +248,6 @@ def from_plain(kind: type[Plain], value: Any) -> Plain:
 
 def t_quantile(dof: ArrayLike) -> FloatArray:
     """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
-    from scipy.special import stdtrit
-
     return np.asarray(stdtrit(floats(dof), 0.5 + COVERAGE / 2))
 
 

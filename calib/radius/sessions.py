@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr, stdtrit
 
 from calib.radius.law import LineEstimate
 from calib.types import FloatArray, IntArray, StrArray
@@ -178,8 +179,6 @@ def _least_between(
 
     An interval from there is as wide as that of the runs alone. With more sessions it is rare, and Student's t holds.
     """
-    from scipy.special import stdtrit
-
     if dof_between > 1.0:
         return 0.0
     of_runs, of_sessions = (float(stdtrit(dof, 0.975)) for dof in (dof_within, dof_between))
@@ -300,8 +299,6 @@ class _Series:
 
 def autocorrelation(series: _Series) -> Autocorrelation:
     """Return the autocorrelation of residuals in the order driven, where significant its upper bound of one sd."""
-    from scipy.special import ndtr
-
     square = float(series.residual @ series.residual)
     if series.dof < MIN_DOF or not square > 0.0:
         return Autocorrelation(0.0, 0.0, 1.0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
 from calib.errors import BadInputError
-from calib.reporting.blocks import Drawings, drawn
+from calib.reporting.blocks import Block, Drawings, Section, drawn
 from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
-    from calib.reporting.blocks import Block, Section
 
 
 #: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the

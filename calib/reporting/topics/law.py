@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
+from calib.reporting.source import Source
 from calib.types import FloatArray, floats
-
-if TYPE_CHECKING:
-    from calib.reporting.source import Source
 
 MM: Final = 1e3
 UM: Final = 1e6

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.check import CheckReport
 from calib.campaign.checks.design import listed
+from calib.campaign.model import Note
+from calib.campaign.settings import Encoder
 from calib.radius.deviation import allowed_amplitude_m, radius_error
+from calib.radius.effective import RunDeviations
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Facts, Heading, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
+from calib.reporting.source import Source
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
-
-if TYPE_CHECKING:
-    from calib.campaign.check import CheckReport
-    from calib.campaign.model import Note
-    from calib.campaign.settings import Encoder
-    from calib.radius.effective import RunDeviations
-    from calib.reporting.source import Source
-
 
 #: beyond this many runs the report's table is one of sessions
 MOST_ROWS: Final = 200
