@@ -15,7 +15,6 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.challenge.recipe import Recipe
 from calib.plant.design import Design
 from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
@@ -32,6 +31,20 @@ ONE_SIGN: Final = (
     "wheel_eccentricity", "outside:hidden",
 )  # fmt: skip
 _TRIES: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One case to make."""
+
+    case: str  #: its neutral name
+    number: int  #: its place in the unshuffled list, which with the seed determines everything drawn
+    group: str  #: one of `GROUPS`
+    effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
+    targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
+    design: str = "good"  #: ``good``, ``laser_only``, or a poor design of the plant
+    aliases: tuple[str, ...] = ()  #: effects that these runs cannot tell from the truth, exactly
+    deleted: str = ""  #: effect to be deleted from the library; empty is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +162,6 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
 def _ceilings(
     among: Alternatives, recipe: Recipe, seed: int
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return what the best rule reaches on the runs of a case, for any effect and for the true one."""
 
     def rounded(ceiling: Ceiling | None) -> tuple[float, float] | None:
         return None if ceiling is None else (round(ceiling.free, 3), round(ceiling.gated, 3))
@@ -289,7 +301,6 @@ def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[s
 
 
 def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) -> FloatArray:
-    """Return what a drawn form of an effect leaves, at a signal of 1, in a drawn direction."""
     own = [space for space in spaces if space.effect == effect]
     space = own[int(rng.integers(len(own)))]
     drawn = rng.standard_normal(space.basis.shape[1])

@@ -200,7 +200,6 @@ def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) ->
 
 
 def _strong(truth: Truth) -> list[str]:
-    """Return the library's effects of a crowd that show strongly, and do so beside the others too."""
     if truth.recipe.group != "crowded":
         return []
     return [

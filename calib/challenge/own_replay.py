@@ -175,7 +175,6 @@ def route_of(observations: Observations) -> Route:
 
 
 def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> FloatArray:
-    """Return a running mean over about `SMOOTH_S`, each unit by itself."""
     known = duration[duration > 0]
     half = int(np.clip(np.rint(0.5 * SMOOTH_S / np.median(known)), 0, 50)) if len(known) else 0
     if half == 0:

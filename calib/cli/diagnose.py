@@ -205,7 +205,6 @@ def effects(
 
 
 def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
-    """Return the runs, the effects asked for, and the runs' name."""
     from calib.campaign.read import read_campaign
     from calib.gap.effects.library import catalogue, every_effect
     from calib.gap.observations.from_campaign import observations_of

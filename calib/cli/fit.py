@@ -70,7 +70,6 @@ def fit(
 
 
 def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
-    """Return the coefficients that a simulator believes, and the load to fit at."""
     if model is None:
         return None, reference_load
     from calib.coefficients.build import coefficients_of

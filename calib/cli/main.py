@@ -56,7 +56,6 @@ def failed(error: Exception, given: list[str]) -> int:
 
 
 def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
-    """Return what went wrong in one line, and the exit status for it."""
     if isinstance(error, ImplausibleError):
         return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
     if isinstance(error, CalibError):

@@ -361,7 +361,7 @@ def export(
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
-    if to != "ros2" and chosen.has_controller_choices:
+    if to != "ros2" and (chosen.controllers or chosen.open_loop or not chosen.position_feedback):
         raise BadInputError(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
@@ -369,7 +369,7 @@ def export(
     formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes()),)
-    if chosen.has_model and to not in formats.PATCHING:
+    if (chosen.model is not None or chosen.left or chosen.right) and to not in formats.PATCHING:
         raise BadInputError(
             f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
         )

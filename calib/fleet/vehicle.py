@@ -218,7 +218,6 @@ class _Blocks:
     of_loads: float | None
 
     def loads_ratio(self, rho: float) -> float:
-        """Return the variance of the slope over that of independent runs."""
         product = rho * max(self.of_loads or 0.0, 0.0)
         return (1.0 + product) / (1.0 - product)
 

@@ -171,7 +171,6 @@ def law_journey(
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
-    """Return the derivatives of the components of the end error by the real radii, shape (5, 2)."""
     left, right, track = wheel_travel(route, believed, real)
     real_left, real_right, _ = real.arrays()
     path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)

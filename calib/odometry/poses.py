@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -261,8 +261,8 @@ class RandomWalk:
     sigma_heading_rad_per_sqrt_m: float = 0.0
     count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts
     #: counts_per_rev_left, counts_per_rev_right: counts a revolution
-    counts_per_rev_left: float = field(default=4096.0)
-    counts_per_rev_right: float = field(default=4096.0)
+    counts_per_rev_left: float = 4096.0
+    counts_per_rev_right: float = 4096.0
 
     def covariance(self, path: PathSteps) -> FloatArray:
         """Return the covariance of the pose after each step, shape (..., n, 3, 3).

@@ -195,7 +195,6 @@ def _direction(runs: _Residuals) -> Check | None:
 
 
 def _range(fit: WheelFit) -> Check:
-    """Say where the law holds, and whether the reference load lies there."""
     law = fit.law
     margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
@@ -241,7 +240,6 @@ def on_one_load(fit: WheelFit) -> str:
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
-    """Say what the plan of loads and sessions allows."""
     loads = distinct_loads(fit.load_N)
     few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
     level = NOTE
@@ -340,7 +338,6 @@ def _against_naive(fit: WheelFit) -> str:
 
 
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say how far the slope moves when one session is omitted."""
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
     n = groups.sizes

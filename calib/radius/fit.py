@@ -133,7 +133,6 @@ def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
-    """Return the fits of the static radius against load, and notes on those that were not fitted."""
     runs = campaign.included().runs
     fits, notes = {}, []
     for wheel in ("left", "right"):

@@ -170,9 +170,8 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> str:
     """Return a page as markup that fetches nothing; `page`: kind, title, name, simulated, head and footer."""
-    style = (files("calib.reporting") / "page.css").read_text(encoding="utf-8")
     pictures = _pictures(block for section in sections for block in section.blocks)
-    return _template().render(page=page, sections=plain(sections), panels=panels, style=style, pictures=pictures)
+    return _template().render(page=page, sections=plain(sections), panels=panels, pictures=pictures)
 
 
 def blocks_html(blocks: Iterable[Block | Section]) -> str:
@@ -339,7 +338,6 @@ def _bytes(text: str) -> bytes:
 
 
 def _paged(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads) -> dict[str, bytes]:
-    """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])
     view = "Every vehicle and the fleet's view, as a program reads it"
@@ -364,7 +362,6 @@ def _parted(blocks: Sequence[Block]) -> tuple[Section, ...]:
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
-    """Return the vehicles as CSV; intervals as two columns."""
     columns = list(dict.fromkeys(name for vehicle in vehicles for name in vehicle))
     heads = [part for name in columns for part in ([f"{name}_low", f"{name}_high"] if "_ci95_" in name else [name])]
     rows = []

@@ -125,28 +125,23 @@ class _Effect:
 
     @property
     def act(self) -> str:
-        """Its macro."""
         return COVARIATE if self.column >= 0 else self.name
 
     @property
     def reference(self) -> str:
-        """Reference load of the law."""
         return c_number(self.reference_N)
 
     @property
     def wheel(self) -> str:
-        """Wheel that a form of one wheel acts on."""
         return "left" if self.form.startswith("left") else "right"
 
     def has(self, size: str) -> bool:
-        """Return whether the form has a size of this name."""
         return size in self.sizes
 
     def __getitem__(self, size: str) -> str:
         return c_number(self.sizes.get(size, 0.0))
 
     def setting(self, name: str, default: float) -> str:
-        """Return a setting."""
         return c_number(self.settings.get(name, float(default)))
 
     def off(self, value: str) -> str:

@@ -362,7 +362,6 @@ def patched(
 
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
-    """Yield what the coefficient file says and no model does."""
     for side, law, load in (("left", file.law.left, pair.left_N), ("right", file.law.right, pair.right_N)):
         if law.slope_m_per_N != 0.0:
             by = f"the {side} radius follows the load by {1e6 * law.slope_m_per_N:.3g} um/N"

@@ -163,7 +163,6 @@ class _Task:
         return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
 
     def done(self, distances: FloatArray) -> bool:
-        """Return whether everything is separated with a margin."""
         return bool((distances >= ENOUGH_SD).all())
 
     def score(self, distances: FloatArray) -> tuple[float, float]:
@@ -196,7 +195,6 @@ class _Task:
 def _sizes(
     observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
 ) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size, on the joint runs, of the effects that were fitted."""
     sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
         return sizes

@@ -232,7 +232,6 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
 
 
 def _grid(title: str, end_m: float) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure with one graph for each component of the error: along the route above, global below."""
     figure = canvas(10.0)
     cells = figure.subplots(2, 3, sharex=True)
     axes: dict[str, Axes] = dict(zip(COMPONENTS, cells.ravel(), strict=False))

@@ -13,7 +13,7 @@ import statsmodels.api as sm
 
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
-from calib.challenge.recipe import Seeds, read_seeds, recipes
+from calib.challenge.seal import Seeds, read_seeds, recipes
 from calib.gap.decision.causes import SAME_SIZE_SD, SizeDifference, _difference, size_differences
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
