@@ -15,10 +15,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.plant.design import Design
+from calib.plant.design import Design, good_design, poor_design
 from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
-from calib.plant.plans import good_design, poor_design
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Cause, Noise, random_noise
 from calib.types import BoolArray, FloatArray

@@ -197,7 +197,7 @@ def effects(
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
     if figures is not None:
-        from calib.reporting.figures.geometry import signature_figure
+        from calib.reporting.figures.gap import signature_figure
 
         terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in drawable.items()}, figures)
     terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
@@ -290,7 +290,7 @@ def _judge(source: Path, figures: Path | None) -> int:
     content = outlook_content(planned.name, len(planned.runs), outlook)
     terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
     if figures is not None:
-        from calib.reporting.figures.geometry import plan_matrix
+        from calib.reporting.figures.gap import plan_matrix
 
         terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
     terminal.then("plan --from")

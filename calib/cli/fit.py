@@ -133,7 +133,7 @@ def geometry(
     terminal.save(result, document)
     if figures is not None:
         from calib.kinematics.estimate import traces_of
-        from calib.reporting.figures.geometry import draw_paths
+        from calib.reporting.figures.calibration import draw_paths
 
         paths = traces_of(read, estimated)
         terminal.draw(lambda: {PICTURE: draw_paths(paths, simulated=estimated.simulated)}, figures)

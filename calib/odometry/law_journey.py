@@ -14,9 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import SWEEP_VALUES, BadInputError
-from calib.odometry.paper import Axle, end_of_route, wheel_travel
 from calib.odometry.poses import COMPONENTS, jacobian, pose_errors, rows_of, steps
-from calib.odometry.routes import Route
+from calib.odometry.routes import Axle, Route, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N

@@ -11,7 +11,6 @@ import numpy as np
 
 from calib.errors import BadInputError
 from calib.odometry.integrate import radii_under_load
-from calib.odometry.paper import SPACING_M
 from calib.odometry.poses import (
     COMPONENTS,
     POSE,
@@ -24,7 +23,7 @@ from calib.odometry.poses import (
     rows_of,
     steps,
 )
-from calib.odometry.routes import Route
+from calib.odometry.routes import SPACING_M, Route
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N

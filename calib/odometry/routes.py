@@ -1,4 +1,4 @@
-"""Routes of straights and arcs: by name, or from a small TOML file."""
+"""Routes of straights and arcs, by name or from a TOML file, and who follows them on an odometry of wrong radii."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from calib.campaign.settings_file import load_toml
 from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
-from calib.odometry.integrate import integrate
+from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import Poses, read_tum, sinc
 from calib.types import FloatArray, floats
 
@@ -22,6 +22,13 @@ Segment = tuple[float, float]
 FORMAT: Final = "calib-route/1"
 #: largest length in m, or turn: no vehicle drives further in one segment
 LONGEST: Final = 1e6
+#: pieces of routes driven at once: keeps memory small where many vehicles drive long routes
+BLOCK: Final = 131_072
+#: radii, their ratios and tracks that a vehicle can have
+SHORTEST_M: Final = 1e-4
+LONGEST_M: Final = 1e4
+#: spacing of the points that figures and trajectories show
+SPACING_M: Final = 0.05
 
 
 def straight(length_m: float) -> Segment:
@@ -176,3 +183,59 @@ def read_route(path: Path) -> Route:
 
 
 _KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axle:
+    """Rear wheels as somebody believes them to be, or as they are."""
+
+    #: radius_left_m, radius_right_m, track_m: shape () or (vehicles,): effective radii and the distance of the contact
+    #: points; shapes that broadcast
+    radius_left_m: ArrayLike
+    radius_right_m: ArrayLike
+    track_m: ArrayLike
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
+        parts = tuple(floats(part) for part in (self.radius_left_m, self.radius_right_m, self.track_m))
+        for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
+            impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
+            if part.ndim > 1 or impossible.any():
+                found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
+                expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
+                raise BadInputError(f"{name}: found {found}; expected {expected}")
+        return parts[0], parts[1], parts[2]
+
+
+def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
+    left, right, track = believed.arrays()
+    real_left, real_right, real_track = real.arrays()
+    ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
+    half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
+    travel = ratio_left * (route.length_m - half), ratio_right * (route.length_m + half)
+    parts = np.broadcast_arrays(*travel, np.atleast_1d(real_track)[:, None])
+    return parts[0], parts[1], parts[2][:, :1]
+
+
+def follow(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
+
+    The believed pose follows the route; divide the route for more poses.
+    """
+    return integrate(*wheel_travel(route, believed, real)).from_origin()
+
+
+def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real end poses alone, shape (vehicles,): `follow` for many thousands of vehicles at once."""
+    lengths = [np.atleast_1d(part) for part in (*believed.arrays(), *real.arrays())]
+    try:
+        vehicles = np.stack(np.broadcast_arrays(*lengths))
+    except ValueError as error:
+        most = max(map(len, lengths))
+        raise BadInputError(f"axles: found arrays of unlike lengths; expected one value or {most}") from error
+    ends = []
+    for block in np.array_split(vehicles, -(-vehicles.shape[1] * len(route) // BLOCK), axis=1):
+        left, right, track = wheel_travel(route, Axle(*block[:3]), Axle(*block[3:]))
+        ends.append(end_poses(left, right, track).stacked())
+    return Poses.from_stacked(np.concatenate(ends))

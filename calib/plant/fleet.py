@@ -13,8 +13,8 @@ import numpy as np
 from calib.campaign.tables import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
 from calib.io import write_bytes
+from calib.plant.design import good_design
 from calib.plant.make import make_campaign, random_model
-from calib.plant.plans import good_design
 from calib.plant.world import Cause
 from calib.types import FloatArray, IntArray
 

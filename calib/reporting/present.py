@@ -72,10 +72,10 @@ def _content(result: Result, *, brief: bool) -> Sequence[Block | Section]:
 def _fit(fit: Fit) -> Drawings:
     session = fit.radii.session
     return {
-        "regressions": partial(drawn, "radius.regressions", fit.left, fit.right, session),
-        "runs": partial(drawn, "radius.runs_by_series", fit.radii),
-        "path_deviation": partial(drawn, "radius.path_deviation", fit.radii),
-        "residuals": partial(drawn, "radius.residuals", fit.left, fit.right, session),
+        "regressions": partial(drawn, "calibration.regressions", fit.left, fit.right, session),
+        "runs": partial(drawn, "calibration.runs_by_series", fit.radii),
+        "path_deviation": partial(drawn, "calibration.path_deviation", fit.radii),
+        "residuals": partial(drawn, "calibration.residuals", fit.left, fit.right, session),
     }
 
 
@@ -89,7 +89,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Drawings:
 def _plan(plan: Plan) -> Drawings:
     from calib.gap.plan.identifiability import outlook_of
 
-    return {"matrix": lambda: drawn("geometry.plan_matrix", outlook_of(plan.campaign))}
+    return {"matrix": lambda: drawn("gap.plan_matrix", outlook_of(plan.campaign))}
 
 
 def _simulation(simulation: Simulation) -> Drawings:
@@ -104,7 +104,7 @@ def _simulation(simulation: Simulation) -> Drawings:
 #: kind of figure -> its drawing function, the default first
 _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
     "Fit": _fit,
-    "Geometry": lambda found: {"paths": partial(drawn, "geometry.draw_paths", found.paths, simulated=found.simulated)},
+    "Geometry": lambda one: {"paths": partial(drawn, "calibration.draw_paths", one.paths, simulated=one.simulated)},
     "Diagnosis": _diagnosis,
     "Plan": _plan,
     "Simulation": _simulation,

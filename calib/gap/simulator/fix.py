@@ -20,8 +20,7 @@ from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, 
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
-from calib.gap.simulator.differences import Differences, averaged, difference
-from calib.gap.simulator.runner import Job, SimulatorRunner
+from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averaged, difference
 from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray
 

@@ -14,9 +14,9 @@ from matplotlib.ticker import MaxNLocator
 
 from calib.odometry.law_journey import LoadSweep, TableRow
 from calib.odometry.law_path import LawPath
-from calib.odometry.paper import Sweep
 from calib.odometry.poses import COMPONENTS, ellipses
 from calib.odometry.replay import Replay
+from calib.odometry.simulation import Sweep
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
 
 Dash = Literal["-", "--", ":"]

@@ -222,6 +222,6 @@ def residuals_picture(fit: Fit) -> Picture:
             f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
             for name, wheel in fit.wheels.items()
         ),
-        "radius.residuals",
+        "calibration.residuals",
         *(fit.left, fit.right, fit.radii.session),
     )

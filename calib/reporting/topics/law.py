@@ -193,7 +193,7 @@ def regressions_picture(fit: Fit) -> Picture:
         "regressions",
         "Effective radius against wheel load with the law and both bands; below, the same as deviation from the law.",
         "Regression of the radius on the load: " + "; ".join(_law_in_words(wheel) for wheel in fit.wheels.values()),
-        "radius.regressions",
+        "calibration.regressions",
         *(fit.left, fit.right, fit.radii.session),
     )
 
@@ -234,7 +234,7 @@ def budget_picture(fit: Fit) -> Picture:
         "budget",
         "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
         f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
-        "radius.budget_bars",
+        "calibration.budget_bars",
         fit.radii.budget,
     )
 

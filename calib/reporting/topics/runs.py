@@ -125,7 +125,7 @@ def runs_picture(fit: Fit) -> Picture:
         "Effective radius of each run in the order driven, coloured by wheel load, or by session where all loads are "
         "alike. Bars, where larger than the mark, are two standard uncertainties of the instruments.",
         f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
-        "radius.runs_by_series",
+        "calibration.runs_by_series",
         fit.radii,
     )
 
@@ -205,7 +205,7 @@ def deviation_picture(fit: Fit) -> Picture:
         "and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
         f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all runs "
         f"up to {worst:.0f} ppm",
-        "radius.path_deviation",
+        "calibration.path_deviation",
         radii,
     )
 
