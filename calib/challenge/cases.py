@@ -1,8 +1,7 @@
 """A case from its recipe: first its truth, then its campaigns.
 
-The truth says the best that any diagnosis can do there, all being known: an effect is drawn from the library, it acts
-at the wanted signal, noise is added, and the posterior probability of each effect is computed exactly from whitened
-signatures, a recalibration projected out. No rule gets a larger share of cases right than the mean of the largest.
+The truth says the best that any diagnosis can do there, all being known: no rule gets a larger share of cases right
+than the mean of the largest posterior probability, computed exactly from whitened signatures.
 """
 
 from __future__ import annotations
@@ -51,18 +50,18 @@ class Truth:
     """What is true in a case; one entry of the sealed file."""
 
     recipe: Recipe
-    #: seed, max_runs: from the seeds file
+    #: from the seeds file
     seed: int
     max_runs: int
     redraw: int  #: how often the pair was drawn again because its two effects hid in one another
     causes: tuple[Cause, ...]  #: what is wrong, at its size
     typical: tuple[float, ...]
-    #: signals, beside: signal of each alone, and after what the other could imitate was projected out
+    #: signal of each alone, and after what the other could imitate was projected out
     signals: tuple[float | None, ...]
     beside: tuple[float | None, ...]
     #: other effects, and how far in standard deviations they stay from what the cause does; nearest first
     rivals: tuple[tuple[str, float], ...]
-    #: noise, model: of the case
+    #: of the case
     noise: Noise
     model: OdometryModel
     n_runs: int

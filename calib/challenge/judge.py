@@ -93,14 +93,14 @@ class Judged:
     #: the plant's own measure: no other effect comes nearer than `APART`; None where it was not taken
     separable: bool | None
     rival: str  #: the nearest other effect, with its distance
-    #: recommended, wrong_fix: a fix is recommended; and a cause of it is neither true nor in a group with the truth
+    #: a fix is recommended; and a cause of it is neither true nor in a group with the truth
     recommended: bool
     wrong_fix: bool
     #: the recommended fix made the fresh campaign worse, all channels against their noise; None where not tried
     harmful: bool | None
     statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
     intervals: tuple[Compared, ...]  #: parameter, truth, low, high
-    #: predicted, achieved: closure on held-out runs as stated, and on the fresh campaign
+    #: closure on held-out runs as stated, and on the fresh campaign
     predicted: float | None
     achieved: float | None
     seconds: float | None

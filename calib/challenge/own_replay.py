@@ -120,21 +120,20 @@ Act = Callable[[World], None]
 class Route:
     """The logged steps of every unit side by side, short units filled with steps of nothing."""
 
-    #: roll_left_rad, roll_right_rad, duration_s, time_s: shape (n_steps_most, n_units): rotation of the wheels in each
-    #: step, how long it took, and when it ended
+    #: shape (n_steps_most, n_units): rotation of the wheels in each step, how long it took, and when it ended
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
     duration_s: FloatArray
     time_s: FloatArray
-    #: speed_mps, acceleration_mps2, curvature_per_m: shape (n_steps_most, n_units): motion by the log, smoothed
+    #: shape (n_steps_most, n_units): motion by the log, smoothed
     speed_mps: FloatArray
     acceleration_mps2: FloatArray
     curvature_per_m: FloatArray
-    #: angle_left_rad, angle_right_rad: shape (n_steps_most, n_units): wheel angles at the end of each step
+    #: shape (n_steps_most, n_units): wheel angles at the end of each step
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
-    #: front_m, steer_rad: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its
-    #: angle; nothing where rear wheels do
+    #: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its angle; nothing where
+    #: rear wheels do
     front_m: FloatArray
     steer_rad: FloatArray
     last: IntArray  #: shape (n_units,): last step of each unit

@@ -112,7 +112,6 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
 
 
 def _of_group(group: Group, count: int, rng: np.random.Generator) -> list[Recipe]:
-    """Return `count` cases of a group, their names and numbers still to be given."""
     case = partial(Recipe, "", 0, group)
     if group == "single":
         return [case((name,), (signal,)) for name, signal in _singles(count, rng)]

@@ -136,7 +136,6 @@ def _pictures(folder: Path | None) -> list[Path]:
 def _simulated(
     campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
 ) -> tuple[Diagnosis, str]:
-    """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE

@@ -1,7 +1,4 @@
-"""A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows.
-
-A survey does another task for every vehicle (check, geometry, diagnose), and says what the vehicles share.
-"""
+"""A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ class Headline:
     """End error without and with the correction, each the largest case of its sweep, and their ratio."""
 
     which: str  #: wheel that is off
-    #: without_m, corrected_m: largest global e_x by absolute value
+    #: largest global e_x by absolute value
     without_m: float
     corrected_m: float
     ratio: float  #: how many times smaller the corrected one is

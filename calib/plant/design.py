@@ -107,17 +107,15 @@ def tabulate(
 class Design:
     """The runs to drive, in the order driven, and what is measured on them."""
 
-    #: kind, direction, session: shape (n_runs,): route, ``out`` or ``back`` (corridor only, else empty), label of the
-    #: session
+    #: shape (n_runs,): route, ``out`` or ``back`` (corridor only, else empty), label of the session
     kind: StrArray
     direction: StrArray
     session: StrArray
-    #: payload_kg, payload_x_m, payload_y_m: shape (n_runs,): payload as reported
+    #: shape (n_runs,): payload as reported
     payload_kg: FloatArray
     payload_x_m: FloatArray
     payload_y_m: FloatArray
-    #: speed_mps, temperature_C, minutes_under_load: shape (n_runs,): set speed, hall temperature, minutes since the
-    #: payload was put on
+    #: shape (n_runs,): set speed, hall temperature, minutes since the payload was put on
     speed_mps: FloatArray
     temperature_C: FloatArray
     minutes_under_load: FloatArray
@@ -125,7 +123,7 @@ class Design:
     stops: IntArray  #: shape (n_runs,): stops on the way, spread evenly over the route
     #: shape (n_runs,): further numeric columns of the run table
     columns: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: length_m, side_m, radius_m: corridor, side and corner radius of the squares
+    #: corridor, side and corner radius of the squares
     length_m: float = 20.0
     side_m: float = 2.5
     radius_m: float = 1.2

@@ -29,8 +29,8 @@ class Record:
     """What happened, sampled at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
-    #: t_s, x_m, y_m, theta_rad, v_mps, omega_radps, steer_rad: shape (n_frames, n_runs): true motion in the run's own
-    #: frame; frames behind a run's end repeat it; late_rad: the steering angle as it was the sensor's delay ago
+    #: shape (n_frames, n_runs): true motion in the run's own frame; frames behind a run's end repeat it; late_rad: the
+    #: steering angle as it was the sensor's delay ago
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray

@@ -1,7 +1,6 @@
 """How strongly an effect shows, and what else could have left the same on the same runs.
 
-The signal is the whitened norm of what an effect does, after what a recalibration would absorb: by noise-free drives
-with and without the effect, and the covariance of the plant's noise by linear propagation along the path driven.
+The signal is the whitened norm of what an effect does in noise-free drives, after what a recalibration would absorb.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do.
-
-Those of the residuals, and of what the plan of loads and sessions, and the order driven, allow the fit to say.
-"""
+"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius.
-
-Parts of the budget that are the same in every run are declared in ``[uncertainty]`` of ``campaign.toml``.
-"""
+"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius."""
 
 from __future__ import annotations
 

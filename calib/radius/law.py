@@ -234,7 +234,6 @@ class LineEstimate:
     def _variance(
         self, contrast: ArrayLike, more_within: float = 0.0, more_between: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the random variance of ``contrast @ coefficients`` and the share of sessions in it, shape (...)."""
         c = floats(contrast)
         parts = (self.cov_within, self.cov_between)
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]

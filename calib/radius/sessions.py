@@ -2,10 +2,7 @@
 
 Runs of one session share what shifted that day (temperature, a remounted rangefinder, wear), so they are not
 independent. A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum and
-never assumed away, so the intervals hold whether or not sessions scatter. Where the loads are crossed with the
-sessions the slope's interval is the exact t of the within-session regression, where each session has one load it is
-the exact t of the regression on session means, and between the two it follows the critical values of
-`calib.radius.law`.
+never assumed away, so the intervals hold whether or not sessions scatter; see `calib.radius.law`.
 
 Runs that follow each other and scatter alike tell less than as many independent ones. The residuals of a session are
 taken as a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from the lag-one

@@ -330,7 +330,6 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
 
 
 def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
-    """Return the widths: the least, and the free width for sentences."""
     free = width - sum(column.least for column in part) - GAP * (len(part) - 1)
     widths = []
     for column in part:

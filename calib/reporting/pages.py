@@ -1,7 +1,4 @@
-"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders.
-
-Same input, same bytes. Folders hold what simulations, replays and fleets give.
-"""
+"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders."""
 
 from __future__ import annotations
 
@@ -28,9 +25,10 @@ from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.io import refuse_existing, write_files, write_json, write_text
-from calib.odometry.integrate import integrate, radii_under_load, travel_from_counts
+from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
+from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report

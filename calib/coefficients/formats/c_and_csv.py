@@ -1,7 +1,6 @@
 """C99 headers and the look-up table as CSV, for programs that read no coefficient file.
 
-One header holds the coefficients with radius functions, integer form and odometry, the other the law with named
-effects for a simulator's loop, as `calib.runtime.Effects`. What an effect does is a macro of its name in ``c_acts.j2``.
+What an effect does in a simulator's loop is a macro of its name in ``c_acts.j2``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins.
-
-Of each format there is what finds a wheel by its name.
-"""
+"""Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins."""
 
 from __future__ import annotations
 

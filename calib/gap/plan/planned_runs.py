@@ -16,8 +16,7 @@ from calib.campaign.settings import FrontModel
 from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.documents import plain_fields
 from calib.errors import PLANNED_SAMPLES, BadInputError
-from calib.odometry.integrate import radii_of_model
-from calib.odometry.routes import NAMED, Route, arc, straight
+from calib.odometry.routes import NAMED, Route, arc, radii_of_model, straight
 from calib.types import FloatArray
 from calib.vehicle import wheel_loads_N
 

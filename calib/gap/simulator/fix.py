@@ -380,5 +380,4 @@ def _share_together(diagnosis: Diagnosis) -> float:
 
 
 def _of_library(diagnosis: Diagnosis) -> str:
-    """Return the named effects of the library, as a list in words; empty where there is none."""
     return joined((c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)), "and")

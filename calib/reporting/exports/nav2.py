@@ -2,8 +2,7 @@
 
 The covariance of an end pose is linear in the four alphas of AMCL's differential motion model (S. Thrun, W. Burgard,
 D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it; docs/exports.md), as in the sizes of a random
-walk and of errors that stay the same during a run. All are estimated from end poses of runs that the correction has not
-seen, the uncertainty of the reference beside them. No alphas spread like the errors that stay: `form_ratios`.
+walk and of errors that stay the same during a run, which no alphas spread like: `form_ratios`.
 """
 
 from __future__ import annotations

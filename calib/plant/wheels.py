@@ -1,7 +1,4 @@
-"""What wheels leave that differ from the model's, and what depends on how the vehicle moves.
-
-Radii and track, load laws, creep, temperature, wear, sessions; speed, curves, braking, direction, drive.
-"""
+"""What wheels leave that differ from the model's, and what depends on how the vehicle moves."""
 
 from __future__ import annotations
 
