@@ -61,8 +61,7 @@ class Truth:
     beside: tuple[float | None, ...]
     #: other effects, and how far in standard deviations they stay from what the cause does; nearest first
     rivals: tuple[tuple[str, float], ...]
-    #: of the case
-    noise: Noise
+    noise: Noise  #: noise and model are those of the case
     model: OdometryModel
     n_runs: int
     #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
@@ -266,7 +265,6 @@ def ceiling_of_truth(
 def _weighed(
     spaces: Sequence[_Space], n_effects: int, seen: FloatArray, empty: FloatArray, signal: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return each effect's evidence in what is seen, and what passes the gate that noise alone sets."""
     evidence, of_noise = (_log_evidence(spaces, n_effects, readings, signal) for readings in (seen, empty))
     return evidence, _log_mean(evidence) > np.quantile(_log_mean(of_noise), 1 - ALARMS)
 

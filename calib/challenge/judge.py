@@ -192,7 +192,6 @@ def _family(effect: str) -> str:
 
 
 def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
-    """Return what cannot be told apart: the groups, and the forms that each cause's own family leaves open."""
     open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
     alike = given.get("indistinguishable", [])
     groups = [set(group).union(*(open_forms.get(name, set()) for name in group)) for group in alike]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -112,6 +112,7 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
 SMOOTH_S: Final = 0.5
 #: a unit that turns by less goes straight
 STRAIGHT_RAD: Final = 0.5
+ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
 
 Act = Callable[[World], None]
 
@@ -202,16 +203,14 @@ def design_of(observations: Observations) -> Design:
         speed = np.abs(observations.total(np.abs(observations.path_m)))
         elapsed = observations.total(observations.duration_s)
         speed = np.where(elapsed > 0, speed / np.where(elapsed > 0, elapsed, 1.0), 0.0)
+    unstated: dict[str, Any] = {name: np.nan_to_num(observations.number(name)) for name in ZERO_WHERE_UNKNOWN}
     return Design(
         kind=names,
         direction=observations.labels["direction"],
         session=observations.labels["session"],
-        payload_kg=np.nan_to_num(observations.number("payload_kg")),
-        payload_x_m=np.nan_to_num(observations.number("payload_x_m")),
-        payload_y_m=np.nan_to_num(observations.number("payload_y_m")),
+        **unstated,
         speed_mps=speed,
         temperature_C=number("temperature_C"),
-        minutes_under_load=np.nan_to_num(observations.number("minutes_under_load")),
         flying=np.zeros(n_units, dtype=bool),
         stops=np.zeros(n_units, dtype=np.int64),
         length_m=float(np.max(observations.length_m, initial=1e-3)),

@@ -225,7 +225,6 @@ def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
 def _reached(
     cases: Sequence[tuple[tuple[float, float] | None, bool]],
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the mean ceiling, freely and behind the gate, and the hits over the latter; None where not taken."""
     both = [(ceiling, first) for ceiling, first in cases if ceiling is not None]
     if not both:
         return None, None, None

@@ -84,7 +84,6 @@ def read_seeds(path: Path) -> Seeds:
 
 
 def _library() -> list[str]:
-    """Return the effects of the library that have a signal to be set, without calibration."""
     names = dict.fromkeys(
         form.effect
         for form in ALL

@@ -207,7 +207,7 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
     from calib.campaign.read import read_campaign
     from calib.gap.effects.library import catalogue, every_effect
     from calib.gap.observations.from_campaign import observations_of
-    from calib.gap.plan.plan_file import demonstration
+    from calib.gap.plan.planned_runs import demonstration
     from calib.gap.predict import predict
 
     read = demonstration() if campaign is None else read_campaign(campaign)
@@ -261,7 +261,7 @@ def plan(
 def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
-    from calib.gap.plan.plan_file import read_candidates
+    from calib.gap.plan.next_runs import read_candidates
     from calib.reporting.topics.diagnosis import runs_and_promises
 
     with terminal.progress("planning") as tick:
@@ -278,7 +278,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
 def _judge(source: Path, figures: Path | None) -> int:
     from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
-    from calib.gap.plan.plan_file import read_plan
+    from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))

@@ -108,7 +108,6 @@ def _of_other_format(source: Path, to: str, output: Path | None, accept: str) ->
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
-    """Write the files, or their text to standard output, or into the JSON where that goes there."""
     if output is not None:
         files = place(artifacts, output, force=terminal.forced())
         terminal.wrote([written["path"] for written in files])

@@ -113,7 +113,6 @@ def _machine_refused(error: Exception) -> str:
 
 
 def _usage(error: Exception) -> str:
-    """Return what is wrong with the words typed, and which command of the same group would take them."""
     message, context = _message(error), getattr(error, "ctx", None)
     if context is None:
         return message

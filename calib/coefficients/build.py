@@ -249,7 +249,6 @@ def _unit(name: str) -> str:
 
 
 def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
-    """Return the law of a wheel; at the nominal radius where rear wheels were not estimated."""
     loads = campaign.included().runs.number(f"load_{side}_N")
     loads = loads[np.isfinite(loads)]
     radius_name, slope_name = WHEEL_RADIUS.get(geometry.source, f"radius_{side}_m"), f"slope_{side}_m_per_N"

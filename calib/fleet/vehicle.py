@@ -239,7 +239,6 @@ class _Blocks:
 
     @property
     def std(self) -> float:
-        """Standard deviation of the lag-one autocorrelation of independent runs."""
         n = self.sizes
         squares = float(np.sum(0.5 * (n - 1.0) - 2.0 * (n - 1.5) / n + ((n - 1.0) / n) ** 2))
         squares -= (self.of_loads or 0.0) ** 2

@@ -179,7 +179,6 @@ def _loop(
     pose: FloatArray,
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Write the poses; what numba compiles."""
     left, right = travel
     x, y, theta = out
     varies = len(per_m) > 1
@@ -233,7 +232,6 @@ def _loop(
 def _laid_flat(
     travel_left_m: ArrayLike, travel_right_m: ArrayLike, track_m: ArrayLike, offsets: ArrayLike | None, start: ArrayLike
 ) -> Flat:
-    """Return the steps of `integrate` laid flat; raises BadInputError where shapes do not fit."""
     left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
     shape = left.shape

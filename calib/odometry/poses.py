@@ -39,7 +39,6 @@ class Poses:
         return self.x_m.shape
 
     def __getitem__(self, index: Any) -> Poses:
-        """Return the poses that a numpy index picks."""
         return Poses(np.asarray(self.x_m[index]), np.asarray(self.y_m[index]), np.asarray(self.theta_rad[index]))
 
     def stacked(self) -> FloatArray:

@@ -185,7 +185,6 @@ def _driven(
 
 
 def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
-    """Return the runs with log, reference end pose and loads, how many were omitted and why, and what was assumed."""
     campaign, notes = with_loads(with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"

@@ -61,7 +61,6 @@ class RouteTables:
 
 
 def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[FloatArray, float]:
-    """Return the eased curvature on the grid (run-out included) and the length of the route."""
     end_m = float(sum(length for length, _ in segments))
     s = np.arange(0.0, end_m + _TAIL_M, PITCH_M)
     edges = np.cumsum([0.0, *[length for length, _ in segments]])
@@ -274,7 +273,6 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
 
 
 def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int, n_sessions: int) -> list[_Run]:
-    """Return the runs in the order driven: sessions, dwell and temperatures vary apart from the conditions."""
     # each session has a cold and a warm half; dwell varies from run to run; no condition correlates with a session
     levels = []
     for _ in range(n_sessions):
@@ -295,7 +293,6 @@ def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int
 
 
 def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict[str, object]:
-    """Return what is the same in all runs: vehicle, lengths, what is logged; and further columns."""
     drawn: dict[str, object] = {
         "length_m": round(float(rng.uniform(15.0, 25.0)), 1),
         "side_m": round(float(rng.uniform(2.0, 3.5)), 1),

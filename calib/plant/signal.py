@@ -297,7 +297,6 @@ def lacks(design: Design, needs: Iterable[str]) -> list[str]:
 
 
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:
-    """Return causes at small sizes whose sums span what each effect can do on a design."""
     n_sessions = len(set(design.session))
     variants: list[Cause] = []
     for form in ALL:

@@ -279,7 +279,6 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
 
 
 def _order(fit: WheelFit) -> Check | None:
-    """Say whether runs that follow each other scatter alike, and whether the slope rests on how much."""
     found = fit.autocorrelation
     if found is None or found.p_value == 1.0:
         return None
@@ -300,7 +299,6 @@ def _order(fit: WheelFit) -> Check | None:
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say whether sessions scatter beyond their runs, and what counting runs as independent would have claimed."""
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None

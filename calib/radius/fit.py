@@ -218,7 +218,6 @@ class SystematicSource:
 
 
 def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
-    """Return the change of the coefficients with a common change of the radii, shape (2,)."""
     if wheel.model != "line":
         return np.array([float(sensitivity.mean()), 0.0])
     x = wheel.load_N - wheel.law.reference_load_N

@@ -139,18 +139,10 @@ class LineEstimate:
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> LineEstimate:
-        """Return an estimate in which every run counts as independent.
+        """Return an estimate in which every run counts as independent; see `LineEstimate`.
 
-        Parameters
-        ----------
-        design
-            See the field of that name.
-        coefficients, covariance : array of float, shapes (2,) and (2, 2)
-            Radius at the reference load and slope.
-        dof, variance
-            Degrees of freedom, and variance of a single run.
-        hc3
-            Whether `covariance` is heteroscedasticity-consistent.
+        `covariance`: of radius and slope, shape (2, 2); `dof`, `variance`: its degrees of freedom, and that of a single
+        run.
         """
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)
 

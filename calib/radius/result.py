@@ -160,7 +160,6 @@ class Fit(Result):
 
 
 def _rows(fit: Fit) -> list[Row]:
-    """Return the runs used, one mapping each: every array of the radii, and the residual of each wheel."""
     columns = {name: getattr(fit.radii, name) for name in _RUN_COLUMNS}
     columns |= {f"residual_{name}_m": wheel.residual_m for name, wheel in fit.wheels.items()}
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(plain, columns.values()), strict=True)]

@@ -183,7 +183,6 @@ def _least_between(
 
 
 def _session_scatter(mean_variance: float, run_variance: float, sizes: FloatArray) -> tuple[float, float | None]:
-    """Return the variance of sessions beyond that of their runs, and the ratio of the two mean squares."""
     explained = run_variance * float(np.mean(1.0 / sizes))
     return max(mean_variance - explained, 0.0), mean_variance / explained if run_variance > 0 else None
 
@@ -256,7 +255,6 @@ class _Series:
         return float(len(self.residual) - self.fitted.shape[1])
 
     def neighbours(self, columns: FloatArray) -> FloatArray:
-        """Return half the sum of the run before and of the run after of the same block, shape (n_runs, k)."""
         joined = (1.0 - self.begins[1:])[:, None]
         product = np.zeros_like(columns)
         product[1:] += 0.5 * joined * columns[:-1]
@@ -264,7 +262,6 @@ class _Series:
         return product
 
     def correlated(self, columns: FloatArray, rho: float) -> FloatArray:
-        """Return columns (n_runs, k) times the correlation matrix."""
         from scipy.signal import lfilter
 
         edges = [*np.flatnonzero(self.begins), len(columns)]

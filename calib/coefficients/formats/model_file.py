@@ -115,7 +115,6 @@ class ModelFile:
         return roots[0]
 
     def _tag_end(self, at: int) -> int:
-        """Return the offset after the attributes of the start tag at `at`, before its ``/>`` or ``>``."""
         end = at + 1 + len(re.match(rb"[^\s/>]+", self.data[at + 1 : at + 1001]).group())  # type: ignore[union-attr]
         while match := _ATTRIBUTE.match(self.data, end):
             end = match.end()

@@ -77,18 +77,7 @@ def fixed(
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        In the simulator's parameters and the library's effects.
-    runner : SimulatorRunner
-        Runs the simulator.
-    differences : Differences
-        The simulator about its nominal parameters.
-    found : SimulatorFix
-        Of `iterated`.
-    rng : numpy.random.Generator
-        For the bootstrap.
+    `differences`: the simulator about its nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
     """
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
@@ -371,7 +360,6 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Decla
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
-    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
     forms, a, r = _signatures(diagnosis)
     if not forms or not r.any():
         return 0.0

@@ -330,7 +330,6 @@ def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
 
 
 def _points(settings: SimulatorSettings, steps: Sequence[float]) -> list[tuple[str, dict[str, float]]]:
-    """Return the sets of parameters to run, in words and by name: the nominal ones, and each a step off."""
     off = [(each.name, each.nominal + step) for each, step in zip(settings.parameters, steps, strict=True)]
     nominal = ("the nominal parameters", settings.nominal)
     return [nominal, *((f"{name} = {value:g}", settings.nominal | {name: value}) for name, value in off)]

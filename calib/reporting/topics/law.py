@@ -42,7 +42,6 @@ def _table(caption: str, wheels: Mapping[str, WheelFit]) -> Table:
 
 
 def _coefficients(fit: WheelFit) -> list[tuple[str, str, float, float, float]]:
-    """Return title, unit, value, standard uncertainty and degrees of freedom of the radius and of a line's slope."""
     law, (radius_std, slope_std) = fit.law, np.sqrt(np.diag(fit.law.covariance)).tolist()
     title = f"radius at {law.reference_load_N:.4g} N"
     rows = [(title, "mm", MM * law.radius_ref_m, MM * radius_std, fit.dof_radius_ref)]
