@@ -23,7 +23,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
-from calib.reporting.figures.geometry import signature_figure
+from calib.reporting.figures.gap import signature_figure
 from calib.reporting.figures.style import render
 
 ROOT = Path(__file__).resolve().parents[1]

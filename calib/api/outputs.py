@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from numpy.random import Generator, default_rng
 
 from calib.api.results import CampaignLike, opened, refuse_below
 from calib.arguments import checked
 from calib.errors import BadInputError
+from calib.io import write_bytes
 from calib.kinematics.result import Geometry
+from calib.odometry import replay as replays
+from calib.odometry import simulation
+from calib.odometry.law_path import AxleLaw
 from calib.odometry.replay import Replay
-from calib.odometry.simulation import Simulation
+from calib.odometry.simulation import LawJourneys, Simulation
 from calib.radius.result import Fit
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
+from calib.vehicle import Vehicle
 
 
 @checked
@@ -52,14 +55,10 @@ def simulate(
     BadInputError
         Where the study or a route is not known.
     """
-    from calib.odometry.law_path import AxleLaw
-    from calib.odometry.simulation import LawJourneys
-    from calib.odometry.simulation import simulate as run
-    from calib.vehicle import Vehicle
-
     vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
     under = None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N)
-    return run(study, routes=routes, track_m=vehicle.track_m, under=under, rng=_generator(seed))
+    rng = _generator(seed)
+    return simulation.simulate(study, routes=routes, track_m=vehicle.track_m, under=under, rng=rng)
 
 
 @checked
@@ -88,11 +87,10 @@ def replay(campaign: CampaignLike, law: Fit | Geometry, *, scheme: str = "exact"
         Where no run can be replayed.
     """
     from calib.coefficients.build import from_fit, from_geometry
-    from calib.odometry.replay import replay as run
 
     campaign = opened(campaign)
     file = from_geometry(law, campaign) if isinstance(law, Geometry) else from_fit(law)
-    return run(campaign, file, rng=_generator(seed), scheme=scheme)
+    return replays.replay(campaign, file, rng=_generator(seed), scheme=scheme)
 
 
 @checked
@@ -134,7 +132,6 @@ def report(
     RefusedError
         Where the runs allow neither a law nor a geometry.
     """
-    from calib.io import write_bytes
     from calib.reporting.content import place_of, report_of
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date
@@ -183,26 +180,23 @@ def export(
     mapping of str to str
         Text of each file by its name.
     """
-    from calib.coefficients.build import coefficients_from, from_geometry
-    from calib.coefficients.build import export as rendered
+    from calib.coefficients import build
     from calib.coefficients.formats import ExportOptions, parse_loads, place
 
     options = ExportOptions(loads=parse_loads([str(load) for load in loads]), controllers=tuple(controllers))
     if isinstance(source, Geometry):
         if campaign is None:
             raise BadInputError("export: found a geometry alone; expected its campaign too; give campaign=...")
-        master = from_geometry(source, opened(campaign), accept=accept_implausible)
+        master = build.from_geometry(source, opened(campaign), accept=accept_implausible)
     else:
         given = source if isinstance(source, Fit) else opened(source)
-        master = coefficients_from(given, accept_implausible).file
-    artifacts = rendered(master, to, options=options)
+        master = build.coefficients_from(given, accept_implausible).file
+    artifacts = build.export(master, to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)
     return {artifact.name: artifact.data.decode("utf-8") for artifact in artifacts}
 
 
 def _generator(seed: int) -> Generator:
-    from numpy.random import default_rng
-
     refuse_below(0, seed=seed)
     return default_rng(seed)

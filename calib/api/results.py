@@ -8,17 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from calib import __version__
 from calib.arguments import checked
+from calib.campaign.ingest import describe as descriptions
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign, read_or_ingest
 from calib.errors import BadInputError, CalibError
 from calib.gap.decision.diagnosis import Diagnosis, Plan
+from calib.gap.effects.library import check_excluded
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.plan.planned_runs import PlannedRun
 from calib.kinematics.result import Geometry
-from calib.radius.result import Fit
+from calib.radius.result import Fit, provenance
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
-    from calib.gap.plan.planned_runs import PlannedRun
     from calib.kinematics.assemble import Promise
 
 #: a campaign, or the folder or recording that it is read from
@@ -58,8 +63,6 @@ def read(source: Path | str, *, mapping: Path | str | None = None) -> Campaign:
     BadFileError
         Where a file cannot be used; says where, what was found and what to do.
     """
-    from calib.campaign.read import read_or_ingest
-
     return read_or_ingest(Path(source), mapping=None if mapping is None else Path(mapping))
 
 
@@ -82,9 +85,7 @@ def describe(sources: Sequence[Path | str] | Path | str) -> Description:
     BadInputError
         Where a source cannot be read.
     """
-    from calib.campaign.ingest.describe import describe as described
-
-    return described(_paths(sources))
+    return descriptions.describe(_paths(sources))
 
 
 @checked
@@ -119,7 +120,6 @@ def ingest(
         Where a source cannot be used, the mapping names a column that is not there, or the target exists.
     """
     from calib.campaign.ingest.build import ingest as ingested
-    from calib.campaign.read import read_campaign
 
     named = None if mapping is None else Path(mapping)
     made = ingested(_paths(sources), Path(into), mapping=named, force=force)
@@ -151,9 +151,7 @@ def fit(campaign: CampaignLike, *, reference_load_N: float | None = None) -> Fit
     RefusedError
         Where fewer than three runs can be used.
     """
-    from calib import __version__
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import provenance
 
     arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
     campaign = opened(campaign)
@@ -240,8 +238,6 @@ def diagnose(
         Where no run has both counts and something measured.
     """
     from calib.gap.diagnose import diagnosed
-    from calib.gap.effects.library import check_excluded
-    from calib.gap.observations.from_campaign import observations_of
 
     refuse_below(0, seed=seed)
     refuse_below(1, workers=workers)

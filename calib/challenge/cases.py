@@ -1,8 +1,7 @@
 """A case from its recipe: first its truth, then its campaigns.
 
-The truth says the best that any diagnosis can do there, all being known: an effect is drawn from the library, it acts
-at the wanted signal, noise is added, and the posterior probability of each effect is computed exactly from whitened
-signatures, a recalibration projected out. No rule gets a larger share of cases right than the mean of the largest.
+The truth says the best that any diagnosis can do there, all being known: no rule gets a larger share of cases right
+than the mean of the largest posterior probability, computed exactly from whitened signatures.
 """
 
 from __future__ import annotations
@@ -15,11 +14,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.challenge.recipe import Recipe
-from calib.plant.design import Design
+from calib.plant.design import Design, good_design, poor_design
 from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
-from calib.plant.plans import good_design, poor_design
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Cause, Noise, random_noise
 from calib.types import BoolArray, FloatArray
@@ -35,23 +32,36 @@ _TRIES: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
+class Recipe:
+    """One case to make."""
+
+    case: str  #: its neutral name
+    number: int  #: its place in the unshuffled list, which with the seed determines everything drawn
+    group: str  #: one of `GROUPS`
+    effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
+    targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
+    design: str = "good"  #: ``good``, ``laser_only``, or a poor design of the plant
+    aliases: tuple[str, ...] = ()  #: effects that these runs cannot tell from the truth, exactly
+    deleted: str = ""  #: effect to be deleted from the library; empty is none
+
+
+@dataclass(frozen=True, slots=True)
 class Truth:
     """What is true in a case; one entry of the sealed file."""
 
     recipe: Recipe
-    #: seed, max_runs: from the seeds file
+    #: from the seeds file
     seed: int
     max_runs: int
     redraw: int  #: how often the pair was drawn again because its two effects hid in one another
     causes: tuple[Cause, ...]  #: what is wrong, at its size
     typical: tuple[float, ...]
-    #: signals, beside: signal of each alone, and after what the other could imitate was projected out
+    #: signal of each alone, and after what the other could imitate was projected out
     signals: tuple[float | None, ...]
     beside: tuple[float | None, ...]
     #: other effects, and how far in standard deviations they stay from what the cause does; nearest first
     rivals: tuple[tuple[str, float], ...]
-    #: noise, model: of the case
-    noise: Noise
+    noise: Noise  #: noise and model are those of the case
     model: OdometryModel
     n_runs: int
     #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
@@ -149,7 +159,6 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
 def _ceilings(
     among: Alternatives, recipe: Recipe, seed: int
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return what the best rule reaches on the runs of a case, for any effect and for the true one."""
 
     def rounded(ceiling: Ceiling | None) -> tuple[float, float] | None:
         return None if ceiling is None else (round(ceiling.free, 3), round(ceiling.gated, 3))
@@ -256,7 +265,6 @@ def ceiling_of_truth(
 def _weighed(
     spaces: Sequence[_Space], n_effects: int, seen: FloatArray, empty: FloatArray, signal: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return each effect's evidence in what is seen, and what passes the gate that noise alone sets."""
     evidence, of_noise = (_log_evidence(spaces, n_effects, readings, signal) for readings in (seen, empty))
     return evidence, _log_mean(evidence) > np.quantile(_log_mean(of_noise), 1 - ALARMS)
 
@@ -289,7 +297,6 @@ def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[s
 
 
 def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) -> FloatArray:
-    """Return what a drawn form of an effect leaves, at a signal of 1, in a drawn direction."""
     own = [space for space in spaces if space.effect == effect]
     space = own[int(rng.integers(len(own)))]
     drawn = rng.standard_normal(space.basis.shape[1])

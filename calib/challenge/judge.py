@@ -93,14 +93,14 @@ class Judged:
     #: the plant's own measure: no other effect comes nearer than `APART`; None where it was not taken
     separable: bool | None
     rival: str  #: the nearest other effect, with its distance
-    #: recommended, wrong_fix: a fix is recommended; and a cause of it is neither true nor in a group with the truth
+    #: a fix is recommended; and a cause of it is neither true nor in a group with the truth
     recommended: bool
     wrong_fix: bool
     #: the recommended fix made the fresh campaign worse, all channels against their noise; None where not tried
     harmful: bool | None
     statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
     intervals: tuple[Compared, ...]  #: parameter, truth, low, high
-    #: predicted, achieved: closure on held-out runs as stated, and on the fresh campaign
+    #: closure on held-out runs as stated, and on the fresh campaign
     predicted: float | None
     achieved: float | None
     seconds: float | None
@@ -192,7 +192,6 @@ def _family(effect: str) -> str:
 
 
 def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
-    """Return what cannot be told apart: the groups, and the forms that each cause's own family leaves open."""
     open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
     alike = given.get("indistinguishable", [])
     groups = [set(group).union(*(open_forms.get(name, set()) for name in group)) for group in alike]
@@ -200,7 +199,6 @@ def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) ->
 
 
 def _strong(truth: Truth) -> list[str]:
-    """Return the library's effects of a crowd that show strongly, and do so beside the others too."""
     if truth.recipe.group != "crowded":
         return []
     return [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -112,6 +112,7 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
 SMOOTH_S: Final = 0.5
 #: a unit that turns by less goes straight
 STRAIGHT_RAD: Final = 0.5
+ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
 
 Act = Callable[[World], None]
 
@@ -120,21 +121,20 @@ Act = Callable[[World], None]
 class Route:
     """The logged steps of every unit side by side, short units filled with steps of nothing."""
 
-    #: roll_left_rad, roll_right_rad, duration_s, time_s: shape (n_steps_most, n_units): rotation of the wheels in each
-    #: step, how long it took, and when it ended
+    #: shape (n_steps_most, n_units): rotation of the wheels in each step, how long it took, and when it ended
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
     duration_s: FloatArray
     time_s: FloatArray
-    #: speed_mps, acceleration_mps2, curvature_per_m: shape (n_steps_most, n_units): motion by the log, smoothed
+    #: shape (n_steps_most, n_units): motion by the log, smoothed
     speed_mps: FloatArray
     acceleration_mps2: FloatArray
     curvature_per_m: FloatArray
-    #: angle_left_rad, angle_right_rad: shape (n_steps_most, n_units): wheel angles at the end of each step
+    #: shape (n_steps_most, n_units): wheel angles at the end of each step
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
-    #: front_m, steer_rad: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its
-    #: angle; nothing where rear wheels do
+    #: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its angle; nothing where
+    #: rear wheels do
     front_m: FloatArray
     steer_rad: FloatArray
     last: IntArray  #: shape (n_units,): last step of each unit
@@ -175,7 +175,6 @@ def route_of(observations: Observations) -> Route:
 
 
 def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> FloatArray:
-    """Return a running mean over about `SMOOTH_S`, each unit by itself."""
     known = duration[duration > 0]
     half = int(np.clip(np.rint(0.5 * SMOOTH_S / np.median(known)), 0, 50)) if len(known) else 0
     if half == 0:
@@ -204,16 +203,14 @@ def design_of(observations: Observations) -> Design:
         speed = np.abs(observations.total(np.abs(observations.path_m)))
         elapsed = observations.total(observations.duration_s)
         speed = np.where(elapsed > 0, speed / np.where(elapsed > 0, elapsed, 1.0), 0.0)
+    unstated: dict[str, Any] = {name: np.nan_to_num(observations.number(name)) for name in ZERO_WHERE_UNKNOWN}
     return Design(
         kind=names,
         direction=observations.labels["direction"],
         session=observations.labels["session"],
-        payload_kg=np.nan_to_num(observations.number("payload_kg")),
-        payload_x_m=np.nan_to_num(observations.number("payload_x_m")),
-        payload_y_m=np.nan_to_num(observations.number("payload_y_m")),
+        **unstated,
         speed_mps=speed,
         temperature_C=number("temperature_C"),
-        minutes_under_load=np.nan_to_num(observations.number("minutes_under_load")),
         flying=np.zeros(n_units, dtype=bool),
         stops=np.zeros(n_units, dtype=np.int64),
         length_m=float(np.max(observations.length_m, initial=1e-3)),

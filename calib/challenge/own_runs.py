@@ -104,14 +104,14 @@ class Own:
     campaign: str
     simulated: bool  #: whether its data were made by a program
     own_verdict: str  #: of the campaign as it is
-    #: runs, units, units_with_repeats: runs, units of the diagnosis, and those whose noise repeats give
+    #: runs, units of the diagnosis, and those whose noise repeats give
     runs: int
     units: int
     units_with_repeats: int
     found: tuple[Found, ...]  #: each effect and outside cause at each size
     empty: tuple[Answer, ...]  #: on campaigns with nothing planted
     left_out: Mapping[str, str]  #: what was not planted, and why
-    #: asked, done: diagnoses wanted, and how many the time was enough for
+    #: diagnoses wanted, and how many the time was enough for
     asked: int
     done: int
     seed: int
@@ -273,7 +273,6 @@ def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_uni
 
 
 def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
-    """Plant one cause with one draw of the noise, and diagnose; None where the time is up."""
     if time.monotonic() > until_s:
         return None
     observed = with_readings(bench.observations, bench.readings + job.change, bench.noise, job.seeds)

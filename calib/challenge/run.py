@@ -65,7 +65,6 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
 def _forms_there(
     diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
 ) -> tuple[Form, ...] | None:
-    """Return the verdict's forms on another campaign, found again by effect, label and settings."""
     from calib.gap.effects.applied import matching_form
     from calib.gap.effects.library import library
 
@@ -101,7 +100,7 @@ Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Ma
 class Ran:
     """What a run did."""
 
-    #: done, skipped, failed: cases diagnosed now, found diagnosed already, and ended by an error (written down as such)
+    #: cases diagnosed now, found diagnosed already, and ended by an error (written down as such)
     done: int
     skipped: int
     failed: int

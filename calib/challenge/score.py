@@ -164,13 +164,11 @@ def score(folder: Path, *, truth_file: Path | None = None) -> Score:
 
 def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") -> Score:
     """Return the score of judged cases."""
-    strong = [case for case in cases if case.group == "single" and case.signal is not None and case.signal >= 10]
+    singles = _of(cases, "single")
+    strong = [case for case in singles if case.signal is not None and case.signal >= 10]
     apart = [case for case in strong if case.separable]
-    five = [case for case in cases if case.group == "single" and case.signal == 5]
-    top = [case for case in cases if case.group == "single" and case.signal == 25]
-    empty = _of(cases, "empty")
-    right_unknown = [case for case in top if case.separable is not False]
-    tried = [case for case in cases if case.harmful is not None]
+    five = [case for case in singles if case.signal == 5]
+    top = [case for case in singles if case.signal == 25 and case.separable is not False]
     board = {
         "first at signal >= 10": share([case.first for case in strong]),
         "first at signal >= 10, where no other effect is nearer than 3 sigma": share([case.first for case in apart]),
@@ -178,25 +176,25 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         "first or its group at signal >= 10": share([case.first or case.in_group for case in strong]),
         "first at signal 5": share([case.first for case in five]),
         "95 % set holds it at signal 5": share([bool(case.covered) for case in five]),
-        "95 % set holds it, all single": share([bool(case.covered) for case in _of(cases, "single")]),
-        "false alarms": share([not case.right for case in empty]),
+        "95 % set holds it, all single": share([bool(case.covered) for case in singles]),
+        "false alarms": share([not case.right for case in _of(cases, "empty")]),
         "calibration named first": share([case.first for case in _of(cases, "calibration")]),
         "natural size named first": share([case.first for case in _of(cases, "natural")]),
         "outside effects left open": share([case.right for case in _of(cases, "outside")]),
         "deleted effects left open or aliased": share([case.right for case in _of(cases, "deleted")]),
-        "false unknowns at signal 25": share([case.verdict == "unknown" for case in right_unknown]),
+        "false unknowns at signal 25": share([case.verdict == "unknown" for case in top]),
         "both of a pair": share([case.right for case in _of(cases, "pair")]),
         "both of a pair, or its group": share([case.in_group for case in _of(cases, "pair")]),
         "crowded: effects at signal >= 20 named": share([hit for case in cases for hit in case.strong]),
         "crowded: named causes that are true": share([true for c in _of(cases, "crowded") for _, true in c.statements]),
         "exact aliases named": share([case.right for case in _of(cases, "alias")]),
         "wrong fixes": share([case.wrong_fix for case in cases]),
-        "fixes that made the fresh campaign worse": share([bool(case.harmful) for case in tried]),
+        "fixes that made the fresh campaign worse": share([case.harmful for case in cases if case.harmful is not None]),
         "ended in an error or missing": share([case.verdict in ("error", "missing") for case in cases]),
     }
     by_signal: dict[str, dict[str, Share]] = {}
-    for signal in sorted({case.signal for case in _of(cases, "single") if case.signal is not None}):
-        some = [case for case in _of(cases, "single") if case.signal == signal]
+    for signal in sorted({case.signal for case in singles if case.signal is not None}):
+        some = [case for case in singles if case.signal == signal]
         by_signal[f"{signal:g}"] = {
             "detected": share([case.verdict not in ("no_gap", "error", "missing") for case in some]),
             "first": share([case.first for case in some]),
@@ -209,7 +207,7 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
         cases=tuple(cases),
         board=board,
         by_signal=by_signal,
-        ceilings={signal: _ceilings(_of(cases, "single"), float(signal)) for signal in by_signal},
+        ceilings={signal: _ceilings(singles, float(signal)) for signal in by_signal},
         reliability=_reliability([statement for case in cases for statement in case.statements]),
         confusion=_confusion(cases),
         summary=_summary(cases),
@@ -217,7 +215,6 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
-    """Return what the best rule reaches at a signal, and what of it the verdicts do: for any effect, the true one."""
     cases = [case for case in singles if case.signal == signal]
     any_effect = _reached([(case.ceiling, case.first) for case in cases])
     true_one = _reached([(case.own_ceiling, case.first) for case in cases])
@@ -228,7 +225,6 @@ def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
 def _reached(
     cases: Sequence[tuple[tuple[float, float] | None, bool]],
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the mean ceiling, freely and behind the gate, and the hits over the latter; None where not taken."""
     both = [(ceiling, first) for ceiling, first in cases if ceiling is not None]
     if not both:
         return None, None, None

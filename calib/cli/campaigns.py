@@ -159,6 +159,7 @@ def run(
     Example: calib fleet run vehicles --into fleet --workers 2
     """
     refuse_workers(workers)
+    from calib.fleet.run import fit_fleet, survey_fleet
     from calib.fleet.store import any_simulated
     from calib.reporting.pages import Heads, write_fleet, write_survey
     from calib.reporting.source import issue_date
@@ -168,14 +169,10 @@ def run(
     terminal.keep(f"what was read so far, in {into}; the same command goes on")
     with terminal.progress("fleet") as tick:
         if what == "fit":
-            from calib.fleet.run import fit_fleet
-
             fleet = fit_fleet(folder, into, workers=workers, scheduler=scheduler, progress=tick)
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
         else:
-            from calib.fleet.run import survey_fleet
-
             survey = survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
             heads = Heads(folder.resolve().name, issued, any_simulated(folder))
             document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)

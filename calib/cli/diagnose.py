@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Texts, arg, opt
-from calib.errors import BadInputError, RefusedError
+from calib.errors import BadInputError, RefusedError, refuse_workers
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -136,9 +136,7 @@ def _pictures(folder: Path | None) -> list[Path]:
 def _simulated(
     campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
 ) -> tuple[Diagnosis, str]:
-    """Return the diagnosis of the user's simulator, and a sentence on how often it ran."""
     from calib.campaign.log_reading import cache_folder
-    from calib.errors import refuse_workers
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
     from calib.gap.simulator.settings import read_settings
@@ -198,7 +196,7 @@ def effects(
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
     if figures is not None:
-        from calib.reporting.figures.geometry import signature_figure
+        from calib.reporting.figures.gap import signature_figure
 
         terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in drawable.items()}, figures)
     terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
@@ -206,11 +204,10 @@ def effects(
 
 
 def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
-    """Return the runs, the effects asked for, and the runs' name."""
     from calib.campaign.read import read_campaign
     from calib.gap.effects.library import catalogue, every_effect
     from calib.gap.observations.from_campaign import observations_of
-    from calib.gap.plan.plan_file import demonstration
+    from calib.gap.plan.planned_runs import demonstration
     from calib.gap.predict import predict
 
     read = demonstration() if campaign is None else read_campaign(campaign)
@@ -264,7 +261,7 @@ def plan(
 def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
-    from calib.gap.plan.plan_file import read_candidates
+    from calib.gap.plan.next_runs import read_candidates
     from calib.reporting.topics.diagnosis import runs_and_promises
 
     with terminal.progress("planning") as tick:
@@ -281,7 +278,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
 def _judge(source: Path, figures: Path | None) -> int:
     from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
-    from calib.gap.plan.plan_file import read_plan
+    from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
     terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
@@ -292,7 +289,7 @@ def _judge(source: Path, figures: Path | None) -> int:
     content = outlook_content(planned.name, len(planned.runs), outlook)
     terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
     if figures is not None:
-        from calib.reporting.figures.geometry import plan_matrix
+        from calib.reporting.figures.gap import plan_matrix
 
         terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
     terminal.then("plan --from")

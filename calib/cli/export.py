@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Texts, arg, opt
-from calib.coefficients.formats import FORMATS
+from calib.coefficients.formats import FORMATS, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
-from calib.reporting.exports import BINARY
+from calib.reporting.exports import BINARY, export_from
 from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
-    from calib.coefficients.formats import Artifact
     from calib.radius.result import Fit
     from calib.reporting.content import Report
     from calib.types import Progress
@@ -64,7 +63,6 @@ def export(
     Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
     from calib.coefficients.build import coefficients_of, export
-    from calib.coefficients.formats import ExportOptions, parse_loads, refuse_loads
 
     # a dash is standard output, as for --json
     output = None if output == Path("-") else output
@@ -103,8 +101,6 @@ def export(
 
 
 def _of_other_format(source: Path, to: str, output: Path | None, accept: str) -> Sequence[Artifact]:
-    from calib.reporting.exports import export_from
-
     if to in BINARY and output is None:
         raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
     with terminal.progress(to) as tick:
@@ -112,9 +108,6 @@ def _of_other_format(source: Path, to: str, output: Path | None, accept: str) ->
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
-    """Write the files, or their text to standard output, or into the JSON where that goes there."""
-    from calib.coefficients.formats import place
-
     if output is not None:
         files = place(artifacts, output, force=terminal.forced())
         terminal.wrote([written["path"] for written in files])

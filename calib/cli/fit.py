@@ -70,7 +70,6 @@ def fit(
 
 
 def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
-    """Return the coefficients that a simulator believes, and the load to fit at."""
     if model is None:
         return None, reference_load
     from calib.coefficients.build import coefficients_of
@@ -134,7 +133,7 @@ def geometry(
     terminal.save(result, document)
     if figures is not None:
         from calib.kinematics.estimate import traces_of
-        from calib.reporting.figures.geometry import draw_paths
+        from calib.reporting.figures.calibration import draw_paths
 
         paths = traces_of(read, estimated)
         terminal.draw(lambda: {PICTURE: draw_paths(paths, simulated=estimated.simulated)}, figures)

@@ -56,7 +56,6 @@ def failed(error: Exception, given: list[str]) -> int:
 
 
 def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
-    """Return what went wrong in one line, and the exit status for it."""
     if isinstance(error, ImplausibleError):
         return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
     if isinstance(error, CalibError):
@@ -114,7 +113,6 @@ def _machine_refused(error: Exception) -> str:
 
 
 def _usage(error: Exception) -> str:
-    """Return what is wrong with the words typed, and which command of the same group would take them."""
     message, context = _message(error), getattr(error, "ctx", None)
     if context is None:
         return message

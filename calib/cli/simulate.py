@@ -94,8 +94,7 @@ def route(
     """
     import numpy as np
 
-    from calib.odometry.paper import Case
-    from calib.odometry.simulation import CUSTOM, simulate
+    from calib.odometry.simulation import CUSTOM, Case, simulate
     from calib.vehicle import Vehicle
 
     targets = Targets(output, tum, speed)
@@ -204,8 +203,7 @@ def study(
     import numpy as np
 
     from calib.odometry.law_path import law_source
-    from calib.odometry.paper import STUDIES
-    from calib.odometry.simulation import LawJourneys, simulate
+    from calib.odometry.simulation import STUDIES, LawJourneys, simulate
     from calib.vehicle import Vehicle
 
     targets = Targets(output, tum, speed)

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import __version__
+from calib.campaign.model import Campaign
+from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import formats, sections
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients, sealed
@@ -21,14 +23,12 @@ from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.result import Fit, is_result, read_result
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-    from calib.campaign.settings import Encoder
     from calib.kinematics.result import Geometry
-    from calib.radius.result import Fit
 
 # Defaults for numbers that a corridor campaign does not measure; the file states each, so that it can be replaced.
 TRACK_STD_M: Final = 1e-3
@@ -249,7 +249,6 @@ def _unit(name: str) -> str:
 
 
 def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
-    """Return the law of a wheel; at the nominal radius where rear wheels were not estimated."""
     loads = campaign.included().runs.number(f"load_{side}_N")
     loads = loads[np.isfinite(loads)]
     radius_name, slope_name = WHEEL_RADIUS.get(geometry.source, f"radius_{side}_m"), f"slope_{side}_m_per_N"
@@ -302,8 +301,6 @@ def coefficients_of(
     beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises BadInputError where one of
     them cannot be used; RefusedError where the campaign allows no law.
     """
-    from calib.radius.result import is_result, read_result
-
     path = Path(path)
     if outside not in (None, *get_args(Outside)):
         raise BadInputError(f"outside: found {outside!r}; expected refuse or clamp; choose one of them")
@@ -326,7 +323,6 @@ def coefficients_of(
 def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -> Source:
     """Return the coefficients of a fit or of a campaign, which is fitted now; see `coefficients_of`."""
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import Fit
 
     if isinstance(given, Fit):
         fit, inputs = given, None
@@ -364,7 +360,7 @@ def export(
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
-    if to != "ros2" and chosen.has_controller_choices:
+    if to != "ros2" and (chosen.controllers or chosen.open_loop or not chosen.position_feedback):
         raise BadInputError(
             f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
             "alone has them; leave them out"
@@ -372,7 +368,7 @@ def export(
     formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes()),)
-    if chosen.has_model and to not in formats.PATCHING:
+    if (chosen.model is not None or chosen.left or chosen.right) and to not in formats.PATCHING:
         raise BadInputError(
             f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
         )

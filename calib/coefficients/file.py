@@ -117,7 +117,6 @@ class CoefficientFile(Section):
         return {} if self.joint_geometry is None else self.joint_geometry.values
 
     def _joint(self) -> FloatArray | None:
-        """Return the joint covariance of both wheels' laws and the track; None where they were not fitted together."""
         together = self.joint_geometry
         if together is None or together.source != "rear":
             return None

@@ -55,7 +55,6 @@ class Section(BaseModel):
 
     @classmethod
     def _unit(cls, name: str) -> str | None:
-        """Return the unit of a field; None where it is no number with a single unit."""
         annotation: Any = cls.model_fields[name].annotation
         kinds = [kind for kind in (annotation, *get_args(annotation)) if isinstance(kind, type)]
         units = [get_args(kind.model_fields["unit"].annotation) for kind in kinds if issubclass(kind, Measured)]

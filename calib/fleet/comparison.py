@@ -351,7 +351,6 @@ def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[Sha
 
 
 def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
-    """Return what each vehicle's record names: causes of a diagnosis, codes of a check or of blunders."""
     places = _places(records)
     findings = []
     for record in records:

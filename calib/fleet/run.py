@@ -1,7 +1,4 @@
-"""A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows.
-
-A survey does another task for every vehicle (check, geometry, diagnose), and says what the vehicles share.
-"""
+"""A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows."""
 
 from __future__ import annotations
 
@@ -88,7 +85,6 @@ def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, len
 
 
 def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
-    """Return the day of each run used, shape (n_runs,); 0 where none is known."""
     days = campaign.runs.number(DAY)
     if len(run_id) < len(days):
         days = days[np.isin(campaign.runs.run_id, run_id)]
@@ -215,7 +211,6 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
 
 
 def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
-    """Return the vehicles whose drift stands among all, and when each has drifted by the tolerance."""
     from scipy.special import stdtr, stdtrit
 
     lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
@@ -290,7 +285,6 @@ def _given_up(member: Member, why: str) -> Kept:
 
 
 def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:
-    """Return what the fleet shows in the vehicles' estimates; None where the task makes none."""
     done = [record for record in records if "estimates" in record.values]
     if not done:
         return None

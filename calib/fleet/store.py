@@ -1,7 +1,4 @@
-"""The vehicles of a folder with their files, and what was read of these, kept by content and line by line.
-
-An interrupted run goes on where it was, and only new journeys are read.
-"""
+"""The vehicles of a folder with their files, and what was read of these, kept by content and line by line."""
 
 from __future__ import annotations
 

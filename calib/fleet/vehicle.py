@@ -218,7 +218,6 @@ class _Blocks:
     of_loads: float | None
 
     def loads_ratio(self, rho: float) -> float:
-        """Return the variance of the slope over that of independent runs."""
         product = rho * max(self.of_loads or 0.0, 0.0)
         return (1.0 + product) / (1.0 - product)
 
@@ -240,7 +239,6 @@ class _Blocks:
 
     @property
     def std(self) -> float:
-        """Standard deviation of the lag-one autocorrelation of independent runs."""
         n = self.sizes
         squares = float(np.sum(0.5 * (n - 1.0) - 2.0 * (n - 1.5) / n + ((n - 1.0) / n) ** 2))
         squares -= (self.of_loads or 0.0) ** 2

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
+import importlib
+import logging
+import os
 import re
+import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from multiprocessing import get_all_start_methods, get_context, parent_process
+from multiprocessing.connection import wait as wait_for
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 from calib.errors import BadInputError, MissingExtraError, RefusedError, error_words
-
-if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -202,18 +208,12 @@ class ProcessEngine(Engine):
             ) from error
 
     def _started(self) -> ProcessPoolExecutor:
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
-
         context = get_context("fork") if _may_fork() else _server()
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin_worker)
 
 
 def _may_fork() -> bool:
     """Return whether this process may be copied: no other thread runs in it, a library's own included."""
-    from multiprocessing import get_all_start_methods
-    from pathlib import Path
-
     try:
         return "fork" in get_all_start_methods() and len(list(Path("/proc/self/task").iterdir())) == 1
     except OSError:
@@ -222,8 +222,6 @@ def _may_fork() -> bool:
 
 def _server() -> Any:
     """Return a context that makes workers of a server process, which has imported what they need and has no threads."""
-    from multiprocessing import get_all_start_methods, get_context
-
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     server = get_context("forkserver")
@@ -233,19 +231,12 @@ def _server() -> Any:
 
 def _begin_worker() -> None:
     """Begin a worker: its parent acts on an interruption, and it ends when its parent has ended."""
-    import signal
-    import threading
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import_modules(WORKER_MODULES)
 
 
 def _end_with_parent() -> None:
-    import os
-    from multiprocessing import parent_process
-    from multiprocessing.connection import wait as wait_for
-
     parent = parent_process()
     if parent is not None:
         wait_for([parent.sentinel])
@@ -254,8 +245,6 @@ def _end_with_parent() -> None:
 
 def import_modules(modules: Sequence[str]) -> None:
     """Import modules, so that the first task need not; those that are not installed are skipped."""
-    import importlib
-
     for module in modules:
         # an extra that is not installed: the task reports it where it needs it
         with suppress(ImportError):
@@ -269,8 +258,6 @@ class DaskEngine(Engine):
     most_submitted = 1_000_000
 
     def __init__(self, scheduler: str) -> None:
-        import logging
-
         if not _ADDRESS.fullmatch(scheduler):
             raise BadInputError(
                 f"scheduler: found {scheduler!r}; expected tcp://host:port or tls://host:port; "
@@ -342,8 +329,6 @@ class DaskEngine(Engine):
 
 def _identify(address: str) -> None:
     """Ask an address for its identity as a scheduler; a client that waits in vain could not be closed."""
-    import asyncio
-
     from distributed import rpc
 
     async def identity() -> None:

@@ -100,7 +100,7 @@ def diagnose_in_full(
     candidates : sequence of Effect, optional
         Effects to search, in place of the library's; `model_name` is then what simulated the observations.
     journeys : Campaign, optional
-        Runs to come, of `calib.gap.plan.plan_file.read_plan`: the corrections of confounded causes are compared on
+        Runs to come, of `calib.gap.plan.next_runs.read_plan`: the corrections of confounded causes are compared on
         these instead of on the runs driven.
     progress : callable
         See `calib.types.Progress`.
@@ -174,7 +174,7 @@ def diagnosed(
     believed, effects = (None, ()) if model is None else model_of(FilePath(model), campaign)
     planned = None
     if journeys is not None:
-        from calib.gap.plan.plan_file import read_plan
+        from calib.gap.plan.next_runs import read_plan
 
         planned = read_plan(FilePath(journeys))
     found = diagnose_in_full(

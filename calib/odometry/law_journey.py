@@ -1,7 +1,6 @@
 """The same journeys under a fitted law: with the radius of one load, and with the radius of the load carried.
 
-The law's uncertainty, of its mean or with the scatter of single runs, is carried to the end pose by linear propagation
-and by Monte Carlo. Without correction the odometry computes with the radii at the reference loads.
+Its uncertainty is carried to the end pose by linear propagation and by Monte Carlo.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import SWEEP_VALUES, BadInputError
-from calib.odometry.paper import Axle, end_of_route, wheel_travel
 from calib.odometry.poses import COMPONENTS, jacobian, pose_errors, rows_of, steps
-from calib.odometry.routes import Route
+from calib.odometry.routes import Axle, Route, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
@@ -76,26 +74,24 @@ class Interval:
 class Journey:
     """End errors of one journey without and with the correction."""
 
-    #: load_left_N, load_right_N: wheel loads carried
+    #: wheel loads carried
     load_left_N: float
     load_right_N: float
-    #: reference_left_N, reference_right_N: wheel loads whose radii the uncorrected odometry uses
+    #: wheel loads whose radii the uncorrected odometry uses
     reference_left_N: float
     reference_right_N: float
     band: str  #: ``mean`` or ``prediction``
-    #: without, corrected: error along, lateral, of heading, and global x and y
+    #: error along, lateral, of heading, and global x and y
     without: dict[str, Interval]
     corrected: dict[str, Interval]
     radius_ratio: float  #: e_r that the uncorrected odometry overlooks: (real over believed) right, over the same left
-    #: without_rms_m, corrected_rms_m: root mean square of the distance to the intended end, to first order, at the
-    #: fit's standard deviations
+    #: root mean square of the distance to the intended end, to first order, at the fit's standard deviations
     without_rms_m: float
     corrected_rms_m: float
-    #: without_95_m, corrected_95_m: distance that 95 % of the draws stay below
+    #: distance that 95 % of the draws stay below
     without_95_m: float
     corrected_95_m: float
-    #: ratio, ratio_ci95: ratio of the two root mean squares; its interval says how well the fit's degrees of freedom
-    #: know the scatter
+    #: ratio of the two root mean squares; its interval says how well the fit's degrees of freedom know the scatter
     ratio: float
     ratio_ci95: tuple[float, float]
     journeys_ratio: tuple[float, float, float]  #: ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
@@ -171,7 +167,6 @@ def law_journey(
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
-    """Return the derivatives of the components of the end error by the real radii, shape (5, 2)."""
     left, right, track = wheel_travel(route, believed, real)
     real_left, real_right, _ = real.arrays()
     path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)
@@ -235,11 +230,11 @@ class LoadSweep:
     """Wheel loads over a sweep."""
 
     swept: str  #: what varies, of `SWEPT`; empty for a single payload
-    #: payload_kg, payload_x_m, payload_y_m: shape (n,): payloads
+    #: shape (n,): payloads
     payload_kg: FloatArray
     payload_x_m: FloatArray
     payload_y_m: FloatArray
-    #: front_N, left_N, right_N: shape (n,): wheel loads
+    #: shape (n,): wheel loads
     front_N: FloatArray
     left_N: FloatArray
     right_N: FloatArray

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.odometry.integrate import radii_under_load
-from calib.odometry.paper import SPACING_M
 from calib.odometry.poses import (
     COMPONENTS,
     POSE,
@@ -24,7 +22,7 @@ from calib.odometry.poses import (
     rows_of,
     steps,
 )
-from calib.odometry.routes import Route
+from calib.odometry.routes import SPACING_M, Route, radii_under_load
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
@@ -35,7 +33,7 @@ class Loading:
     """Wheel loads along a route: each pair holds from its distance on until the next one."""
 
     from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
-    #: left_N, right_N: shape (n,): wheel loads
+    #: shape (n,): wheel loads
     left_N: FloatArray
     right_N: FloatArray
 
@@ -70,7 +68,7 @@ class AxleLaw:
     """The law of both wheels and the track between them, with the scatter of their odometry."""
 
     radii: RadiusLaw
-    #: track_m, track_std_m: track, believed and real, and its standard uncertainty
+    #: track, believed and real, and its standard uncertainty
     track_m: float
     track_std_m: float = 0.0
     walk: RandomWalk | None = None  #: random part of the error; None: none
@@ -159,7 +157,7 @@ class LawPath:
     reference_N: tuple[float, float]  #: loads whose radii the uncorrected odometry uses all along
     distance_m: FloatArray  #: shape (n,): distance along the route
     reference: Poses  #: the route, shape (n,)
-    #: without, corrected: with the radii of the reference loads, and with radii that follow the load
+    #: with the radii of the reference loads, and with radii that follow the load
     without: Driven
     corrected: Driven
     #: 95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn

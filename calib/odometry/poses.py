@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +39,6 @@ class Poses:
         return self.x_m.shape
 
     def __getitem__(self, index: Any) -> Poses:
-        """Return the poses that a numpy index picks."""
         return Poses(np.asarray(self.x_m[index]), np.asarray(self.y_m[index]), np.asarray(self.theta_rad[index]))
 
     def stacked(self) -> FloatArray:
@@ -71,11 +70,11 @@ class Poses:
 class PoseErrors:
     """True minus reference, along the reference path and in the global frame."""
 
-    #: along_m, lateral_m: ``e_x`` along the reference heading and ``e_y`` to its left
+    #: ``e_x`` along the reference heading and ``e_y`` to its left
     along_m: FloatArray
     lateral_m: FloatArray
     heading_rad: FloatArray  #: ``e_theta``, in (-pi, pi]
-    #: global_x_m, global_y_m: the same displacement in the frame of the route
+    #: the same displacement in the frame of the route
     global_x_m: FloatArray
     global_y_m: FloatArray
 
@@ -170,14 +169,14 @@ def read_tum(path: Path) -> tuple[FloatArray, Poses]:
 class PathSteps:
     """A path drawn in exact arcs, with what its uncertainty needs; steps stand in the last axis."""
 
-    #: left_m, right_m: shape (..., n): travel of the wheels in each step
+    #: shape (..., n): travel of the wheels in each step
     left_m: FloatArray
     right_m: FloatArray
-    #: radius_left_m, radius_right_m, track_m: radii and track in each step
+    #: radii and track in each step
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     track_m: FloatArray
-    #: dx_m, dy_m: shape (..., n): motion in each step
+    #: shape (..., n): motion in each step
     dx_m: FloatArray
     dy_m: FloatArray
     by_path: FloatArray  #: shape (2, ..., n): derivatives of dx, dy by the length of the step
@@ -255,14 +254,13 @@ def jacobian(
 class RandomWalk:
     """Random part of the pose's error."""
 
-    #: sigma_along_m_per_sqrt_m, sigma_heading_rad_per_sqrt_m: standard deviation of distance and heading after one
-    #: metre; they grow with its square root
+    #: standard deviation of distance and heading after one metre; they grow with its square root
     sigma_along_m_per_sqrt_m: float = 0.0
     sigma_heading_rad_per_sqrt_m: float = 0.0
     count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts
-    #: counts_per_rev_left, counts_per_rev_right: counts a revolution
-    counts_per_rev_left: float = field(default=4096.0)
-    counts_per_rev_right: float = field(default=4096.0)
+    #: counts a revolution
+    counts_per_rev_left: float = 4096.0
+    counts_per_rev_right: float = 4096.0
 
     def covariance(self, path: PathSteps) -> FloatArray:
         """Return the covariance of the pose after each step, shape (..., n, 3, 3).
@@ -294,7 +292,6 @@ class RandomWalk:
         return covariance
 
     def _readings(self, path: PathSteps) -> FloatArray:
-        """Return what a reading at the start and one at the end add, shape (..., n, 3, 3)."""
         left = 2 * np.pi * path.radius_left_m / self.counts_per_rev_left * self.count_std
         right = 2 * np.pi * path.radius_right_m / self.counts_per_rev_right * self.count_std
         left, right, track = (np.broadcast_to(part, path.left_m.shape) for part in (left, right, path.track_m))
@@ -317,7 +314,7 @@ class RandomWalk:
 class Ellipses:
     """Error ellipses of positions."""
 
-    #: major_m, minor_m: shape (...): semi-axes
+    #: shape (...): semi-axes
     major_m: FloatArray
     minor_m: FloatArray
     angle_rad: FloatArray  #: shape (...): direction of the major axis from the x axis, in (-pi/2, pi/2]

@@ -1,8 +1,6 @@
 """Logged runs replayed through odometry, against their reference poses: with and without the load correction.
 
-Three odometries are compared: with what the simulator believes; with the law's radii at the unladen load, kept
-constant; and at the load of each run (Fig. 7), or, where a log has loads, of each step. The runtime is fed the same
-logs.
+Three odometries are compared, see `METHODS`; the runtime is fed the same logs.
 """
 
 from __future__ import annotations
@@ -19,15 +17,9 @@ from calib.campaign.wheels import ASIDE, STEERED, WHEEL_COLUMNS, odometry_source
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
 from calib.errors import RefusedError
-from calib.odometry.integrate import (
-    end_poses,
-    integrate,
-    loads_in_steps,
-    radii_of_model,
-    radii_under_load,
-    travel_from_counts,
-)
+from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import PoseErrors, Poses, pose_errors
+from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 from calib.types import BoolArray, FloatArray, StrArray, in_frame, since_start, unwrapped
@@ -36,6 +28,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+#: with what the simulator believes; with the law's radii at the unladen load; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
 #: of the bootstrap over runs
@@ -48,10 +41,10 @@ class Replay(Result):
 
     campaign: str
     simulated: bool  #: whether a program made its data
-    #: run_id, kind: shape (n,): runs with a log and a reference end pose
+    #: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
     kind: StrArray
-    #: load_left_N, load_right_N: shape (n,): wheel loads of the runs, where their logs do not say otherwise
+    #: shape (n,): wheel loads of the runs, where their logs do not say otherwise
     load_left_N: FloatArray
     load_right_N: FloatArray
     distance_m: FloatArray  #: shape (n,): driven by the reference law
@@ -59,10 +52,10 @@ class Replay(Result):
     ends: dict[str, Poses]  #: end poses by each of `METHODS`
     errors: dict[str, PoseErrors]  #: odometry minus reference
     in_range: BoolArray  #: shape (n,): whether all loads lie within the range that the law was measured in
-    #: rms_m, rms_heading_rad: root mean square of the position's and the heading's end error over the runs in range
+    #: root mean square of the position's and the heading's end error over the runs in range
     rms_m: dict[str, float]
     rms_heading_rad: dict[str, float]
-    #: ratio, ratio_ci95: RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs
+    #: RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs
     ratio: float
     ratio_ci95: tuple[float, float]
     runtime: RuntimeCheck  #: the vehicle's own code on the same logs
@@ -192,7 +185,6 @@ def _driven(
 
 
 def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
-    """Return the runs with log, reference end pose and loads, how many were omitted and why, and what was assumed."""
     campaign, notes = with_loads(with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
@@ -308,7 +300,7 @@ class RuntimeCheck:
 
     runs: int
     samples: int
-    #: largest_difference_m, largest_difference_rad: over all samples of these runs; NaN where none was accepted
+    #: over all samples of these runs; NaN where none was accepted
     largest_difference_m: float
     largest_difference_rad: float
     faults: dict[str, int]  #: refused loads and samples by status

@@ -1,4 +1,4 @@
-"""Routes of straights and arcs: by name, or from a small TOML file."""
+"""Routes of straights and arcs, by name or from a TOML file; what wheels travel there, by counts and under loads."""
 
 from __future__ import annotations
 
@@ -11,17 +11,26 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.settings_file import load_toml
 from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
-from calib.odometry.integrate import integrate
+from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import Poses, read_tum, sinc
-from calib.types import FloatArray, floats
+from calib.radius.law import RadiusLaw
+from calib.types import FloatArray, IntArray, floats
 
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"
 #: largest length in m, or turn: no vehicle drives further in one segment
 LONGEST: Final = 1e6
+#: pieces of routes driven at once: keeps memory small where many vehicles drive long routes
+BLOCK: Final = 131_072
+#: radii, their ratios and tracks that a vehicle can have
+SHORTEST_M: Final = 1e-4
+LONGEST_M: Final = 1e4
+#: spacing of the points that figures and trajectories show
+SPACING_M: Final = 0.05
 
 
 def straight(length_m: float) -> Segment:
@@ -176,3 +185,134 @@ def read_route(path: Path) -> Route:
 
 
 _KEYS: Final = {frozenset({"straight_m"}), frozenset({"radius_m", "turn_deg"}), frozenset({"radius_m", "turn_rad"})}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axle:
+    """Rear wheels as somebody believes them to be, or as they are."""
+
+    #: shape () or (vehicles,): effective radii and the distance of the contact points; shapes that broadcast
+    radius_left_m: ArrayLike
+    radius_right_m: ArrayLike
+    track_m: ArrayLike
+
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
+        parts = tuple(floats(part) for part in (self.radius_left_m, self.radius_right_m, self.track_m))
+        for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
+            impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
+            if part.ndim > 1 or impossible.any():
+                found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
+                expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
+                raise BadInputError(f"{name}: found {found}; expected {expected}")
+        return parts[0], parts[1], parts[2]
+
+
+def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
+    left, right, track = believed.arrays()
+    real_left, real_right, real_track = real.arrays()
+    ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
+    half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
+    travel = ratio_left * (route.length_m - half), ratio_right * (route.length_m + half)
+    parts = np.broadcast_arrays(*travel, np.atleast_1d(real_track)[:, None])
+    return parts[0], parts[1], parts[2][:, :1]
+
+
+def follow(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
+
+    The believed pose follows the route; divide the route for more poses.
+    """
+    return integrate(*wheel_travel(route, believed, real)).from_origin()
+
+
+def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
+    """Return the real end poses alone, shape (vehicles,): `follow` for many thousands of vehicles at once."""
+    lengths = [np.atleast_1d(part) for part in (*believed.arrays(), *real.arrays())]
+    try:
+        vehicles = np.stack(np.broadcast_arrays(*lengths))
+    except ValueError as error:
+        most = max(map(len, lengths))
+        raise BadInputError(f"axles: found arrays of unlike lengths; expected one value or {most}") from error
+    ends = []
+    for block in np.array_split(vehicles, -(-vehicles.shape[1] * len(route) // BLOCK), axis=1):
+        left, right, track = wheel_travel(route, Axle(*block[:3]), Axle(*block[3:]))
+        ends.append(end_poses(left, right, track).stacked())
+    return Poses.from_stacked(np.concatenate(ends))
+
+
+def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
+    """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
+
+    A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded. That of the run
+    (`run_N`) holds until its log (`logged_N`) says otherwise, a load of the log until the next; NaN is none.
+    """
+    edges = np.asarray(offsets, dtype=np.int64)
+    carried = np.repeat(floats(run_N), np.diff(edges))
+    if logged_N is None:
+        return carried
+    logged = floats(logged_N)
+    own = np.arange(len(carried))
+    first = np.repeat(edges[:-1], np.diff(edges))
+    # the last sample before this one, of the same run, that has a load
+    last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
+    last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
+    known = last >= first
+    carried[known] = logged[last[known]]
+    return carried
+
+
+def radii_under_load(law: RadiusLaw, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the effective radii of both wheels for loads of any shape, in m: the block that Fig. 7 adds."""
+    return law.left.radius_m(load_left_N), law.right.radius_m(load_right_N)
+
+
+def radii_of_model(
+    model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
+    left_N, right_N = floats(load_left_N), floats(load_right_N)
+    return (
+        np.asarray(model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)),
+        np.asarray(model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)),
+    )
+
+
+def travel_from_counts(
+    counts_left: ArrayLike,
+    counts_right: ArrayLike,
+    encoder: Encoder,
+    radius_left_m: ArrayLike,
+    radius_right_m: ArrayLike,
+    *,
+    offsets: ArrayLike | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11), 0 at the first of each run.
+
+    `counts_left`, `counts_right`: unwrapped counter readings (n,) of one run, or of runs laid end to end by `offsets`,
+    see `integrate`; radii: a number, one a run, or one a sample.
+    """
+    edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
+    travels = []
+    for counts, per_rev, radius in (
+        (counts_left, encoder.counts_per_rev_left, radius_left_m),
+        (counts_right, encoder.counts_per_rev_right, radius_right_m),
+    ):
+        values = floats(counts)
+        travel = np.diff(values, prepend=values[:1])
+        firsts = edges[:-1][np.diff(edges) > 0]
+        travel[firsts] = 0.0
+        travel *= (2 * np.pi / per_rev) * _wide(floats(radius), edges, len(values))
+        travels.append(travel)
+    return travels[0], travels[1]
+
+
+def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
+    if radius.ndim == 0 or len(radius) == n:
+        return radius
+    if len(radius) == len(edges) - 1:
+        return np.repeat(radius, np.diff(edges))
+    raise BadInputError(
+        f"radii: found {len(radius)} values; expected one, one a run ({len(edges) - 1}) or one a sample ({n})"
+    )

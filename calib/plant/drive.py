@@ -29,8 +29,8 @@ class Record:
     """What happened, sampled at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
-    #: t_s, x_m, y_m, theta_rad, v_mps, omega_radps, steer_rad: shape (n_frames, n_runs): true motion in the run's own
-    #: frame; frames behind a run's end repeat it; late_rad: the steering angle as it was the sensor's delay ago
+    #: shape (n_frames, n_runs): true motion in the run's own frame; frames behind a run's end repeat it; late_rad: the
+    #: steering angle as it was the sensor's delay ago
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -115,12 +115,10 @@ class _PastAngles:
         self.number = 0
 
     def add(self, angle: FloatArray) -> None:
-        """Take the angle at the end of a step, shape (n_runs,)."""
         self.number += 1
         self.angles[self.number % len(self.angles)] = angle
 
     def read(self, at: slice | IntArray) -> FloatArray:
-        """Return the angle that a late sensor of these runs reads now."""
         places = (self.number - self.whole[at] - np.arange(3)[:, None]) % len(self.angles)
         return np.asarray((self.weights[:, at] * self.angles[places, np.arange(len(self.whole))[at]]).sum(axis=0))
 
@@ -178,7 +176,6 @@ class _Runs:
         return frame
 
     def steer(self) -> FloatArray:
-        """Let the follower steer by the odometry; return the wheel's angle in the middle of the step."""
         tables, odo = self.tables, self.odo
         index = tables.first + (self.progress_m * (1 / PITCH_M)).astype(np.int64)
         np.minimum(index, tables.last, out=index)
@@ -250,7 +247,6 @@ class _Runs:
         return wheels, front / self.radius_front_m
 
     def count(self, wheels: FloatArray, front: FloatArray) -> None:
-        """Let the counters and the vehicle's own odometry follow the wheels."""
         self.angle[:2] += wheels * (1.0 - self.now.added[3:5]) if self.world.during else wheels
         self.angle[2] += front
         seen = self.angle[:2]
@@ -267,7 +263,6 @@ class _Runs:
         self.progress_m += step * self.ahead / self.bend
 
     def arrive(self, arrived: BoolArray, held: BoolArray) -> BoolArray:
-        """Begin the pause of who has come to stand at a stop; return who has come to the end."""
         design = self.world.design
         standing = arrived & (self.speed == 0.0) & ~held & ~self.done
         flown = design.flying & ~self.done & (self.progress_m >= self.tables.end_m)

@@ -13,8 +13,8 @@ import numpy as np
 from calib.campaign.tables import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
 from calib.io import write_bytes
+from calib.plant.design import good_design
 from calib.plant.make import make_campaign, random_model
-from calib.plant.plans import good_design
 from calib.plant.world import Cause
 from calib.types import FloatArray, IntArray
 
@@ -48,14 +48,13 @@ reference_load_N = 300.0
 class FleetTruth:
     """What was planted."""
 
-    #: radius_mean_m, radius_spread_m, slope_mean_m_per_N, slope_spread_m_per_N: normal population of each wheel's
-    #: radius at 300 N and slope
+    #: normal population of each wheel's radius at 300 N and slope
     radius_mean_m: float
     radius_spread_m: float
     slope_mean_m_per_N: float
     slope_spread_m_per_N: float
-    #: outliers, drifting, common: vehicles with a radius or slope of its own, with a drifting radius, and those of hall
-    #: B, whose floor makes the right wheel's radius seem larger
+    #: vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
+    #: right wheel's radius seem larger
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]
@@ -84,8 +83,7 @@ class PlannedFleet:
     size: FleetSize
     truth: FleetTruth
     names: tuple[str, ...]
-    #: radius_m, slope_m_per_N, rate_m_per_day: shape (n_vehicles, 2): of the left and right wheel: radius at 300 N, its
-    #: change with load and with time
+    #: shape (n_vehicles, 2): of the left and right wheel: radius at 300 N, its change with load and with time
     radius_m: FloatArray
     slope_m_per_N: FloatArray
     rate_m_per_day: FloatArray
@@ -198,14 +196,13 @@ class PosedTruth:
     """What was planted."""
 
     track_m: dict[str, float]
-    #: track_mean_m, track_spread_m: normal population that the tracks of all but the outliers were drawn from
+    #: normal population that the tracks of all but the outliers were drawn from
     track_mean_m: float
     track_spread_m: float
-    #: outliers, common: vehicles whose track is one per cent off, and those of hall B, whose floor turns what crosses
-    #: it
+    #: vehicles whose track is one per cent off, and those of hall B, whose floor turns what crosses it
     outliers: tuple[str, ...]
     common: tuple[str, ...]
-    #: zone_at_m, zone_long_m: where that zone begins on the floor, and how long it is
+    #: where that zone begins on the floor, and how long it is
     zone_at_m: float = 11.0
     zone_long_m: float = 2.0
 

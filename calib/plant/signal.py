@@ -1,19 +1,18 @@
 """How strongly an effect shows, and what else could have left the same on the same runs.
 
-The signal is the whitened norm of what an effect does, after what a recalibration would absorb: by noise-free drives
-with and without the effect, and the covariance of the plant's noise by linear propagation along the path driven.
+The signal is the whitened norm of what an effect does in noise-free drives, after what a recalibration would absorb.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.settings import OdometryModel
-from calib.plant.design import Design, lacks
+from calib.plant.design import Design
 from calib.plant.drive import Record, drive
 from calib.plant.effects import ALL, find
 from calib.plant.make import apply_causes, reference_poses, simulated_poses, steering_readings
@@ -265,8 +264,39 @@ _KNOBS: Final[dict[str, list[dict[str, float]]]] = {
 }
 
 
+def lacks(design: Design, needs: Iterable[str]) -> list[str]:
+    """Return what a design lacks of an effect's needs; see `calib.plant.world.Form`."""
+    turning = bool((~design.corridor).any())
+    has = {
+        "loads": len(np.unique(design.payload_kg)) > 1,
+        "offsets": len(np.unique(design.payload_kg)) > 2 and len(np.unique(design.payload_y_m)) > 1,
+        "turns": turning,
+        "bends": len(set(design.kind[~design.corridor])) > 2,
+        "speeds": len(np.unique(design.speed_mps)) > 1,
+        "three_speeds": len(np.unique(design.speed_mps)) > 2,
+        "temperatures": float(np.ptp(design.temperature_C)) > 5.0,
+        "dwell": len(np.unique(design.minutes_under_load)) > 2,
+        "sessions": len(set(design.session)) > 1,
+        "directions": len(set(design.direction) & {"out", "back"}) > 1,
+        "corridor": bool(design.corridor.any()),
+        "laser": design.laser and bool(design.corridor.any()),
+        "poses": design.poses == "all" or (design.poses == "turning" and turning),
+        "front": design.front,
+        "flying": bool(design.flying.any()),
+        "stops": bool(design.stops.any()),
+        "slope": design.slope_per_N != 0.0,
+        "trace": design.trace,
+        "lengths": bool((design.kind == "corridor_short").any()),
+        "lanes": bool(np.char.endswith(design.kind, "_b").any()),
+        "outside": design.outside,
+        "no_logs": design.log_period_s == 0.0,
+    }
+    return sorted(
+        one for one in needs if not (one.partition(":")[2] in design.columns if one.startswith("column:") else has[one])
+    )
+
+
 def _variants(design: Design, slope_per_N: float) -> list[Cause]:
-    """Return causes at small sizes whose sums span what each effect can do on a design."""
     n_sessions = len(set(design.session))
     variants: list[Cause] = []
     for form in ALL:

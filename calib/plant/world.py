@@ -20,16 +20,16 @@ class Noise:
     """Scales of the noise, all as standard deviations."""
 
     texture_m: float = 1.5e-4  #: random walk of each wheel's rolled path, metres per square root of a metre
-    #: common, differential: a run's own relative change of both radii, and of their difference
+    #: a run's own relative change of both radii, and of their difference
     common: float = 4e-5
     differential: float = 1.5e-5
     start_heading_rad: float = 2e-4  #: error of the reference frame's heading at the start of a run
-    #: laser_m, ref_xy_m, ref_theta_rad: instruments, as they truly are
+    #: instruments, as they truly are
     laser_m: float = 0.0015
     ref_xy_m: float = 0.002
     ref_theta_rad: float = 0.0008
     stated_ratio: float = 1.0  #: what the campaign file states of the reference's uncertainty, over the truth
-    #: steer_rad, front: a run's own steering angle zero, and relative front radius
+    #: a run's own steering angle zero, and relative front radius
     steer_rad: float = 1e-3
     front: float = 3e-4
     reading_rad: float = 2e-3  #: one reading of the steering angle
@@ -46,12 +46,12 @@ class NoiseDraw:
     """One draw of everything random about n runs."""
 
     texture_m: FloatArray  #: shape (n_runs,): texture of each run
-    #: scale_left, scale_right: shape (n_runs,): factors on the true radii
+    #: shape (n_runs,): factors on the true radii
     scale_left: FloatArray
     scale_right: FloatArray
     #: shape (3, n_runs): where the counters (left, right, front) stand between two counts at the start, 0 to 1
     phase: FloatArray
-    #: laser_m, start_heading_rad, steer_rad, front: shape (n_runs,): errors of instruments and sensors
+    #: shape (n_runs,): errors of instruments and sensors
     laser_m: FloatArray
     start_heading_rad: FloatArray
     steer_rad: FloatArray
@@ -135,22 +135,22 @@ class Moment:
     """All runs at one time step; effects read the upper part and add to the lower."""
 
     t_s: float  #: time since the start
-    #: v_mps, acceleration_mps2, curvature_per_m: shape (n_runs,): true motion of the rear axle's middle
+    #: shape (n_runs,): true motion of the rear axle's middle
     v_mps: FloatArray
     acceleration_mps2: FloatArray
     curvature_per_m: FloatArray
-    #: x_m, y_m, theta_rad: shape (n_runs,): true pose in the run's own frame
+    #: shape (n_runs,): true pose in the run's own frame
     x_m: FloatArray
     y_m: FloatArray
     theta_rad: FloatArray
-    #: angle_left_rad, angle_right_rad: shape (n_runs,): rotation of the rear wheels
+    #: shape (n_runs,): rotation of the rear wheels
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
-    #: left, right: shape (n_runs,): relative change of the rolling radii
+    #: shape (n_runs,): relative change of the rolling radii
     left: FloatArray
     right: FloatArray
     track: FloatArray  #: shape (n_runs,): relative change of the effective track
-    #: lost_left, lost_right: shape (n_runs,): share of the counts that is lost
+    #: shape (n_runs,): share of the counts that is lost
     lost_left: FloatArray
     lost_right: FloatArray
     lateral_mps: FloatArray  #: shape (n_runs,): true lateral speed of the rear axle's middle
@@ -183,36 +183,36 @@ class World:
 
     design: Design
     model: OdometryModel  #: what the vehicle and the simulator believe
-    #: load_left_N, load_right_N: shape (n_runs,): true static loads of the rear wheels
+    #: shape (n_runs,): true static loads of the rear wheels
     load_left_N: FloatArray
     load_right_N: FloatArray
-    #: believed_left_m, believed_right_m: shape (n_runs,): the model's radii at the reported loads
+    #: shape (n_runs,): the model's radii at the reported loads
     believed_left_m: FloatArray
     believed_right_m: FloatArray
-    #: left, right, track: shape (n_runs,): true radii and track over what the model believes at the *true* load
+    #: shape (n_runs,): true radii and track over what the model believes at the *true* load
     left: FloatArray
     right: FloatArray
     track: FloatArray
-    #: laser_scale, laser_offset_m: shape (n_runs,): of the rangefinder
+    #: shape (n_runs,): of the rangefinder
     laser_scale: FloatArray
     laser_offset_m: FloatArray
-    #: ref_yaw_rad, ref_lever_x_m, ref_lever_y_m, latency_s: shape (n_runs,): of the pose reference
+    #: shape (n_runs,): of the pose reference
     ref_yaw_rad: FloatArray
     ref_lever_x_m: FloatArray
     ref_lever_y_m: FloatArray
     latency_s: FloatArray
-    #: steer_zero_rad, steer_scale, steer_backlash_rad, steer_delay_s: shape (n_runs,): of the steering angle sensor
+    #: shape (n_runs,): of the steering angle sensor
     steer_zero_rad: FloatArray
     steer_scale: FloatArray
     steer_backlash_rad: FloatArray
     steer_delay_s: FloatArray
-    #: weave_m, wavelength_m: shape (n_runs,): weave of the path driven
+    #: shape (n_runs,): weave of the path driven
     weave_m: FloatArray
     wavelength_m: FloatArray
     rise: FloatArray  #: shape (n_runs,): surplus of the path over its plan, from an uneven floor
     euler: FloatArray  #: shape (n_runs,): 1 where the outside simulator takes the heading at the end of its steps
     blunder_runs: FloatArray  #: shape (n_runs,): 1 for the runs that it strikes
-    #: payload_scale, payload_dx_m, payload_dy_m: shape (n_runs,): true payload against the reported one
+    #: shape (n_runs,): true payload against the reported one
     payload_scale: FloatArray
     payload_dx_m: FloatArray
     payload_dy_m: FloatArray

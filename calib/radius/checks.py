@@ -1,7 +1,4 @@
-"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do.
-
-Those of the residuals, and of what the plan of loads and sessions, and the order driven, allow the fit to say.
-"""
+"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import fdtrc, stdtr
 
 from calib.radius.law import COVERAGE
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, distinct_loads, load_groups
@@ -194,7 +192,6 @@ def _direction(runs: _Residuals) -> Check | None:
 
 
 def _range(fit: WheelFit) -> Check:
-    """Say where the law holds, and whether the reference load lies there."""
     law = fit.law
     margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
@@ -223,15 +220,11 @@ def tested(
 
 
 def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    from scipy.special import fdtrc
-
     return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
 def p_of_t(statistic: float, dof: float) -> float:
     """Return the two-sided probability of a Student's t."""
-    from scipy.special import stdtr
-
     return float(2 * stdtr(dof, -abs(statistic)))
 
 
@@ -244,7 +237,6 @@ def on_one_load(fit: WheelFit) -> str:
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
-    """Say what the plan of loads and sessions allows."""
     loads = distinct_loads(fit.load_N)
     few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
     level = NOTE
@@ -287,7 +279,6 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
 
 
 def _order(fit: WheelFit) -> Check | None:
-    """Say whether runs that follow each other scatter alike, and whether the slope rests on how much."""
     found = fit.autocorrelation
     if found is None or found.p_value == 1.0:
         return None
@@ -308,7 +299,6 @@ def _order(fit: WheelFit) -> Check | None:
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say whether sessions scatter beyond their runs, and what counting runs as independent would have claimed."""
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None
@@ -343,7 +333,6 @@ def _against_naive(fit: WheelFit) -> str:
 
 
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
-    """Say how far the slope moves when one session is omitted."""
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
     n = groups.sizes

@@ -74,16 +74,8 @@ def weave_excess(
     """Return the relative excess of a weave over any distance, whole periods or not (Fig. 8b).
 
     The path is ``y = A sin(2 pi x / lambda + phase)`` for x from 0 to S_O; the wheels keep half a track from it, so
-    that ``S_R,L = S +- (track / 2) (theta_end - theta_start)``.
-
-    Its arrays have the broadcast shape.
-
-    Parameters
-    ----------
-    amplitude_m, wavelength_m, distance_m, phase_rad : array_like of float, shapes that broadcast
-        A, lambda, S_O and the phase at the start; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
-    track_m
-        Distance between the wheels' contact points.
+    that ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and the
+    phase broadcast; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
     """
     from scipy.special import ellipeinc
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -166,7 +166,6 @@ def _refuse_without_rear_wheels(campaign: Campaign) -> None:
 
 
 def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
-    """Return the turn that the counts would mean if the model's radii were right, shape (n_runs,)."""
     runs, model = campaign.runs, campaign.model
     left = runs.number("counts_left") / campaign.encoder.counts_per_rev_left * model.radius_left_m
     right = runs.number("counts_right") / campaign.encoder.counts_per_rev_right * model.radius_right_m
@@ -189,41 +188,38 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     distance = np.abs(runs.number("distance_m"))
     path = correct_paths(campaign)
     notes = [*notes, *path.notes]
-    sides = {}
     wheels = {"left": (encoder.counts_per_rev_left, path.left), "right": (encoder.counts_per_rev_right, path.right)}
+    arrays: dict[str, Any] = {}
+    parts: dict[str, dict[str, FloatArray]] = {}
     for side, (per_rev, excess) in wheels.items():
         counts = np.abs(runs.number(f"counts_{side}"))
         radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
-        parts = {
-            "rangefinder": radius * sigma / distance,
-            "quantisation": radius * QUANTISATION_COUNTS / counts,
-        }
         off, logged = (
             radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
             path.source == "log",
         )
-        parts |= {"path": np.where(logged, 0.0, off), "weave": np.where(logged, off, 0.0)}
-        sides[side] = radius, parts, np.sqrt(sum(part**2 for part in parts.values()))
-    notes.extend(_plausible(campaign, left=sides["left"][0], right=sides["right"][0]))
+        parts[side] = {
+            "rangefinder": radius * sigma / distance,
+            "quantisation": radius * QUANTISATION_COUNTS / counts,
+            "path": np.where(logged, 0.0, off),
+            "weave": np.where(logged, off, 0.0),
+        }
+        std = np.sqrt(sum(part**2 for part in parts[side].values()))
+        arrays |= {f"load_{side}_N": runs.number(f"load_{side}_N"), f"radius_{side}_m": radius}
+        arrays |= {f"std_{side}_m": std, f"path_{side}": excess}
+    notes.extend(_plausible(campaign, left=arrays["radius_left_m"], right=arrays["radius_right_m"]))
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
         direction=runs.label("direction"),
-        load_left_N=runs.number("load_left_N"),
-        load_right_N=runs.number("load_right_N"),
         distance_m=distance,
-        radius_left_m=sides["left"][0],
-        radius_right_m=sides["right"][0],
-        std_left_m=sides["left"][2],
-        std_right_m=sides["right"][2],
-        path_left=path.left,
-        path_right=path.right,
         path_source=path.source,
         amplitude_m=path.amplitude_m,
         wavelength_m=path.wavelength_m,
-        budget=_budget(sides["left"][1], sides["right"][1], campaign),
+        budget=_budget(parts["left"], parts["right"], campaign),
         left_out=left_out,
         notes=tuple(notes),
+        **arrays,
     )
 
 

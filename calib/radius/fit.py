@@ -1,7 +1,4 @@
-"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius.
-
-Parts of the budget that are the same in every run are declared in ``[uncertainty]`` of ``campaign.toml``.
-"""
+"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius."""
 
 from __future__ import annotations
 
@@ -133,7 +130,6 @@ def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
-    """Return the fits of the static radius against load, and notes on those that were not fitted."""
     runs = campaign.included().runs
     fits, notes = {}, []
     for wheel in ("left", "right"):
@@ -222,7 +218,6 @@ class SystematicSource:
 
 
 def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
-    """Return the change of the coefficients with a common change of the radii, shape (2,)."""
     if wheel.model != "line":
         return np.array([float(sensitivity.mean()), 0.0])
     x = wheel.load_N - wheel.law.reference_load_N

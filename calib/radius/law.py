@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import chdtri, ndtr, stdtridf, stdtrit
 
 from calib.documents import plain_fields
 from calib.types import FloatArray, floats
@@ -138,18 +139,10 @@ class LineEstimate:
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> LineEstimate:
-        """Return an estimate in which every run counts as independent.
+        """Return an estimate in which every run counts as independent; see `LineEstimate`.
 
-        Parameters
-        ----------
-        design
-            See the field of that name.
-        coefficients, covariance : array of float, shapes (2,) and (2, 2)
-            Radius at the reference load and slope.
-        dof, variance
-            Degrees of freedom, and variance of a single run.
-        hc3
-            Whether `covariance` is heteroscedasticity-consistent.
+        `covariance`: of radius and slope, shape (2, 2); `dof`, `variance`: its degrees of freedom, and that of a single
+        run.
         """
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)
 
@@ -175,8 +168,6 @@ class LineEstimate:
         random = critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
         if not len(self.systematic):
             return random
-        from scipy.special import stdtrit
-
         each = floats(contrast) @ self.systematic.T
         factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), 0.5 + coverage / 2)
         return np.asarray(np.hypot(random, np.sqrt(np.sum((each * factor) ** 2, axis=-1))))
@@ -235,7 +226,6 @@ class LineEstimate:
     def _variance(
         self, contrast: ArrayLike, more_within: float = 0.0, more_between: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the random variance of ``contrast @ coefficients`` and the share of sessions in it, shape (...)."""
         c = floats(contrast)
         parts = (self.cov_within, self.cov_between)
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
@@ -274,8 +264,6 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
     `dof_between`, `dof_within`: degrees of freedom of each part, above 0; `coverage`: coverage. The curve, shape (25,),
     goes from Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
     """
-    from scipy.special import ndtr, stdtrit
-
     if dof_between < FEWEST_BETWEEN_DOF:
         within, between = stdtrit([dof_within, dof_between], 0.5 + coverage / 2)
         return np.asarray(np.sqrt(SHARES * between**2 + (1.0 - SHARES) * within**2))
@@ -308,8 +296,6 @@ def critical_value(share: ArrayLike, dof_between: float, dof_within: float, cove
     `share`: V_between over the sum; `dof_between`, `dof_within`: degrees of freedom of each part; 0 where there is no
     such part; `coverage`: coverage. To be multiplied by the square root of the sum.
     """
-    from scipy.special import stdtrit
-
     observed = floats(share)
     within = stdtrit(dof_within, 0.5 + coverage / 2) if dof_within > 0 else np.nan
     between = stdtrit(dof_between, 0.5 + coverage / 2) if dof_between > 0 else np.nan
@@ -323,16 +309,12 @@ def critical_value(share: ArrayLike, dof_between: float, dof_within: float, cove
 
 def equivalent_dof(critical: ArrayLike, coverage: float) -> FloatArray:
     """Return the degrees of freedom whose Student's t is `critical`, 1 to 1e6; `coverage`: that of the interval."""
-    from scipy.special import stdtridf
-
     dof = stdtridf(0.5 + coverage / 2, floats(critical))
     return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 
 def _nodes(dof: float) -> FloatArray:
     """Return nodes of equal probability of chi-squared over its degrees of freedom, with mean 1."""
-    from scipy.special import chdtri
-
     n = NODES_MANY_DOF if dof > MANY_DOF else NODES_FEW_DOF
     quantiles = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
     return np.asarray(quantiles / quantiles.mean())

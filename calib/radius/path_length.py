@@ -328,7 +328,6 @@ def _without_diverged(
 
 
 def _solve(design: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the least-squares steps, shape (n_parameters, n), of `n` problems of shape (m, n_parameters)."""
     transposed = design.transpose(0, 2, 1)
     gram = transposed @ design
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", gram), 1e-300))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
@@ -247,8 +248,6 @@ def from_plain(kind: type[Plain], value: Any) -> Plain:
 
 def t_quantile(dof: ArrayLike) -> FloatArray:
     """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
-    from scipy.special import stdtrit
-
     return np.asarray(stdtrit(floats(dof), 0.5 + COVERAGE / 2))
 
 
@@ -272,22 +271,10 @@ def load_groups(load_N: FloatArray) -> IntArray:
 def fit_wheel(
     wheel: str, load_N: ArrayLike, radius_m: ArrayLike, session: ArrayLike, *, reference_load_N: float
 ) -> WheelFit:
-    """Fit the law of one wheel.
+    """Fit the law of one wheel: a line, or a constant where the runs have one load only; see `with_checks`.
 
-    It is a line, or a constant where the runs have one load only; its checks are empty, see `calib.radius.checks`.
-
-    Raises RefusedError with fewer than three runs.
-
-    Parameters
-    ----------
-    wheel
-        Name for messages and results.
-    load_N, radius_m : array_like of float, shape (n_runs,)
-        Load and effective radius of each run.
-    session : array_like of str, shape (n_runs,)
-        Session of each run.
-    reference_load_N
-        Load on which the coefficients are centred.
+    `wheel`: its name in messages and results; `load_N`, `radius_m`, `session`: of each run, shape (n_runs,);
+    `reference_load_N`: load on which the coefficients are centred. Raises RefusedError with fewer than three runs.
     """
     load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:
@@ -347,7 +334,6 @@ def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> Lin
 
 
 def _influence(ols: RegressionResults) -> tuple[FloatArray, FloatArray]:
-    """Return leverage and Cook's distance of each run; 0 where there is no scatter."""
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)

@@ -1,7 +1,4 @@
-"""The fit of a campaign: both wheels' laws with the runs, vehicle and conditions behind them, and its result folder.
-
-The folder holds ``fit.json`` and ``runs.csv``; report and export read it and fit nothing again.
-"""
+"""The fit of a campaign: both wheels' laws with the runs, vehicle and conditions behind them, and its result folder."""
 
 from __future__ import annotations
 
@@ -163,14 +160,12 @@ class Fit(Result):
 
 
 def _rows(fit: Fit) -> list[Row]:
-    """Return the runs used, one mapping each: every array of the radii, and the residual of each wheel."""
     columns = {name: getattr(fit.radii, name) for name in _RUN_COLUMNS}
     columns |= {f"residual_{name}_m": wheel.residual_m for name, wheel in fit.wheels.items()}
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(plain, columns.values()), strict=True)]
 
 
 def _columns(rows: Any) -> dict[str, Any]:
-    """Return the arrays of the runs that `_rows` wrote."""
     types = {name: np.str_ if name in _TEXTS else np.float64 for name in _RUN_COLUMNS}
     return {name: np.array([row[name] for row in rows], dtype=kind) for name, kind in types.items()}
 

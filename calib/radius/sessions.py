@@ -2,10 +2,7 @@
 
 Runs of one session share what shifted that day (temperature, a remounted rangefinder, wear), so they are not
 independent. A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum and
-never assumed away, so the intervals hold whether or not sessions scatter. Where the loads are crossed with the
-sessions the slope's interval is the exact t of the within-session regression, where each session has one load it is
-the exact t of the regression on session means, and between the two it follows the critical values of
-`calib.radius.law`.
+never assumed away, so the intervals hold whether or not sessions scatter; see `calib.radius.law`.
 
 Runs that follow each other and scatter alike tell less than as many independent ones. The residuals of a session are
 taken as a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from the lag-one
@@ -22,6 +19,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr, stdtrit
 
 from calib.radius.law import LineEstimate
 from calib.types import FloatArray, IntArray, StrArray
@@ -178,8 +176,6 @@ def _least_between(
 
     An interval from there is as wide as that of the runs alone. With more sessions it is rare, and Student's t holds.
     """
-    from scipy.special import stdtrit
-
     if dof_between > 1.0:
         return 0.0
     of_runs, of_sessions = (float(stdtrit(dof, 0.975)) for dof in (dof_within, dof_between))
@@ -187,7 +183,6 @@ def _least_between(
 
 
 def _session_scatter(mean_variance: float, run_variance: float, sizes: FloatArray) -> tuple[float, float | None]:
-    """Return the variance of sessions beyond that of their runs, and the ratio of the two mean squares."""
     explained = run_variance * float(np.mean(1.0 / sizes))
     return max(mean_variance - explained, 0.0), mean_variance / explained if run_variance > 0 else None
 
@@ -260,7 +255,6 @@ class _Series:
         return float(len(self.residual) - self.fitted.shape[1])
 
     def neighbours(self, columns: FloatArray) -> FloatArray:
-        """Return half the sum of the run before and of the run after of the same block, shape (n_runs, k)."""
         joined = (1.0 - self.begins[1:])[:, None]
         product = np.zeros_like(columns)
         product[1:] += 0.5 * joined * columns[:-1]
@@ -268,7 +262,6 @@ class _Series:
         return product
 
     def correlated(self, columns: FloatArray, rho: float) -> FloatArray:
-        """Return columns (n_runs, k) times the correlation matrix."""
         from scipy.signal import lfilter
 
         edges = [*np.flatnonzero(self.begins), len(columns)]
@@ -300,8 +293,6 @@ class _Series:
 
 def autocorrelation(series: _Series) -> Autocorrelation:
     """Return the autocorrelation of residuals in the order driven, where significant its upper bound of one sd."""
-    from scipy.special import ndtr
-
     square = float(series.residual @ series.residual)
     if series.dof < MIN_DOF or not square > 0.0:
         return Autocorrelation(0.0, 0.0, 1.0)

@@ -14,7 +14,7 @@ from calib.campaign.model import Campaign
 from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
-from calib.radius.result import ingest_notes
+from calib.radius.result import Fit, ingest_notes
 from calib.reporting.blocks import Items, Notice, Picture, Section
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.kinematics.result import Geometry
-    from calib.radius.result import Fit
 
 #: longest campaign name in the header of a page; the title has it whole
 SHORT_NAME: Final = 44

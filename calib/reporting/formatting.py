@@ -305,7 +305,6 @@ def _fit(column: Column, cells: list[str]) -> _Fitted:
 
 
 def _with_room_for_groups(fitted: Sequence[_Fitted]) -> list[_Fitted]:
-    """Widen the columns of a group whose common title is longer than they are."""
     widened = list(fitted)
     for group in dict.fromkeys(column.head.group for column in fitted if column.head.group):
         members = [number for number, column in enumerate(fitted) if column.head.group == group]
@@ -330,7 +329,6 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
 
 
 def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
-    """Return the widths: the least, and the free width for sentences."""
     free = width - sum(column.least for column in part) - GAP * (len(part) - 1)
     widths = []
     for column in part:

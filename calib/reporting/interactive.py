@@ -233,7 +233,6 @@ def _cause_panel(verdict: Diagnosis) -> figure:
 
 
 def _with_aliases(effect: str, verdict: Diagnosis) -> str:
-    """Return an effect with those confounded with it, a line each."""
     others = [name for group in verdict.groups if effect in group.effects for name in group.effects if name != effect]
     more = [f"and {len(others) - ALIASES_NAMED} more"] if len(others) > ALIASES_NAMED else []
     return "\n".join([effect, *(f"or {other}" for other in others[:ALIASES_NAMED]), *more])

@@ -1,7 +1,4 @@
-"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders.
-
-Same input, same bytes. Folders hold what simulations, replays and fleets give.
-"""
+"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders."""
 
 from __future__ import annotations
 
@@ -20,12 +17,22 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from calib.campaign.model import Campaign
+from calib.campaign.wheels import without_rear_wheels
+from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.io import refuse_existing, write_files, write_json, write_text
+from calib.odometry.integrate import integrate
+from calib.odometry.poses import Poses, write_tum
+from calib.odometry.replay import Replay, carried_loads_N, stood_in
+from calib.odometry.routes import radii_under_load, travel_from_counts
+from calib.odometry.simulation import SHOWN, LawPart, Simulation
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
+from calib.reporting.figures import motion
 from calib.reporting.figures.style import known, render, render_all, write_figures
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
@@ -33,15 +40,9 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 if TYPE_CHECKING:
     from jinja2 import Template
-    from matplotlib.figure import Figure
 
-    from calib.campaign.model import Campaign
-    from calib.coefficients.file import CoefficientFile
     from calib.fleet.run import Fleet, Survey
     from calib.gap.decision.diagnosis import Diagnosis
-    from calib.odometry.poses import Poses
-    from calib.odometry.replay import Replay
-    from calib.odometry.simulation import LawPart, Simulation
 
 #: PDF/A-3 at its accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"
@@ -167,9 +168,8 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> str:
     """Return a page as markup that fetches nothing; `page`: kind, title, name, simulated, head and footer."""
-    style = (files("calib.reporting") / "page.css").read_text(encoding="utf-8")
     pictures = _pictures(block for section in sections for block in section.blocks)
-    return _template().render(page=page, sections=plain(sections), panels=panels, style=style, pictures=pictures)
+    return _template().render(page=page, sections=plain(sections), panels=panels, pictures=pictures)
 
 
 def blocks_html(blocks: Iterable[Block | Section]) -> str:
@@ -215,36 +215,29 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
 
 
 def _sweep_files(simulation: Simulation) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
-    from calib.odometry.simulation import SHOWN
-    from calib.reporting.figures.motion import sweep_errors_figure, sweep_figure
-
     figures: dict[str, Figure] = {}
     tables: dict[str, Sequence[Mapping[str, Any]]] = {}
     for name, sweep in simulation.sweeps.items():
-        figures[name] = sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
-        figures[f"{name}_errors"] = sweep_errors_figure(sweep, title=simulation.title)
+        figures[name] = motion.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        figures[f"{name}_errors"] = motion.sweep_errors_figure(sweep, title=simulation.title)
         tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
     return figures, tables
 
 
 def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
-    from calib.reporting.figures.motion import law_errors_figure, law_path_figure, ratio_figure
-
     law, path = part.law, part.path
     measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
     title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
     figures = {
-        "fig15": ratio_figure(part.table, measured=measured),
-        "band": law_path_figure(path, title=title),
-        "errors": law_errors_figure(path, title=title),
+        "fig15": motion.ratio_figure(part.table, measured=measured),
+        "band": motion.law_path_figure(path, title=title),
+        "errors": motion.law_errors_figure(path, title=title),
     }
     return figures, {"table1": plain(part.table), "band": path.covariance_rows(), "errors": path.error_rows()}
 
 
 def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
     """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
-    from calib.odometry.poses import write_tum
-
     written = []
     for name, sweep in simulation.sweeps.items():
         t = sweep.distance_m / speed_mps
@@ -257,17 +250,13 @@ def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: 
 
 def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
     """Write the figure of a replay, its table as CSV and everything as JSON."""
-    from calib.reporting.figures.motion import replay_figure
-
-    written = write_figures({"replay": replay_figure(replay)}, folder, force=force)
+    written = write_figures({"replay": motion.replay_figure(replay)}, folder, force=force)
     table = _csv(folder / "replay.csv", document["runs"], force=force)
     return [write_json(folder / "replay.json", document, force=force), *written, table]
 
 
 def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
     """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
-    from calib.odometry.poses import Poses, write_tum
-
     written = []
     for run in np.flatnonzero(campaign.logs.present).tolist():
         log = campaign.logs.of(run)
@@ -285,11 +274,6 @@ def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folde
 
 def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
     """Return the odometry of a campaign of one run; None where its counts or its loads are not known."""
-    from calib.campaign.wheels import without_rear_wheels
-    from calib.coefficients.file import believed_model
-    from calib.odometry.integrate import integrate, radii_under_load, travel_from_counts
-    from calib.odometry.replay import carried_loads_N, stood_in
-
     if without_rear_wheels(campaign):
         poses, _ = stood_in(campaign, believed_model(coefficients, campaign.model.reference_load_N))
         return poses if np.isfinite(poses.stacked()).all() else None
@@ -319,8 +303,8 @@ class Heads:
     simulated: bool
 
 
-def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Path]:
-    """Write a fleet's result, all of it or none, in place of an earlier one; its pages where `heads` are given."""
+def write_fleet(fleet: Fleet, into: Path, heads: Heads) -> list[Path]:
+    """Write a fleet's result, all of it or none, in place of an earlier one, with its pages."""
     from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
     from calib.reporting.topics.fleet import fleet_content
 
@@ -337,7 +321,7 @@ def write_fleet(fleet: Fleet, into: Path, heads: Heads | None = None) -> list[Pa
     return write_files(into, files | _paged(fleet_content(fleet, pictures=True), document, "fleet", heads), force=True)
 
 
-def write_survey(survey: Survey, into: Path, heads: Heads | None = None) -> list[Path]:
+def write_survey(survey: Survey, into: Path, heads: Heads) -> list[Path]:
     """Write the result of a task over a fleet; see `write_fleet`."""
     from calib.reporting.topics.fleet import survey_content
 
@@ -351,10 +335,7 @@ def _bytes(text: str) -> bytes:
     return text.encode("utf-8", "backslashreplace")
 
 
-def _paged(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads | None) -> dict[str, bytes]:
-    """Return the report on a fleet: the blocks of the terminal with figures, the result attached as JSON."""
-    if heads is None:
-        return {}
+def _paged(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads) -> dict[str, bytes]:
     fleet = document["fleet"]
     failed = int(fleet["n_failed"])
     view = "Every vehicle and the fleet's view, as a program reads it"
@@ -379,7 +360,6 @@ def _parted(blocks: Sequence[Block]) -> tuple[Section, ...]:
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
-    """Return the vehicles as CSV; intervals as two columns."""
     columns = list(dict.fromkeys(name for vehicle in vehicles for name in vehicle))
     heads = [part for name in columns for part in ([f"{name}_low", f"{name}_high"] if "_ci95_" in name else [name])]
     rows = []

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
 from calib.errors import BadInputError
-from calib.reporting.blocks import Drawings, drawn
+from calib.reporting.blocks import Block, Drawings, Section, drawn
 from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
-    from calib.reporting.blocks import Block, Section
 
 
 #: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the
@@ -73,10 +72,10 @@ def _content(result: Result, *, brief: bool) -> Sequence[Block | Section]:
 def _fit(fit: Fit) -> Drawings:
     session = fit.radii.session
     return {
-        "regressions": partial(drawn, "radius.regressions", fit.left, fit.right, session),
-        "runs": partial(drawn, "radius.runs_by_series", fit.radii),
-        "path_deviation": partial(drawn, "radius.path_deviation", fit.radii),
-        "residuals": partial(drawn, "radius.residuals", fit.left, fit.right, session),
+        "regressions": partial(drawn, "calibration.regressions", fit.left, fit.right, session),
+        "runs": partial(drawn, "calibration.runs_by_series", fit.radii),
+        "path_deviation": partial(drawn, "calibration.path_deviation", fit.radii),
+        "residuals": partial(drawn, "calibration.residuals", fit.left, fit.right, session),
     }
 
 
@@ -90,7 +89,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Drawings:
 def _plan(plan: Plan) -> Drawings:
     from calib.gap.plan.identifiability import outlook_of
 
-    return {"matrix": lambda: drawn("geometry.plan_matrix", outlook_of(plan.campaign))}
+    return {"matrix": lambda: drawn("gap.plan_matrix", outlook_of(plan.campaign))}
 
 
 def _simulation(simulation: Simulation) -> Drawings:
@@ -105,7 +104,7 @@ def _simulation(simulation: Simulation) -> Drawings:
 #: kind of figure -> its drawing function, the default first
 _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
     "Fit": _fit,
-    "Geometry": lambda found: {"paths": partial(drawn, "geometry.draw_paths", found.paths, simulated=found.simulated)},
+    "Geometry": lambda one: {"paths": partial(drawn, "calibration.draw_paths", one.paths, simulated=one.simulated)},
     "Diagnosis": _diagnosis,
     "Plan": _plan,
     "Simulation": _simulation,

@@ -23,8 +23,8 @@ from calib.campaign.model import Campaign, Logs
 from calib.campaign.tables import write_campaign
 from calib.gap import diagnose as whole
 from calib.gap.inference import linear_model, local_search, noise
+from calib.plant.design import good_design
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design
 
 ROWS = 600
 

@@ -15,9 +15,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.paper import Axle, end_of_route
 from calib.odometry.poses import Poses
-from calib.odometry.routes import Route, find_route
+from calib.odometry.routes import Axle, Route, end_of_route, find_route
 
 TRACK_M = 0.7
 REPEATS = 15

@@ -18,9 +18,8 @@ from unittest import mock
 
 import numpy as np
 
-from calib.challenge.cases import Truth, campaigns_of, case_design, truth_of
-from calib.challenge.recipe import Recipe, Seeds, recipes
-from calib.challenge.seal import each
+from calib.challenge.cases import Recipe, Truth, campaigns_of, case_design, truth_of
+from calib.challenge.seal import Seeds, each, recipes
 from calib.gap import diagnose as diagnosis
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.inference.noise import Noise, estimate_noise

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from calib.campaign.settings import OdometryModel
-from calib.challenge.cases import Truth
+from calib.challenge.cases import Recipe, Truth
 from calib.challenge.judge import judge
-from calib.challenge.recipe import Recipe
 from calib.challenge.score import clopper_pearson, score_of, wilson
 from calib.documents import plain
 from calib.plant.world import Cause, Noise

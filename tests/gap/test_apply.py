@@ -20,9 +20,9 @@ from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
+from calib.plant.design import good_design
 from calib.plant.effects import find
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design
 from tests.gap.effects.making import Motion, Run, rich_runs
 from tests.gap.effects.making import campaign as campaign_of
 

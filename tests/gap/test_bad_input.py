@@ -18,8 +18,8 @@ from calib.errors import BadInputError, CalibError, RefusedError
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.calibration import NAMES
+from calib.plant.design import good_design
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
 from tests.effort import EXPLORES

@@ -16,7 +16,7 @@ from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.plan.plan_file import read_plan
+from calib.gap.plan.next_runs import read_plan
 from calib.radius.fit import fit_campaign
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs
 

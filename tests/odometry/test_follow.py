@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.errors import BadInputError
-from calib.odometry.paper import Axle, end_of_route, follow
 from calib.odometry.poses import Poses
-from calib.odometry.routes import NAMED, Route, arc, find_route, straight
+from calib.odometry.routes import NAMED, Axle, Route, arc, end_of_route, find_route, follow, straight
 
 ROUNDING_M = 1e-12
 
@@ -56,7 +55,7 @@ def test_the_exact_solution_is_that_of_a_time_stepped_loop(name: str) -> None:
 
 
 def test_end_poses_alone_are_those_of_the_whole_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calib.odometry.paper.BLOCK", 7)
+    monkeypatch.setattr("calib.odometry.routes.BLOCK", 7)
     route = find_route("figure8")
     real = Axle(np.linspace(0.098, 0.102, 30), 0.1, np.linspace(0.69, 0.71, 30))
     np.testing.assert_allclose(

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.errors import BadInputError
-from calib.odometry import step_loops
 from calib.odometry.integrate import SCHEMES, end_poses, integrate
 from calib.odometry.poses import Poses
 from calib.types import FloatArray
@@ -62,7 +61,7 @@ def test_runs_laid_end_to_end_are_each_integrated_on_their_own(
     block: int, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For any block borders cut, empty runs at the beginning, in the middle and at the end included."""
-    monkeypatch.setattr(step_loops, "BLOCK", block)
+    monkeypatch.setattr("calib.odometry.integrate.BLOCK", block)
     lengths = [0, 3, 1, 0, 0, 40, 7, 130, 2, 0]
     offsets = np.concatenate(([0], np.cumsum(lengths)))
     left, right = steps(offsets[-1])
@@ -77,7 +76,7 @@ def test_runs_laid_end_to_end_are_each_integrated_on_their_own(
 
 
 def test_a_stack_of_runs_is_the_runs_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(step_loops, "BLOCK", 100)
+    monkeypatch.setattr("calib.odometry.integrate.BLOCK", 100)
     left, right = (part.reshape(8, 50) for part in steps(400))
     whole = integrate(left, right, TRACK_M)
     assert whole.shape == (8, 50)
@@ -90,7 +89,7 @@ def test_a_stack_of_runs_is_the_runs_one_by_one(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_two_threads_give_the_poses_of_one(lengths: list[int], scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever the cut falls: within a run, between two, next to an empty one."""
-    monkeypatch.setattr(step_loops, "BLOCK", 16)
+    monkeypatch.setattr("calib.odometry.integrate.BLOCK", 16)
     offsets = np.concatenate(([0], np.cumsum(lengths)))
     left, right = steps(offsets[-1])
     starts = np.random.default_rng(1).standard_normal((len(lengths), 3))
@@ -115,7 +114,7 @@ def test_the_track_may_change_from_sample_to_sample() -> None:
 @pytest.mark.parametrize("block", [7, 64])
 def test_a_reading_that_is_not_a_number_spoils_nothing_before_it(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing of the runs in other blocks."""
-    monkeypatch.setattr(step_loops, "BLOCK", block)
+    monkeypatch.setattr("calib.odometry.integrate.BLOCK", block)
     left, right = steps(256)
     left[100] = np.nan
     broken, whole = integrate(left, right, TRACK_M), integrate(*steps(256), TRACK_M)

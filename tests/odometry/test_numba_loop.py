@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.odometry.integrate import integrate
+from calib.odometry.integrate import integrate, is_installed
 from calib.odometry.poses import Poses
-from calib.odometry.step_loops import is_installed
 from calib.types import FloatArray
 
 pytestmark = pytest.mark.skipif(not is_installed(), reason="needs numba (extra fast)")

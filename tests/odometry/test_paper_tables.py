@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from calib.odometry.integrate import end_poses
-from calib.odometry.paper import Axle, end_of_route, follow
 from calib.odometry.poses import Poses, pose_errors
-from calib.odometry.routes import find_route
+from calib.odometry.routes import Axle, end_of_route, find_route, follow
 
 TRACK_M = 0.7
 BELIEVED = Axle(0.1, 0.1, TRACK_M)

@@ -15,8 +15,9 @@ from calib.coefficients.build import coefficients_of
 from calib.coefficients.file import CoefficientFile
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
-from calib.odometry.integrate import end_poses, loads_in_steps, travel_from_counts
+from calib.odometry.integrate import end_poses
 from calib.odometry.replay import replay
+from calib.odometry.routes import loads_in_steps, travel_from_counts
 from tests.campaign.making import with_log_columns, with_numbers
 
 LADEN_N = (900.0, 400.0)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import OdometryModel
-from calib.plant.design import Design
+from calib.plant.design import Design, good_design
 from calib.plant.drive import drive
 from calib.plant.make import apply_causes, make_campaign, simulated_poses
-from calib.plant.plans import good_design
 from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet, wheel_loads
 from calib.vehicle import Vehicle
 

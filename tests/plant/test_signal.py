@@ -7,12 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.plant.design import lacks
+from calib.plant.design import good_design
 from calib.plant.drive import drive
 from calib.plant.effects import ALL, find
 from calib.plant.make import as_causes, make_campaign, random_model
-from calib.plant.plans import good_design
-from calib.plant.signal import alternatives, covariance, outputs, recalibration, rivals, strength, strengths, to_signal
+from calib.plant.signal import (
+    alternatives,
+    covariance,
+    lacks,
+    outputs,
+    recalibration,
+    rivals,
+    strength,
+    strengths,
+    to_signal,
+)
 from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet
 
 NORMAL = Noise(tail=np.inf, stated_ratio=1.0)

@@ -16,7 +16,7 @@ from calib.radius.fit import fit_law
 from calib.reporting.blocks import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
-from calib.reporting.figures.radius import path_deviation, regressions, residuals, runs_by_series
+from calib.reporting.figures.calibration import path_deviation, regressions, residuals, runs_by_series
 from calib.reporting.figures.style import Groups, render, render_all
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
@@ -112,7 +112,7 @@ def test_figures_of_a_small_campaign_hold_no_pixels(report: Report) -> None:
 
 
 def test_drawing_needs_no_display_and_no_pyplot() -> None:
-    drawing = "calib.reporting.figures.radius, calib.reporting.figures.gap"
+    drawing = "calib.reporting.figures.calibration, calib.reporting.figures.gap"
     code = f"import sys, {drawing}; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -95,16 +95,6 @@ class ExportOptions:
     left: str = ""
     right: str = ""
 
-    @property
-    def has_model(self) -> bool:
-        """Whether a simulator's model, or one of its wheels, was named."""
-        return self.model is not None or bool(self.left or self.right)
-
-    @property
-    def has_controller_choices(self) -> bool:
-        """Whether an option was chosen that only controllers have."""
-        return bool(self.controllers) or not self.position_feedback or self.open_loop
-
 
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
     """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.

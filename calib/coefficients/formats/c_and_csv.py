@@ -1,7 +1,6 @@
 """C99 headers and the look-up table as CSV, for programs that read no coefficient file.
 
-One header holds the coefficients with radius functions, integer form and odometry, the other the law with named
-effects for a simulator's loop, as `calib.runtime.Effects`. What an effect does is a macro of its name in ``c_acts.j2``.
+What an effect does in a simulator's loop is a macro of its name in ``c_acts.j2``.
 """
 
 from __future__ import annotations
@@ -125,28 +124,23 @@ class _Effect:
 
     @property
     def act(self) -> str:
-        """Its macro."""
         return COVARIATE if self.column >= 0 else self.name
 
     @property
     def reference(self) -> str:
-        """Reference load of the law."""
         return c_number(self.reference_N)
 
     @property
     def wheel(self) -> str:
-        """Wheel that a form of one wheel acts on."""
         return "left" if self.form.startswith("left") else "right"
 
     def has(self, size: str) -> bool:
-        """Return whether the form has a size of this name."""
         return size in self.sizes
 
     def __getitem__(self, size: str) -> str:
         return c_number(self.sizes.get(size, 0.0))
 
     def setting(self, name: str, default: float) -> str:
-        """Return a setting."""
         return c_number(self.settings.get(name, float(default)))
 
     def off(self, value: str) -> str:

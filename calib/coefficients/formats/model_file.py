@@ -115,7 +115,6 @@ class ModelFile:
         return roots[0]
 
     def _tag_end(self, at: int) -> int:
-        """Return the offset after the attributes of the start tag at `at`, before its ``/>`` or ``>``."""
         end = at + 1 + len(re.match(rb"[^\s/>]+", self.data[at + 1 : at + 1001]).group())  # type: ignore[union-attr]
         while match := _ATTRIBUTE.match(self.data, end):
             end = match.end()
@@ -362,7 +361,6 @@ def patched(
 
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
-    """Yield what the coefficient file says and no model does."""
     for side, law, load in (("left", file.law.left, pair.left_N), ("right", file.law.right, pair.right_N)):
         if law.slope_m_per_N != 0.0:
             by = f"the {side} radius follows the load by {1e6 * law.slope_m_per_N:.3g} um/N"

@@ -113,14 +113,6 @@ class Diagonals:
     assumed: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """Variances that reading each encoder once adds: to the path in m^2, to the heading in rad^2."""
-
-    path: float = 0.0
-    heading: float = 0.0
-
-
 def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     """Return the diagonals of odometry from two wheels on an axle at a load point, or the end of the valid range."""
     law, track = file.law, file.vehicle.track.value
@@ -136,7 +128,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     rates = np.array([[*path, 0.0], [-left / track, right / track, 0.0], [*path, -1.0 / track]])
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
-    reading = _Reading(path=0.25 * float(count.sum()), heading=float(count.sum()) / track**2)
+    reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
     return _diagonals(file, rates, at_load @ law.covariance(file.vehicle.track_std.value) @ at_load.T, reading)
 
 
@@ -164,7 +156,7 @@ def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -
             [travel, -1.0 / wheelbase, by_angle, STEERING_RAD * by_angle],
         ]
     )
-    steered = _diagonals(file, rates, covariance, _Reading())
+    steered = _diagonals(file, rates, covariance)
     if traction != "rear":
         return replace(steered, assumed=assumed)
     # path by the rear wheels, heading by the steering
@@ -178,26 +170,32 @@ def mecanum_diagonals(file: CoefficientFile) -> Diagonals:
     names = ("wheel_radius_m", "half_length_plus_half_width_m")
     covariance, assumed = _known(file, names, (LENGTH_STD * radius, LENGTH_STD * arm))
     rates = np.array([[1.0 / radius, 0.0], [0.0, 0.0], [1.0 / radius, -1.0 / arm]])
-    return replace(_diagonals(file, rates, covariance, _Reading()), assumed=assumed)
+    return replace(_diagonals(file, rates, covariance), assumed=assumed)
 
 
-def _diagonals(file: CoefficientFile, rates: FloatArray, covariance: FloatArray, reading: _Reading) -> Diagonals:
-    """Return the diagonals from the change of path and heading by each parameter; see the head of this file."""
+def _diagonals(
+    file: CoefficientFile, rates: FloatArray, covariance: FloatArray, reading: tuple[float, float] = (0.0, 0.0)
+) -> Diagonals:
+    """Return the diagonals from the change of path and heading by each parameter; see the head of this file.
+
+    `reading`: variances that reading each encoder once adds, to the path in m^2 and to the heading in rad^2.
+    """
+    of_path, of_heading = reading
     stretch, bend, turn = (float(variance) for variance in np.einsum("ij,jk,ik->i", rates, covariance, rates))
     along, heading = file.noise.along.value**2, file.noise.heading.value**2
     pose = (
-        PATH_M**2 * stretch + PATH_M * along + 2.0 * reading.path,
-        0.25 * PATH_M**4 * bend + PATH_M**3 / 3.0 * heading + PATH_M**2 * reading.heading,
+        PATH_M**2 * stretch + PATH_M * along + 2.0 * of_path,
+        0.25 * PATH_M**4 * bend + PATH_M**3 / 3.0 * heading + PATH_M**2 * of_heading,
         *UNSEEN,
-        PATH_M**2 * bend + TURN_RAD**2 * turn + PATH_M * heading + 2.0 * reading.heading,
+        PATH_M**2 * bend + TURN_RAD**2 * turn + PATH_M * heading + 2.0 * of_heading,
     )
     walked = SPEED_MPS / WINDOW_S
     twist = (
-        SPEED_MPS**2 * stretch + walked * along + 2.0 * reading.path / WINDOW_S**2,
+        SPEED_MPS**2 * stretch + walked * along + 2.0 * of_path / WINDOW_S**2,
         # the odometry takes the lateral speed as zero; its random walk is taken to be that of the path
         walked * along,
         *UNSEEN,
-        SPEED_MPS**2 * bend + TURN_RATE_RADPS**2 * turn + walked * heading + 2.0 * reading.heading / WINDOW_S**2,
+        SPEED_MPS**2 * bend + TURN_RATE_RADPS**2 * turn + walked * heading + 2.0 * of_heading / WINDOW_S**2,
     )
     return Diagonals(pose, twist)
 

@@ -1,7 +1,4 @@
-"""Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins.
-
-Of each format there is what finds a wheel by its name.
-"""
+"""Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins."""
 
 from __future__ import annotations
 
@@ -227,7 +224,6 @@ def _of_mjcf(model: ModelFile, name: str, option: str) -> Wheel:
 
 
 def _body(model: ModelFile, name: str, option: str) -> Node:
-    """Return the body that a joint, a geom or the body itself of that name belongs to."""
     candidates: dict[str, list[Node]] = {}
     world = model.root.child("worldbody")
     for node in () if world is None else world.walk():
@@ -263,7 +259,6 @@ def _inherited(model: ModelFile, geom: Node, attribute: str) -> str | None:
 
 
 def _is_class(node: Node, name: str | None) -> bool:
-    """Return whether a default element is that class; without a name, whether it is the outermost one."""
     if name is None or name == "main":
         return node.parent is not None and node.parent.tag != "default"
     return node.attributes.get("class") == name

@@ -18,7 +18,7 @@ from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.result import GapLocation, PlaceResult
 
 if TYPE_CHECKING:
-    from calib.odometry.paper import Improvement as Reduction
+    from calib.odometry.simulation import Improvement as Reduction
 
 
 #: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
@@ -375,7 +375,7 @@ def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
     before, after = diagnosis.closure.before_rms_m, diagnosis.closure.after_rms_m
     if effect is None or before is None or after is None:
         return None
-    from calib.odometry.paper import Improvement, paper_headline
+    from calib.odometry.simulation import Improvement, paper_headline
 
     sole = not any(effect in group.effects for group in diagnosis.groups)
     campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)

@@ -57,18 +57,8 @@ def aliases_of(
 ) -> dict[str, float]:
     """Return the effects that are confounded with a contribution, with their distance in standard deviations.
 
-    Parameters
-    ----------
-    system : WhitenedSystem
-        The whitened system.
-    nuisance : Nuisance
-        What is free beside the effect.
-    contribution : array of float, shape (n_rows,)
-        What the fitted effect does, whitened.
-    forms : mapping of str to sequence of Form
-        The library on this campaign.
-    named : sequence of str
-        Effects of the hypothesis itself, which are no alternatives.
+    For `system`, `nuisance` and `contribution` see `distance`; `forms`: the library on this campaign; `named`: effects
+    of the hypothesis itself, which are no alternatives.
     """
     nearest = {
         name: min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
@@ -173,7 +163,6 @@ class Signatures:
 
 
 def _residual_square(gram: FloatArray, index: np.ndarray, target: np.ndarray, square: FloatArray) -> FloatArray:
-    """Return the squares of the columns `target` that remain after those of `index`, of unit prior, are fitted."""
     inner = gram[..., index[:, None], index] + np.eye(len(index))
     cross = gram[..., index[:, None], target]
     return np.asarray(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=-2), 0.0))

@@ -1,17 +1,21 @@
-"""Which runs to drive next, best first: those that separate confounded effects."""
+"""Which runs to drive next, best first: those that separate confounded effects; plans and candidates from a file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Final
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings import OdometryModel
+from calib.campaign.settings_file import load_toml, parse_settings
+from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.applied import matching_form
 from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
@@ -27,6 +31,7 @@ from calib.gap.plan.planned_runs import (
     default_candidates,
     drive,
     joined,
+    route_of,
     usual_temperature_C,
 )
 from calib.gap.predict import predict
@@ -61,36 +66,17 @@ def next_runs(
     candidates: Sequence[PlannedRun] | None = None,
     most: int = MOST_RUNS,
 ) -> list[PlannedRun]:
-    """Return the runs to drive next, best first, each with what it would tell.
+    """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
     The runs are driven in one session that begins with a repeat of an unladen corridor run, those of a route that was
-    not repeated so far `REPEATS` times. Each greedy step takes the
-    run after which the two nearest confounded effects are furthest apart; where none are confounded, the run after
-    which most effects of the library are detected and separated.
+    not repeated so far `REPEATS` times. Each greedy step takes the run after which the two nearest confounded effects
+    are furthest apart; where none are confounded, the run after which most effects of the library are detected and
+    separated.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven.
-    effects : sequence of Effect
-        The library.
-    noise : Noise
-        Of the campaign; the next runs have the same scales.
-    ties : sequence of sequence of str
-        Groups of effects that are confounded in the campaign, the named one first.
-    fitted : Fitted, optional
-        Gives the sizes of the fitted effects; the others have typical size.
-    model : OdometryModel, optional
-        The simulator's model; the campaign's own by default.
-    candidates : sequence of PlannedRun, optional
-        Runs to choose from; `default_candidates` by default.
-    most : int
-        How many runs to recommend.
-
-    Returns
-    -------
-    list of PlannedRun
-        With `why`, `distance` and `count`; empty where no candidate helps.
+    `campaign`, `noise`: what was driven, and its noise, whose scales the next runs have; `effects`: the library;
+    `ties`: groups of effects that are confounded there, the named one first; `fitted`: gives the sizes of the fitted
+    effects, the others have typical size; `model`: the simulator's, the campaign's own by default; `candidates`: runs
+    to choose from, see `default_candidates`; `most`: how many runs to recommend.
     """
     driven = campaign.included()
     if model is not None:
@@ -163,22 +149,18 @@ class _Task:
         return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
 
     def done(self, distances: FloatArray) -> bool:
-        """Return whether everything is separated with a margin."""
         return bool((distances >= ENOUGH_SD).all())
 
     def score(self, distances: FloatArray) -> tuple[float, float]:
-        """Return what to maximise: the smallest distance (of pairs) or the number separated, then the sum."""
         capped = np.minimum(distances, CAP_SD)
         separated = float(np.minimum(distances / SEPARATION_SD, 1.0).sum())
         return round(float(capped.min()), 6) if self.pairs else separated, float(capped.sum())
 
     def gains(self, before: FloatArray, after: FloatArray) -> list[int]:
-        """Return the distances that a run raises by something worth naming, the largest gain first."""
         order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
         return [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
 
     def why(self, before: FloatArray, after: FloatArray) -> str:
-        """Return in words what a run separates, the largest gain first."""
         names, gains = self.signatures.names, self.gains(before, after)
         if self.pairs:
             parts = []
@@ -196,7 +178,6 @@ class _Task:
 def _sizes(
     observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
 ) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size, on the joint runs, of the effects that were fitted."""
     sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
         return sizes
@@ -245,3 +226,141 @@ def _corridor_m(campaign: Campaign) -> float:
     length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
     low, high = CORRIDOR_RANGE_M
     return length if low <= length <= high else DEFAULT_CORRIDOR_M
+
+
+FORMAT: Final = "calib-plan/1"
+#: sensors that drive the odometry without rear encoders -> what only a log holds of them
+_IN_LOG_ONLY: Final = {
+    "front": "the front wheel and its angle",
+    "wheels": "the counts of the four wheels",
+    "shaft": "the steering angle",
+}
+#: wider than any run: what is beyond is a typing error
+_Size = Annotated[float, Field(ge=-1e6, le=1e6)]
+_NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+_Section = TypeVar("_Section", bound=_Strict)
+
+
+class _MeasuredSection(_Strict):
+    distance: bool = True
+    poses: bool = True
+    position: bool = False
+    heading: bool = False
+    front: bool = False
+    log: bool = True
+    gyro: bool = False
+    corridor_m: float = Field(DEFAULT_CORRIDOR_M, ge=1.0, le=1000.0)
+
+
+class _RunEntry(_Strict):
+    """``[[runs]]`` of a plan; what has no field is a numeric column."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[float, Field(ge=-1e12, le=1e12)]]
+
+    kind: str
+    count: int = Field(1, ge=1)
+    direction: Literal["", "out", "back"] = ""
+    session: str = ""
+    loop: Literal["", "closed"] = ""
+    tape: bool = False
+    payload_kg: _NotNegative = 0.0
+    payload_x_m: _Size = 0.0
+    payload_y_m: _Size = 0.0
+    speed_mps: float = Field(0.5, ge=1e-3, le=1e6)
+    temperature_C: _Size = 0.0
+    minutes_under_load: _NotNegative = 0.0
+    read_rolling: bool = False
+    stops: int = Field(0, ge=0, le=100)
+
+    def run(self) -> PlannedRun:
+        columns = self.__pydantic_extra__
+        return PlannedRun(**self.model_dump(exclude_unset=True, exclude={"count", *columns}), columns=columns)
+
+
+def read_plan(path: Path) -> Campaign:
+    """Return the campaign that a plan would give if the vehicle were exactly as its model.
+
+    `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
+    ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``, and
+    ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
+    ``read_rolling``, ``tape``.
+
+    Raises
+    ------
+    BadFileError
+        Where the file cannot be used.
+    """
+    document = _load(path)
+    runs = _runs(document.pop("runs", None), path)
+    section = document.pop("measured", {})
+    measured = _validated(_MeasuredSection, section, path, "measured")
+    position, heading = measured.poses or measured.position, measured.poses or measured.heading
+    closed_or_taped = any(run.loop or run.tape for run in runs)
+    if not (measured.distance or position or heading or measured.gyro or closed_or_taped):
+        raise _wrong(path, "measured", section, "distance, poses or gyro to be true, else nothing is measured")
+    settings = parse_settings(document, str(path), path.stem)
+    if settings.odometry.source in _IN_LOG_ONLY and not measured.log:
+        only = _IN_LOG_ONLY[settings.odometry.source]
+        raise _wrong(path, "measured.log", False, f"true: without a log there is no record of {only}")
+    by = Measured(measured.distance, position, heading, measured.front, measured.log, measured.gyro)
+    return drive(replace(settings, simulated=True), runs, by, measured.corridor_m)
+
+
+def read_candidates(path: Path) -> list[PlannedRun]:
+    """Return the runs to choose from: a file with ``[[runs]]`` as in a plan; ``count`` has no effect."""
+    return list({repr(run): run for run in _runs(_load(path).get("runs"), path)}.values())
+
+
+def _load(path: Path) -> dict[str, Any]:
+    document = load_toml(path, str(path))
+    stated = document.pop("format", FORMAT)
+    if stated != FORMAT:
+        raise BadFileError(
+            path, column="format", found=repr(stated)[:60], expected=repr(FORMAT), remedy="give a plan of runs"
+        )
+    return document
+
+
+def _runs(section: object, path: Path) -> list[PlannedRun]:
+    if not isinstance(section, list) or not section:
+        raise _wrong(path, "runs", section, "one [[runs]] or more")
+    runs: list[PlannedRun] = []
+    for number, table in enumerate(section, start=1):
+        where = f"runs[{number}]"
+        entry = _validated(_RunEntry, table, path, where)
+        # before so many runs take memory
+        remedy = "plan fewer, or judge the plan in parts"
+        refuse_beyond(len(runs) + entry.count, PLANNED_RUNS, shown=str(path), what="runs", remedy=remedy, column=where)
+        try:
+            route_of(entry.kind)
+        except BadInputError as error:
+            expected = str(error).partition("expected ")[2].partition(";")[0]
+            raise _wrong(path, f"{where}.kind", entry.kind, expected) from error
+        runs += [entry.run()] * entry.count
+    return runs
+
+
+def _validated(kind: type[_Section], table: object, path: Path, where: str) -> _Section:
+    if not isinstance(table, dict):
+        raise _wrong(path, where, table, "a table")
+    try:
+        return kind.model_validate(table)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        column = ".".join([where, *(str(part) for part in first["loc"])])
+        if first["type"] == "missing":
+            raise _wrong(path, column, None, "a value") from error
+        known = f"one of {', '.join(kind.model_fields)}" if first["type"] == "extra_forbidden" else ""
+        raise _wrong(path, column, first["input"], known or first["msg"].removeprefix("Input should be ")) from error
+
+
+def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileError:
+    shown = str(found).lower() if isinstance(found, bool) else repr(found)
+    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")

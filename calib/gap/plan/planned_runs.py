@@ -12,14 +12,13 @@ import numpy as np
 from calib.campaign import wheels
 from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.read import CLOSED, GYRO_SIGMA, GYRO_TURN
-from calib.campaign.settings import FrontModel
+from calib.campaign.settings import Encoder, FrontModel, OdometryModel, Rangefinder, Reference
 from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.documents import plain_fields
 from calib.errors import PLANNED_SAMPLES, BadInputError
-from calib.odometry.integrate import radii_of_model
-from calib.odometry.routes import NAMED, Route, arc, straight
+from calib.odometry.routes import NAMED, Route, arc, radii_of_model, straight
 from calib.types import FloatArray
-from calib.vehicle import wheel_loads_N
+from calib.vehicle import Vehicle, wheel_loads_N
 
 #: numbers that say something at zero too; no stop and a place over the axle's middle need no word
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
@@ -337,3 +336,50 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
         distance.append(np.append(begin + d, np.full(len(pause), end)))
         start = float(time[-1][-1])
     return np.concatenate(time), np.concatenate(distance)
+
+
+#: route and direction of six runs, driven in three sessions under changing conditions
+ROUTES: Final = (*CORRIDORS, *SQUARES, *BENDS)
+SESSIONS: Final = ("mon", "tue", "wed")
+#: payload, its place ahead of the axle and left of the middle
+PAYLOADS: Final = ((0.0, 0.0, 0.0), (100.0, 0.3, -0.1), (200.0, 0.2, 0.0), (100.0, 0.3, 0.1))
+SPEEDS_MPS: Final = (0.3, 0.5, 0.6)
+TEMPERATURES_C: Final = (14.0, 18.0, 23.0)
+UNDER_LOAD_MIN: Final = (0.0, 3.0, 15.0, 40.0)
+
+
+def demonstration() -> Campaign:
+    """Return 36 noise-free runs of a nominal vehicle: a corridor both ways, squares and curved routes.
+
+    Loads, speeds, temperatures, time under load and stops vary; laser, end poses and the front wheel are measured, and
+    one end in five is read while the vehicle rolls.
+    """
+    radius_m, track_m = 0.100, 0.700
+    nominal = Campaign(
+        root=None,
+        name="demonstration",
+        simulated=True,
+        vehicle=Vehicle(track_m=track_m, wheelbase_m=1.0, wheel_radius_m=radius_m, mass_kg=100.0, cog_x_m=0.388),
+        encoder=Encoder(),
+        model=OdometryModel(radius_m, radius_m, track_m, reference_load_N=300.0),
+        rangefinder=Rangefinder(),
+        reference=Reference(),
+        runs=RunTable.empty(),
+        logs=Logs.empty(0),
+    )
+    runs = [_demonstrated(number) for number in range(2 * len(SESSIONS) * len(ROUTES))]
+    return drive(nominal, runs, Measured(front=True), DEFAULT_CORRIDOR_M)
+
+
+def _demonstrated(number: int) -> PlannedRun:
+    """Return a run of the demonstration: neighbours differ in every condition."""
+    lap, (kind, direction) = number // len(ROUTES), ROUTES[number % len(ROUTES)]
+    # a second, shorter lane on every other lap
+    kind += "_short" if kind == "corridor" and lap % 2 else ""
+    return PlannedRun(
+        kind, direction, SESSIONS[lap // 2], *PAYLOADS[(number + lap) % len(PAYLOADS)],
+        speed_mps=SPEEDS_MPS[(number + number // 4) % len(SPEEDS_MPS)],
+        temperature_C=TEMPERATURES_C[(lap + number // 3) % len(TEMPERATURES_C)],
+        minutes_under_load=UNDER_LOAD_MIN[(2 * lap + number) % len(UNDER_LOAD_MIN)],
+        read_rolling=number % 5 == 0, stops=number % 3,
+    )  # fmt: skip

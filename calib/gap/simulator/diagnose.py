@@ -20,10 +20,9 @@ from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
-from calib.gap.simulator.differences import Differences, differences_of
 from calib.gap.simulator.fix import alone, fixed, iterated, named_parameters, without_parameter
-from calib.gap.simulator.runner import SimulatorRunner, run_cache
-from calib.gap.simulator.settings import SimulatorSettings
+from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
+from calib.gap.simulator.settings import SimulatorSettings, run_cache
 from calib.types import FloatArray, Progress, silent
 
 #: an effect of the calibration that the simulator's parameters reproduce but for this share is theirs to set

@@ -20,8 +20,7 @@ from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, 
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
-from calib.gap.simulator.differences import Differences, averaged, difference
-from calib.gap.simulator.runner import Job, SimulatorRunner
+from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averaged, difference
 from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray
 
@@ -78,18 +77,7 @@ def fixed(
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        In the simulator's parameters and the library's effects.
-    runner : SimulatorRunner
-        Runs the simulator.
-    differences : Differences
-        The simulator about its nominal parameters.
-    found : SimulatorFix
-        Of `iterated`.
-    rng : numpy.random.Generator
-        For the bootstrap.
+    `differences`: the simulator about its nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
     """
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
@@ -372,7 +360,6 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Decla
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
-    """Return the share of the gap's squares that plausible deviations of all parameters together explain."""
     forms, a, r = _signatures(diagnosis)
     if not forms or not r.any():
         return 0.0
@@ -381,5 +368,4 @@ def _share_together(diagnosis: Diagnosis) -> float:
 
 
 def _of_library(diagnosis: Diagnosis) -> str:
-    """Return the named effects of the library, as a list in words; empty where there is none."""
     return joined((c.effect for c in diagnosis.causes if not c.effect.startswith(SIMULATOR_PREFIX)), "and")

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import io
+import json
 import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PrivateAttr, ValidationError
 
+from calib.campaign.log_reading import cache_folder
 from calib.campaign.settings_file import load_toml
-from calib.errors import BadFileError
+from calib.errors import BadFileError, CalibError
 from calib.gap.effects.effect import Family, Parameter
 from calib.gap.effects.library import REGISTRY
 from calib.gap.effects.simulator import SIMULATOR_PREFIX
+from calib.io import sha256_file, write_bytes
+from calib.types import FloatArray
 
 #: what the command has to name: each is replaced by a path
 PLACES: Final = ("{campaign}", "{parameters}", "{out}")
@@ -111,3 +122,127 @@ def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:
     if each.effect and each.effect not in REGISTRY:
         return f"effect = {each.effect!r}"[:60], "an effect of the library", "see 'calib effects', or leave it out"
     return None
+
+
+#: what a simulator may predict, in the order of the channels: distance, x, y, heading
+COLUMNS: Final = ("sim_distance_m", "sim_x_m", "sim_y_m", "sim_theta_rad")
+#: a run that ends further off, in metres or radians, has diverged
+LARGEST: Final = 1e6
+#: of a table of 100 000 runs; what is larger is no table of end poses
+MOST_BYTES: Final = 32 << 20
+
+
+class BadTableError(ValueError):
+    """What is wrong with a simulator's table, as ``found ...; expected ...``."""
+
+
+def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
+    """Return the simulated (distance, x, y, heading) of each run, (n_runs, 4); NaN in a column that is not written.
+
+    Rows of other runs are passed over. Raises BadTableError.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise BadTableError(f"found a table of {path.stat().st_size} bytes; expected {MOST_BYTES} at most")
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise BadTableError("found no output file; expected it to write the CSV at {out}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadTableError(f"found an output file that cannot be read ({error}); expected CSV in UTF-8") from error
+    try:
+        lines = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
+    except csv.Error as error:
+        raise BadTableError(f"found {error} in its CSV; expected a header and a row a run") from error
+    header = [name.strip() for name in lines[0][1]] if lines else []
+    columns = [name for name in COLUMNS if name in header]
+    if "run_id" not in header or not columns or len(set(header)) < len(header):
+        raise BadTableError(
+            f"found the columns {', '.join(header)[:120] or 'none'}; expected run_id and some of {', '.join(COLUMNS)}"
+        )
+    by_run: dict[str, dict[str, str]] = {}
+    for number, row in lines[1:]:
+        if len(row) != len(header):
+            raise BadTableError(f"found {len(row)} cells in row {number} of its CSV; expected {len(header)}")
+        cells = dict(zip(header, row, strict=True))
+        run_id = cells["run_id"].strip()
+        if run_id in by_run:
+            raise BadTableError(f"found run {run_id[:60]} twice in its CSV; expected a row a run")
+        by_run[run_id] = cells
+    missing = [run_id for run_id in run_ids if run_id not in by_run]
+    if missing:
+        raise BadTableError(
+            f"found no row for {len(missing)} of {len(run_ids)} runs ({missing[0]} first); expected all"
+        )
+    values = np.full((len(run_ids), len(COLUMNS)), np.nan)
+    for name in columns:
+        values[:, COLUMNS.index(name)] = [_number(by_run[run_id][name], name, run_id) for run_id in run_ids]
+    return values
+
+
+def _number(text: str, name: str, run_id: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= LARGEST:
+        raise BadTableError(
+            f"found {name} = {text[:30]!r} in run {run_id}; expected a number between -{LARGEST:g} and {LARGEST:g}"
+        )
+    return value
+
+
+#: what a file is; another number makes what was kept worthless
+FORMAT: Final = "calib-simulator-run/1"
+
+
+@dataclass(frozen=True, slots=True)
+class RunCache:
+    """A folder of results, one file a run; each is written whole or not at all, a damaged one is as good as none."""
+
+    folder: Path | None  #: None where nothing is kept
+    depends: str  #: digest of the command, the simulator's files and the campaign's
+
+    def _path(self, parameters: Mapping[str, float], repeat: int) -> Path | None:
+        asked = json.dumps([FORMAT, self.depends, sorted(parameters.items()), repeat])
+        name = hashlib.sha256(asked.encode()).hexdigest()
+        return None if self.folder is None else self.folder / name[:2] / f"{name}.json"
+
+    def get(self, parameters: Mapping[str, float], repeat: int, run_ids: Sequence[str]) -> FloatArray | None:
+        """Return what a run simulated, shape (n_runs, 4); None where nothing whole is kept."""
+        path = self._path(parameters, repeat)
+        try:
+            document = json.loads(b"" if path is None else path.read_bytes())
+            values = np.array(document["values"], dtype=np.float64)
+            if document["format"] != FORMAT or document["runs"] != list(run_ids) or values.shape != (len(run_ids), 4):
+                return None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return values
+
+    def put(self, parameters: Mapping[str, float], repeat: int, run_ids: Sequence[str], values: FloatArray) -> None:
+        """Keep what a run simulated; where that cannot be done it runs again the next time."""
+        path = self._path(parameters, repeat)
+        if path is None:
+            return
+        document = {"format": FORMAT, "runs": list(run_ids), "values": values.tolist()}
+        with suppress(CalibError, OSError):
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            write_bytes(path, json.dumps(document).encode(), force=True)
+
+
+def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:
+    """Return the cache of a simulator on a campaign.
+
+    Results depend on the command, on the files that it names or that ``inputs`` lists, and on the campaign's files.
+    """
+    folder = settings.path.resolve().parent
+    files = {part: folder / part for part in settings.command if "{" not in part}
+    for name in settings.inputs:
+        if not (folder / name).is_file():
+            raise BadFileError(
+                settings.path, repr(name)[:60], "a file beside it", "correct the path, or remove it", column="inputs"
+            )
+        files[name] = folder / name
+    hashes = {name: sha256_file(path) for name, path in files.items() if path.is_file()}
+    what = json.dumps([list(settings.command), hashes, dict(campaign_hashes)], sort_keys=True)
+    return RunCache(cache_folder("simulator"), hashlib.sha256(what.encode()).hexdigest())

@@ -1,9 +1,7 @@
 r"""A Digital Calibration Certificate, DCC 3.0.0 of PTB, of both wheels' radius laws.
 
-Numbers are in SI units, written as D-SI asks (``\metre\newton\tothe{-1}``; SI_Format 2.0.0). Of each wheel: the
-effective radius at the loads driven with its expanded uncertainty (95 %), and the two coefficients of the law with
-their covariance as an ellipsoidal region. The bytes depend on the inputs alone. What ``dcc.xml.j2`` states beside its
-numbers is the ``[certificate]`` section of ``campaign.toml``.
+Numbers are in SI units, written as D-SI asks (``\metre\newton\tothe{-1}``; SI_Format 2.0.0). What ``dcc.xml.j2`` states
+beside them is the ``[certificate]`` section of ``campaign.toml``.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from calib.coefficients.build import load_points
 from calib.coefficients.formats import Artifact
 from calib.documents import templates_of
 from calib.errors import BadInputError, RefusedError
-from calib.radius.law import COVERAGE, WheelLaw
+from calib.radius.law import COVERAGE
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
 from calib.reporting.source import Source, opened, source_of
@@ -192,15 +190,22 @@ def document(source: Source, stated: Certificate) -> Element:
     """Return the certificate's root element."""
     for prefix, address in NAMESPACES.items():
         register_namespace(prefix, address)
-    fit = source.fit
+    from scipy.stats import f
+
+    fit, ranges = source.fit, source.setup.conditions
     values = {
         "source": source,
         "given": stated,
         "version": str(fit.provenance.get("version", __version__)),
         "limits": _limits(source, stated),
-        "conditions": _conditions(source.setup.conditions),
+        "conditions": [
+            (title, factor * ranges[name][0], factor * ranges[name][1], unit)
+            for name, (title, unit, factor) in CONDITIONS.items()
+            if np.isfinite(ranges.get(name, np.nan)).all()
+        ],
         "radii": {name: _radii(wheel, fit) for name, wheel in fit.wheels.items()},
-        "factors": {name: _region_factor(wheel.law) for name, wheel in fit.wheels.items()},
+        # of the ellipse that holds both coefficients
+        "factors": {name: math.sqrt(2.0 * float(f.ppf(COVERAGE, 2, w.law.dof))) for name, w in fit.wheels.items()},
     }
     template = templates_of(__package__, markup=True).get_template("dcc.xml.j2")
     return fromstring(_printable(template.render(values)))
@@ -236,14 +241,6 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
     return texts
 
 
-def _conditions(ranges: Mapping[str, tuple[float, float]]) -> list[tuple[str, float, float, str]]:
-    return [
-        (title, factor * ranges[name][0], factor * ranges[name][1], unit)
-        for name, (title, unit, factor) in CONDITIONS.items()
-        if np.isfinite(ranges.get(name, np.nan)).all()
-    ]
-
-
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
     """Return load, radius, half width of its 95 % interval and standard uncertainty, at the loads driven."""
     loads = _loads(wheel, fit)
@@ -261,10 +258,3 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
         return [float(load) for load in np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS)]
     return loads
-
-
-def _region_factor(law: WheelLaw) -> float:
-    """Return the coverage factor of the ellipse that holds both coefficients in 95 % (F distribution)."""
-    from scipy.stats import f
-
-    return math.sqrt(2.0 * float(f.ppf(COVERAGE, 2, law.dof)))

@@ -149,7 +149,6 @@ class _Sink:
         self.connections: dict[str, Connection] = {}
 
     def show(self, run: ShownRun, begin_s: float) -> None:
-        """Write a run that begins at `begin_s`, its messages in the order of time."""
         log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
         messages = [(begin_s, "/run", LOG_TYPE, log)]
         for name in PATHS:

@@ -2,8 +2,7 @@
 
 The covariance of an end pose is linear in the four alphas of AMCL's differential motion model (S. Thrun, W. Burgard,
 D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it; docs/exports.md), as in the sizes of a random
-walk and of errors that stay the same during a run. All are estimated from end poses of runs that the correction has not
-seen, the uncertainty of the reference beside them. No alphas spread like the errors that stay: `form_ratios`.
+walk and of errors that stay the same during a run, which no alphas spread like: `form_ratios`.
 """
 
 from __future__ import annotations
@@ -273,11 +272,15 @@ def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray)
         on = kinds == kind
         if on.sum() >= FEWEST_RUNS:
             amcl, *others = (model.of(on) for model in models)
-            sizes = sizes_of(amcl, residuals[on])
-            alphas = dict(zip(ALPHAS, map(float, sizes), strict=True))
-            alphas |= dict.fromkeys(undetermined(amcl, sizes), DEFAULT_ALPHA)
+            alphas, _ = _alphas(amcl, sizes_of(amcl, residuals[on]))
             found.append(KindNoise(str(kind), int(on.sum()), alphas, form_ratios(amcl, others, residuals[on])))
     return tuple(found)
+
+
+def _alphas(amcl: Spread, sizes: FloatArray) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return the alphas by name, the default in place of those that the runs say nothing of, and the latter."""
+    unknown = undetermined(amcl, sizes)
+    return dict(zip(ALPHAS, map(float, sizes), strict=True)) | dict.fromkeys(unknown, DEFAULT_ALPHA), unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -349,13 +352,12 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
     path = diagnosis.correction.path
     models = amcl, walk, constant = tuple(spread_of(path, units, model) for model in MODELS)
     found, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
-    unknown = undetermined(amcl, found.sizes)
-    alphas = dict(zip(ALPHAS, map(float, found.sizes), strict=True))
+    alphas, unknown = _alphas(amcl, found.sizes)
     return MotionNoise(
         n_runs=int(units.sum()),
         length_m=float(np.median(observations.length_m[units])),
         turn_rad=float(np.median(observations.total(np.abs(diagnosis.correction.path.steps.turn_rad))[units])),
-        alphas={**alphas, **dict.fromkeys(unknown, DEFAULT_ALPHA)},
+        alphas=alphas,
         undetermined=unknown,
         walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
         held_out=found,

@@ -19,15 +19,13 @@ from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, canvas, draw_ordered, figure_title, render, styled
 
 GREEN: Final = style.PALETTE[2]
-#: the board is a page of its own, wider than the report's text
-BOARD_CM: Final = (24.0, 19.0)
 
 
 @styled
 def board_figure(score: Score) -> Figure:
     """Draw the board against its targets, detection by signal, reliability of probabilities, and closure."""
-    width_cm, height_cm = BOARD_CM
-    figure = canvas(height_cm, width_cm)
+    # a page of its own, wider than the report's text
+    figure = canvas(19.0, 24.0)
     halves = figure.add_gridspec(2, 1, height_ratios=(1.25, 1.0))
     _board(figure.add_subfigure(halves[0]).add_subplot(), score)
     lower = figure.add_subfigure(halves[1])

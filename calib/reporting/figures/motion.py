@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, Literal, TypedDict
+from typing import Final, Literal, TypedDict
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 from matplotlib.ticker import MaxNLocator
 
-from calib.odometry.law_journey import LoadSweep
+from calib.odometry.law_journey import LoadSweep, TableRow
 from calib.odometry.law_path import LawPath
-from calib.odometry.paper import Sweep
 from calib.odometry.poses import COMPONENTS, ellipses
+from calib.odometry.replay import Replay
+from calib.odometry.simulation import Sweep
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from calib.odometry.law_journey import TableRow
-    from calib.odometry.replay import Replay
-
 
 Dash = Literal["-", "--", ":"]
 
@@ -237,7 +232,6 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
 
 
 def _grid(title: str, end_m: float) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure with one graph for each component of the error: along the route above, global below."""
     figure = canvas(10.0)
     cells = figure.subplots(2, 3, sharex=True)
     axes: dict[str, Axes] = dict(zip(COMPONENTS, cells.ravel(), strict=False))

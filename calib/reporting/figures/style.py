@@ -154,7 +154,6 @@ def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[F
 
 @cache
 def _known_signs() -> frozenset[int]:
-    """Return the code points that the figures' font can show."""
     from matplotlib.font_manager import findfont
     from matplotlib.ft2font import FT2Font
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-if TYPE_CHECKING:
-    from calib.reporting.blocks import Section
-    from calib.reporting.source import Source
-
-__all__ = ["PAGES", "sections_of"]
+from calib.reporting.blocks import Section
+from calib.reporting.source import Source
 
 #: ``module:function`` of this folder, in the order of the report; each function is ``(source) -> Section | None``
 PAGES: Final = (

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from calib import __version__
 from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, table
 from calib.reporting.formatting import MISSING, plural, prose, span
+from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics.fit import assumed_text
-
-if TYPE_CHECKING:
-    from calib.reporting.source import Source
 
 
 def item_section(source: Source) -> Section:
@@ -45,8 +43,6 @@ def missing_section(source: Source) -> Section | None:
 
 def missing_of(stated: Mapping[str, str]) -> Section | None:
     """Return what is missing of the keys of `STATED` that a reader must be told, as a list to be filled in."""
-    from calib.reporting.source import OPTIONAL, STATED
-
     rows = tuple((what.capitalize(), key, "") for key, what in STATED.items() if key not in {*stated, *OPTIONAL})
     if not rows:
         return None

@@ -11,6 +11,7 @@ import numpy as np
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
+from calib.gap.plan.identifiability import Outlook
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
@@ -26,7 +27,6 @@ from calib.reporting.topics.gap import (
 from calib.types import FloatArray, floats
 
 if TYPE_CHECKING:
-    from calib.gap.plan.identifiability import Outlook
     from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from calib.campaign.checks.design import WEIGHTY
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
-from calib.radius.result import Fit
+from calib.radius.regression import Check
+from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
 from calib.reporting.formatting import fixed, places, plural, probability, prose
+from calib.reporting.source import Source
 from calib.reporting.topics import law
 from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
-
-if TYPE_CHECKING:
-    from calib.radius.regression import Check
-    from calib.radius.result import Difference, ModelComparison
-    from calib.reporting.source import Source
 
 #: names of the pictures of a fit, in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -225,6 +222,6 @@ def residuals_picture(fit: Fit) -> Picture:
             f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
             for name, wheel in fit.wheels.items()
         ),
-        "radius.residuals",
+        "calibration.residuals",
         *(fit.left, fit.right, fit.radii.session),
     )

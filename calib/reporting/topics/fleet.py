@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
-from calib.challenge.score import TARGETS, clopper_pearson, wilson
+from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
@@ -13,7 +13,6 @@ from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
-    from calib.challenge.score import Score
 
 
 #: rows of a list at most; the tables have them all

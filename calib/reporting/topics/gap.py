@@ -236,7 +236,6 @@ def limit_blocks(verdict: Diagnosis) -> list[Block]:
 
 
 def _interval(quantity: Quantity) -> tuple[str, ...]:
-    """Return value and interval to the place that two digits of its half width have."""
     low, high = quantity.ci95
     value = quantity.value
     numbers = (value, low, high) if math.isfinite(value) else (math.nan,) * 3

@@ -169,7 +169,7 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
             "Paths of the reference's sensor: by the calibrated odometry, coloured by its distance from the reference; "
             "by the nominal odometry in grey; by the reference, dotted.",
             f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference",
-            "geometry.draw_paths",
+            "calibration.draw_paths",
             measured,
         )
     ]
@@ -182,14 +182,14 @@ def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
         "geometry-residuals-in-time",
         "Residuals along the path of the first runs; in grey by the nominal odometry.",
         f"Residuals along, lateral and in heading against time, of {len(along)} runs",
-        "geometry.residuals_in_time",
+        "calibration.residuals_in_time",
         along,
     )
     by_run = picture(
         "geometry-residuals-by-run",
         "Residuals at the end of each run, in the order driven.",
         f"Residuals of {len(traces)} end poses before and after",
-        "geometry.residuals_by_run",
+        "calibration.residuals_by_run",
         ends,
     )
     return [*([in_time] if along else []), *([by_run] if ends else [])]
@@ -202,7 +202,7 @@ def _correlation(geometry: Geometry) -> tuple[Block, ...]:
         "geometry-correlation",
         "Correlation of the parameters.",
         f"Correlation of {', '.join(names)}",
-        "geometry.correlations",
+        "calibration.correlations",
         *(names, geometry.covariance),
     )
     return (Text(remark, small=True), shown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
+from calib.reporting.source import Source
 from calib.types import FloatArray, floats
-
-if TYPE_CHECKING:
-    from calib.reporting.source import Source
 
 MM: Final = 1e3
 UM: Final = 1e6
@@ -44,7 +42,6 @@ def _table(caption: str, wheels: Mapping[str, WheelFit]) -> Table:
 
 
 def _coefficients(fit: WheelFit) -> list[tuple[str, str, float, float, float]]:
-    """Return title, unit, value, standard uncertainty and degrees of freedom of the radius and of a line's slope."""
     law, (radius_std, slope_std) = fit.law, np.sqrt(np.diag(fit.law.covariance)).tolist()
     title = f"radius at {law.reference_load_N:.4g} N"
     rows = [(title, "mm", MM * law.radius_ref_m, MM * radius_std, fit.dof_radius_ref)]
@@ -195,7 +192,7 @@ def regressions_picture(fit: Fit) -> Picture:
         "regressions",
         "Effective radius against wheel load with the law and both bands; below, the same as deviation from the law.",
         "Regression of the radius on the load: " + "; ".join(_law_in_words(wheel) for wheel in fit.wheels.values()),
-        "radius.regressions",
+        "calibration.regressions",
         *(fit.left, fit.right, fit.radii.session),
     )
 
@@ -236,7 +233,7 @@ def budget_picture(fit: Fit) -> Picture:
         "budget",
         "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
         f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
-        "radius.budget_bars",
+        "calibration.budget_bars",
         fit.radii.budget,
     )
 

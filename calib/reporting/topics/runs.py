@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.check import CheckReport
 from calib.campaign.checks.design import listed
+from calib.campaign.model import Note
+from calib.campaign.settings import Encoder
 from calib.radius.deviation import allowed_amplitude_m, radius_error
+from calib.radius.effective import RunDeviations
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Facts, Heading, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
+from calib.reporting.source import Source
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
-
-if TYPE_CHECKING:
-    from calib.campaign.check import CheckReport
-    from calib.campaign.model import Note
-    from calib.campaign.settings import Encoder
-    from calib.radius.effective import RunDeviations
-    from calib.reporting.source import Source
-
 
 #: beyond this many runs the report's table is one of sessions
 MOST_ROWS: Final = 200
@@ -128,7 +125,7 @@ def runs_picture(fit: Fit) -> Picture:
         "Effective radius of each run in the order driven, coloured by wheel load, or by session where all loads are "
         "alike. Bars, where larger than the mark, are two standard uncertainties of the instruments.",
         f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
-        "radius.runs_by_series",
+        "calibration.runs_by_series",
         fit.radii,
     )
 
@@ -208,7 +205,7 @@ def deviation_picture(fit: Fit) -> Picture:
         "and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
         f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all runs "
         f"up to {worst:.0f} ppm",
-        "radius.path_deviation",
+        "calibration.path_deviation",
         radii,
     )
 

@@ -8,9 +8,8 @@ from typing import Final
 from calib.gap.decision.sentences import SMALLER
 from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
-from calib.odometry.paper import Sweep, paper_headline
 from calib.odometry.replay import Replay
-from calib.odometry.simulation import LawPart, Simulation
+from calib.odometry.simulation import LawPart, Simulation, Sweep, paper_headline
 from calib.reporting.blocks import Block, Table, Text, table
 from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload

@@ -14,8 +14,8 @@ from calib.challenge.own_runs import Asked, answer_of, challenge_own
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
+from calib.plant.design import good_design
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design
 from calib.plant.world import World
 from tests.kinematics.campaigns import tricycle
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
-from calib.challenge.recipe import Seeds, read_seeds, recipes
+from calib.challenge.seal import Seeds, read_seeds, recipes
 from calib.gap.decision.causes import (
     SAME_SIZE_SD,
     SizeDifference,

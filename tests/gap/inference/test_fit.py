@@ -27,9 +27,9 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import Path, predict, residuals
+from calib.plant.design import good_design
 from calib.plant.effects import find
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design
 from tests.gap.effects.making import MODEL, RADIUS_M, ROUTE, TRACK_M, Motion, Run, situation
 
 LONG_M = 40.0

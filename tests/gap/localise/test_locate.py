@@ -16,9 +16,9 @@ from calib.gap.localise.result import CovariateResult
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
+from calib.plant.design import good_design, poor_design
 from calib.plant.effects import find
 from calib.plant.make import make_campaign
-from calib.plant.plans import good_design, poor_design
 from calib.types import FloatArray
 
 

@@ -18,12 +18,11 @@ from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
-from calib.gap.plan.next_runs import next_runs
-from calib.gap.plan.plan_file import read_plan
+from calib.gap.plan.next_runs import next_runs, read_plan
 from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
 from calib.gap.predict import predict, residuals
+from calib.plant.design import poor_design
 from calib.plant.make import make_campaign
-from calib.plant.plans import poor_design
 from tests.kinematics.campaigns import mecanum, tricycle
 
 

@@ -8,9 +8,8 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from calib.gap.simulator.differences import Differences, differences_of
-from calib.gap.simulator.runner import Job, RunCache, SimulatorRunner
-from calib.gap.simulator.settings import read_settings
+from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, differences_of
+from calib.gap.simulator.settings import RunCache, read_settings
 from calib.types import silent
 
 SIGMA = np.array([0.002, 0.002, 0.002, 0.001])

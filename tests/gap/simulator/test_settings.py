@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calib.errors import BadFileError
-from calib.gap.simulator.runner import BadTableError, read_table
-from calib.gap.simulator.settings import read_settings
+from calib.gap.simulator.settings import BadTableError, read_settings, read_table
 
 SOUND = """
 command = ["sim", "{campaign}", "{parameters}", "{out}"]

@@ -1,13 +1,10 @@
-"""What wheels leave that differ from the model's, and what depends on how the vehicle moves.
-
-Radii and track, load laws, creep, temperature, wear, sessions; speed, curves, braking, direction, drive.
-"""
+"""What wheels leave that differ from the model's, and what depends on how the vehicle moves."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from calib.plant.design import Design
+from calib.plant.design import COLUMNS, Design
 from calib.plant.world import (
     REFERENCE_LOAD_N,
     Draw,
@@ -171,7 +168,6 @@ _PHASES = drawn(left_rad=(0, 2 * np.pi), right_rad=(0, 2 * np.pi))
 _WEAR_RATES = drawn(right_ratio=(0.3, 0.8))
 _RUNNING_IN = _with_exponent(_WEAR_RATES, 0.8)
 _POWERS = {name: _with_exponent(_WHEEL_SLOPES, p) for name, p in (("hertz", 2 / 3), ("root", 0.5), ("quadratic", 2.0))}
-COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 FORMS = (
     Form("radius_scale", "plain", 3e-3, "1", scaled("left", "right")),

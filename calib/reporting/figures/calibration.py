@@ -1,23 +1,40 @@
-"""The figures of a calibration: runs by series, regressions with both bands, path deviation, residuals."""
+"""The figures of a calibration: radii, their laws and residuals; paths, residuals and correlations of a geometry."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from calib.kinematics.result import RunTrace
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
 from calib.reporting.figures import style
-from calib.reporting.figures.style import BLUE, GREY, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled
-from calib.types import FloatArray, StrArray
+from calib.reporting.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    LEGEND_LIMIT,
+    MANY,
+    ORANGE,
+    Groups,
+    axes_grid,
+    canvas,
+    shared_legend,
+    styled,
+)
+from calib.types import FloatArray, StrArray, evenly
 
 MM: Final = 1e3
 UM: Final = 1e6
@@ -222,4 +239,158 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
     axis.set_xlabel("contribution to the standard uncertainty of one radius (µm, k = 1)")
     axis.margins(y=0.02)
     style.shared_legend(figure, *axis.get_legend_handles_labels())
+    return figure
+
+
+COLUMNS: Final = 3
+#: two rows of panels and six rows of residuals fill a page
+PANEL_CM: Final = 4.8
+LONE_PANEL_CM: Final = 8.5
+#: paths drawn a panel; more of one kind lie on one another
+MOST_PATHS: Final = 12
+#: runs with residuals in time drawn in a figure; more say the same
+MOST_RUNS: Final = 6
+#: points of a line: the width of a panel in half a point
+MOST_POINTS: Final = 200
+#: signs of a run's name beside its row of residuals
+NAME_LENGTH: Final = 10
+#: share of the errors that the colours span: a single failed measurement does not bleach the others
+SPANNED: Final = 98.0
+#: channels of a residual: title, unit, factor
+CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mrad", 1e3))
+
+
+@styled
+def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure:
+    """Draw the sensor's paths by kind of route: nominal, calibrated, coloured by its error, and the reference."""
+    traces = [_thinned(trace) for trace in traces]
+    kinds = list(dict.fromkeys(trace.kind for trace in traces))
+    rows = -(-len(kinds) // COLUMNS)
+    figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
+    grid = axes_grid(figure, rows, min(COLUMNS, len(kinds))).ravel()
+    known = np.concatenate([np.zeros(0), *(_error_mm(trace) for trace in traces)])
+    known = known[np.isfinite(known)]
+    scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
+    handles: dict[str, Artist] = {}
+    colours = None
+    # beyond that many pieces as pixels inside a vector figure
+    pixels = sum(len(trace.seen) for trace in traces) > MANY
+    for axes, kind in zip(grid, kinds, strict=False):
+        chosen = [trace for trace in traces if trace.kind == kind]
+        for trace in chosen[:MOST_PATHS]:
+            (handles["odometry before"],) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7)
+            colours = _coloured(axes, trace, scale, pixels=pixels) or colours
+            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":")
+            axes.plot(*trace.reference_m[-1:].T, "o", color=INK, ms=2.5)
+        axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="x (m)", ylabel="y (m)")
+        axes.autoscale_view()
+    for axes in grid[len(kinds) :]:
+        axes.set_axis_off()
+    if colours is not None:
+        figure.colorbar(colours, ax=list(grid), label="odometry after: distance from the reference (mm)", shrink=0.8)
+    shared_legend(figure, list(handles.values()), list(handles))
+    if simulated:
+        figure.text(0.99, 0.01, "SIMULATED DATA", ha="right", color=GREY)
+    return figure
+
+
+def _thinned(trace: RunTrace) -> RunTrace:
+    """Return a trace of at most `MOST_POINTS` poses and samples: more are not seen, and make the page heavy."""
+    poses = evenly(len(trace.seen), MOST_POINTS)
+    names = ("seen", "t_s", "reference_m", "residual_before", "residual_after")
+    kept = {name: getattr(trace, name)[poses] for name in names}
+    return replace(trace, before_m=trace.before_m[evenly(len(trace.before_m), MOST_POINTS)], **kept)
+
+
+def _error_mm(trace: RunTrace) -> FloatArray:
+    return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
+
+
+def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> LineCollection | None:
+    """Draw the calibrated path in the colours of its error; in one colour where only its end was measured."""
+    error_mm = np.nan_to_num(_error_mm(trace))
+    if len(trace.seen) < 2:
+        axes.plot(*trace.after_m.T, color=BLUE, lw=1.0)
+        x, y = trace.after_m[-1:].T
+        axes.scatter(x, y, c=error_mm, norm=scale, cmap="viridis", s=14, zorder=3)
+        return None
+    points = trace.after_m[trace.seen]
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4, rasterized=pixels)
+    lines.set_array(0.5 * (error_mm[1:] + error_mm[:-1]))
+    axes.add_collection(lines)
+    return lines
+
+
+@styled
+def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
+    """Draw the residuals of each run along its path, before (grey) and after: a row a run, a column a channel."""
+    chosen = [_thinned(trace) for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
+    figure = canvas(1.45 * len(chosen) + 1.6)
+    grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
+    limits = _limits(chosen)
+    for place, (row, trace) in enumerate(zip(grid, chosen, strict=True)):
+        for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
+            axes.plot(trace.t_s, factor * trace.residual_before[:, number], color=GREY, lw=0.6)
+            axes.plot(trace.t_s, factor * trace.residual_after[:, number], color=BLUE, lw=0.8)
+            axes.set_ylim(-limits[number], limits[number])
+            if place == 0:
+                axes.set_title(f"{title} ({unit})")
+            if place == len(chosen) - 1:
+                axes.set_xlabel("time (s)")
+        name = trace.run_id
+        row[0].set_ylabel(name if len(name) <= NAME_LENGTH else f"…{name[1 - NAME_LENGTH :]}", fontsize=6)
+    handles = [grid[0, 0].lines[1], grid[0, 0].lines[0]]
+    shared_legend(figure, handles, ["after", "before, cut off where it is larger"])
+    return figure
+
+
+def _limits(traces: Sequence[RunTrace]) -> list[float]:
+    left = np.concatenate([np.abs(trace.residual_after) for trace in traces])
+    limits = []
+    for values, (_, _, factor) in zip(left.T, CHANNELS, strict=True):
+        known = values[np.isfinite(values)]
+        limits.append(1.3 * factor * float(np.percentile(known, 99.5)) if len(known) and known.any() else 1.0)
+    return limits
+
+
+@styled
+def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
+    """Draw the residuals at the end of each run in the order driven, before above and after below, by kind of route."""
+    figure = canvas(9.0)
+    grid = axes_grid(figure, 2, 3, sharex=True)
+    kinds = style.Groups.of(np.array([trace.kind for trace in traces]), "all runs")
+    order = np.arange(1.0, len(traces) + 1)
+    for row, word, values in (
+        (grid[0], "before", [trace.residual_before[-1] for trace in traces]),
+        (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
+    ):
+        for axes, column, (title, unit, factor) in zip(row, np.transpose(values), CHANNELS, strict=True):
+            kinds.draw(axes, order, factor * column, marker="o", ms=2.8)
+            axes.axhline(0.0, color=INK, lw=0.5)
+            axes.set_title(f"{word}: {title} ({unit})")
+    for axes in grid[1]:
+        style.over_runs(axes)
+    shared_legend(figure, *grid[0, 0].get_legend_handles_labels())
+    return figure
+
+
+@styled
+def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
+    """Draw the correlation of every two parameters, its number in the cell."""
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    size = len(names)
+    figure = canvas(min(0.58 * size + 2.4, 8.6), 12.5)
+    axes = figure.subplots()
+    axes.imshow(np.abs(correlation), cmap="Blues", vmin=0.0, vmax=1.6)
+    for (row, column), value in np.ndenumerate(correlation):
+        weight = "bold" if row != column and abs(value) > 0.9 else "normal"
+        text = f"{value:.2f}".replace("-", "\u2212")
+        axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=6.0, fontweight=weight)
+    axes.set_xticks(range(size), names, rotation=45, ha="right")
+    axes.set_yticks(range(size), names)
+    axes.grid(visible=False)
     return figure

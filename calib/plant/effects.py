@@ -1,14 +1,13 @@
-"""What depends on the place or on what measures, and effects that no library has.
-
-The place: slope, zones, an uneven lane, a weave. What measures: rangefinder, pose reference, counters, steering sensor,
-payload labels. Outside the library: an interaction, one speed only, left turns only, a hidden cause, a pull by the
-place.
-"""
+"""Every form of every effect that the plant knows; here those of the place, of what measures, and of no library."""
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
+from calib.errors import BadInputError
+from calib.plant import wheels
 from calib.plant.design import Design, conditions
 from calib.plant.world import (
     Act,
@@ -230,3 +229,34 @@ INSTRUMENTS = (
     Form("payload_position", "lengthwise", 0.04, "m", _payload_moved("payload_dx_m"), "loads slope poses"),
     Form("integration_scheme", "plain", 1.0, "1", _outside_scheme, "outside turns poses"),
 )
+
+
+# the order is part of a sealed set: what is drawn from a seed follows it
+ALL: Final[tuple[Form, ...]] = (
+    *wheels.FORMS,
+    *wheels.MOVING,
+    *FLOOR,
+    *INSTRUMENTS,
+    *OUTSIDE,
+)
+
+
+def effects() -> tuple[str, ...]:
+    """Return the ids of all effects, each once, in the registry's order."""
+    return tuple(dict.fromkeys(form.effect for form in ALL))
+
+
+def forms_of(effect: str) -> tuple[Form, ...]:
+    """Return the forms of an effect."""
+    forms = tuple(form for form in ALL if form.effect == effect)
+    if not forms:
+        raise BadInputError(f"effect {effect!r} found; expected one of {', '.join(effects())}; name one of these")
+    return forms
+
+
+def find(effect: str, form: str = "") -> Form:
+    """Return one form of an effect; its first where `form` is empty or not known for it."""
+    forms = {known.form: known for known in forms_of(effect)}
+    if form and form not in forms:
+        raise BadInputError(f"form of {effect}: found {form!r}; expected one of {', '.join(forms)}; choose one")
+    return forms[form or next(iter(forms))]
