@@ -290,7 +290,7 @@ _CONTRADICTED: Final = (
 )
 #: the payload's weight may differ by this factor from what the scales say it adds
 _MOST_PAYLOAD: Final = 1.6
-#: the empty vehicle's load may be this share of what its mass asks for: a third for a mass or place that is poorly known
+#: the empty vehicle's load may be this share of what its mass asks for: its mass or place is poorly known
 _LIGHTEST: Final = 0.3
 #: ratio of loads to those of the vehicle -> unit
 _LOAD_UNITS: Final = (

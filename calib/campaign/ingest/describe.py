@@ -39,6 +39,7 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
         "wheel_radius_m": ("", "#front_wheel_radius_m =   # nominal"),
         "counts_per_rev": ("", "#counts_per_rev_front =   # of the front wheel, where it differs"),
     },
+    "speed_left_mps": {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)},
     "speed_rear_mps": {
         "drive": ('drive = "ackermann"   # one speed of the rear axle; front wheels that steer',),
         "counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),

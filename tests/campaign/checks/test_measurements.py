@@ -56,7 +56,7 @@ def test_payloads_at_several_places_are_left_alone() -> None:
 
 
 def _placed(share: float, factor: float, *assumed: str, payload: bool = True) -> Campaign:
-    """Loads in units of `factor`: both rear wheels carry a share of vehicle (100 kg) and payload, whose place is open."""
+    """Loads in units of `factor`: both rear wheels carry a share of vehicle (100 kg) and payload."""
     made = _without_places()
     loads = 0.5 * share * 9.81 * (100.0 + made.runs.number("payload_kg")) * factor
     made = with_numbers(made, load_left_N=loads, load_right_N=loads)
