@@ -223,12 +223,13 @@ def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: M
 
 
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
-    """Return a column of one value for all runs, or of one value a run."""
+    """Return a column of one value for all runs, of one a run, or of names with their numbers (``r{n:03}``)."""
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
+    if name == "run_id" and isinstance(value, str) and "{n" in value:
+        return object_array([with_number(value, number) for number in range(1, n_runs + 1)])
     values = value if isinstance(value, list) else [value] * n_runs
     if len(values) != n_runs:
-        expected = f"one value for each of {n_runs} runs"
-        raise bad_line(mapping.shown, "table", name, f"{len(values)} values", expected)
+        raise bad_line(mapping.shown, "table", name, f"{len(values)} values", f"one value for each of {n_runs} runs")
     return object_array(values)
 
 
