@@ -282,7 +282,8 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     what = "the run table" if is_run_table else "a recording" if file.recording else "a log"
     rows = [member.n_rows for member in group]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
-    lines = wrapped(f"{title}: {what}, {count} {'samples' if file.recording else 'rows'}", "# ")
+    count += " samples" if file.recording else " rows" if min(rows) else " rows: a header alone, export it again"
+    lines = wrapped(f"{title}: {what}, {count}", "# ")
     properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
     streams = [f"{stream.name} ({stream.kind}): {stream.words()}" for stream in file.streams]
     for text in (*dict.fromkeys(file.remarks), *properties, *streams):

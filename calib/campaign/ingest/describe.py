@@ -122,6 +122,10 @@ def describe(sources: Sequence[Path]) -> Description:
     for members in kinds.values():
         chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
     files = [file_contents(path) for path in chosen]
+    if not any(file.n_rows for file in files):
+        raise BadInputError(
+            f"{files[0].name}: found a header and no rows; expected a row a run, or a row a sample; export it again"
+        )
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
     lines = _mapping_lines(table, logs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -257,3 +258,14 @@ def test_w_of_a_quaternion_belongs_to_the_heading_of_a_log(line: str, tmp_path: 
         (tmp_path / "m.toml").write_text(f"[{section}]\n{line}\n")
         with pytest.raises(CalibError, match=r"ref_theta_rad in \[log\] alone"):
             ingest([source], tmp_path / "c", mapping=tmp_path / "m.toml", dry_run=True)
+
+
+def test_a_header_without_rows_is_said_to_have_none(tmp_path: Path) -> None:
+    """Alone nothing can be proposed of it; among others it is named."""
+    empty = tmp_path / "empty.csv"
+    empty.write_text("t_s,counts_left,counts_right\n")
+    with pytest.raises(CalibError, match=r"empty\.csv: found a header and no rows"):
+        describe([empty])
+    _log(tmp_path / "other.csv", {**_drive(np.zeros(50)), "T": np.zeros(50)})
+    said = re.sub(r"\n#\s+", " ", describe([tmp_path]).to_toml())
+    assert "empty.csv: a log, 0 rows: a header alone" in said
