@@ -173,8 +173,7 @@ _LEAST_OF_A_LINE: Final = 8
 _MOST_OF_A_LINE: Final = 400
 #: a load off that line by so many spreads is no scatter of the places of the payload
 _LOAD_SPREADS: Final = 6.0
-#: share of a weight that two rear wheels carry, wherever it lies: most stand with a fifth on them at least; 1.05 for a
-#: weight above the axle that scales show 5 % too heavy
+#: share of a weight that two rear wheels carry, wherever it lies: a fifth at least, all at most, and scales 5 % off
 _REAR_SHARE: Final = (0.2, 1.05)
 
 
@@ -198,7 +197,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
         exchanged = bool(swapped.sum() > design.MOST_OF_THE_RUNS * off.sum())
         hint, code = _SWAPPED if exchanged else _CONTRADICTED
-        ratio = float(np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off]))
+        ratio = np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off])
         text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
         yield column_note(f"{_LOADS}, payload_kg", text, code)
         return
@@ -329,16 +328,15 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
         yield from _of_the_empty_vehicle(campaign, total, good)
     most = float(np.median(np.fmax(*weighed)[good]))
     if most > 2 * vehicle.max_wheel_load_N:
+        permitted = f"{vehicle.max_wheel_load_N:g} N is permitted"
         text = (
-            f"found wheel loads of {most:.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads or loads in "
-            "another unit (g, lb, kg in a column of N)?"
+            f"found wheel loads of {most:.5g} N; {permitted}; are payloads or loads in another unit (g, lb, kg for N)?"
         )
         yield implausible_column(_LOADS, text)
     place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
     if place > 5 * vehicle.wheelbase_m:
         text = (
-            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; is it "
-            "in millimetres?"
+            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; in mm?"
         )
         yield implausible_column("payload_x_m", text)
 
@@ -348,9 +346,9 @@ def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray
     vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
-    ratio, least, what = found / max(2.0 * vehicle.unladen_load_N, 1e-9), _LIGHTEST, "that of the empty vehicle"
-    if not (stated(campaign, "vehicle.cog_x_m") and stated(campaign, "vehicle.wheelbase_m")):
-        ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
+    ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
+    if all(stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m")) and vehicle.unladen_load_N > 0:
+        ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
     # a payload that nobody gave makes the least load larger, not smaller
     if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
         yield _in_another_unit(_LOADS, ratio, what, _unit_of_shares(np.array([share])))
@@ -360,8 +358,7 @@ def _in_another_unit(columns: str, ratio: float, what: str, unit: str = "") -> N
     hint = unit or design.meaning(ratio, _LOAD_UNITS, 0.25)
     hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
     expected = "a fifth of it to all of it" if "weight" in what else "the same within a factor of 2"
-    text = f"the wheel loads are {ratio:.3g} times {what}; expected {expected}; {hint}"
-    return implausible_column(columns, text)
+    return implausible_column(columns, f"the wheel loads are {ratio:.3g} times {what}; expected {expected}; {hint}")
 
 
 def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:

@@ -292,9 +292,15 @@ def table_rows(
 ) -> tuple[list[str], list[Sequence[Any]], list[int], list[Note]]:
     """Return names, rows and lines without remarks, means, sums and repeated headers, and a note on each omitted.
 
-    `rows`, `lines`: cells as read, and their rows in the file; `header`: the rows of the header. A row of one text is
-    a remark, unless it is written as other cells of its column are; one that begins with ``mean``, ``sum``, ... is a
-    summary. A unit that all cells of a column repeat goes into its name.
+    A row of one text is a remark, unless it is written as other cells of its column are; one that begins with
+    ``mean``, ``sum``, ... is a summary. A unit that all cells of a column repeat goes into its name.
+
+    Parameters
+    ----------
+    names, shown
+        Of the columns, and of the file in messages.
+    rows, lines, header
+        Cells as read, their rows in the file, and the rows of the header.
     """
     kept: list[Sequence[Any]] = []
     kept_lines, notes = [], []

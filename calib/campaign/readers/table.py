@@ -225,8 +225,8 @@ def numbers(
         if len(too_large):
             raise _no_number(shown, column, int(line[too_large[0]]), str(values[too_large[0]]))
         return values, False
-    out = np.full(len(cells), np.nan)
-    used_comma = False
+    out, used_comma = np.full(len(cells), np.nan), False
+    notes = [] if notes is None else notes
     marks: set[str] | None = None
     odd: dict[str, list[tuple[str, str]]] = {}
     for index, cell in enumerate(cells):
@@ -255,7 +255,7 @@ def numbers(
         if not abs(value) <= LARGEST_VALUE and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
-    for code, found in odd.items() if notes is not None else ():
+    for code, found in odd.items():
         text = f"{len(found)} cells were read as is {found[0][0]!r}: as {found[0][1]}"
         notes.append(Note("info", f"{shown}, column {column}", text, code))
     return out, used_comma

@@ -228,5 +228,5 @@ def test_runs_without_a_name_are_numbered(name: str, cells: Sequence[str], tmp_p
     ],
 )
 def test_samples_beside_a_clock_are_a_log(name: str, cells: Sequence[str], tmp_path: Path) -> None:
-    """Whatever the clock is called, and loads and distances beside it."""
+    """With any name of the clock, and loads and distances beside it."""
     assert describe([_lengths(tmp_path / "t.csv", name, cells)]).table is None
