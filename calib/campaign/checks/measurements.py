@@ -342,14 +342,13 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
 
 
 def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray) -> Iterator[Note]:
-    """Hold the loads of the empty vehicle, else the least, against what its mass asks for."""
+    """Hold the loads of the empty vehicle, else the least, which a payload only raises, against what its mass asks."""
     vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
     ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
     if all(stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m")) and vehicle.unladen_load_N > 0:
         ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
-    # a payload that nobody gave makes the least load larger, not smaller
     if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
         yield _in_another_unit(_LOADS, ratio, what, _unit_of_shares(np.array([share])))
 
