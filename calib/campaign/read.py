@@ -61,7 +61,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     border = Border(lenient=lenient)
     hashes: dict[str, str] = {}
     path = inside(folder, SETTINGS, named_in=folder)
-    settings = read_settings(path, SETTINGS)
+    settings = read_settings(path, SETTINGS if path.is_file() else str(folder / SETTINGS))
     hashes[SETTINGS] = sha256_file(path)
     border.notes.extend(settings.notes)
 

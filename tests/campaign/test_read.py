@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -290,3 +291,8 @@ def test_a_log_that_is_a_link_out_of_the_campaign_is_said_to_be_one(tmp_path: Pa
     (tmp_path / "campaign" / "log.csv").symlink_to(tmp_path / "log.csv")
     with pytest.raises(BadFileError, match="a link"):
         inside(tmp_path / "campaign", "log.csv", named_in="runs.csv")
+
+
+def test_a_folder_without_settings_is_named_by_its_path(tmp_path: Path) -> None:
+    with pytest.raises(BadFileError, match=re.escape(str(tmp_path / "campaign.toml"))):
+        read_campaign(tmp_path)

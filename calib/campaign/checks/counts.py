@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.campaign.checks import design
 from calib.campaign.checks.design import MOST_OF_THE_RUNS, SIDES, cell_note, column_note, robust_spread, turned_rad
+from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
@@ -296,22 +297,39 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
                 yield cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
+#: speeds between which vehicles drive, in m/s: slower ones are measured by no wheel, faster ones in no hall or yard
+_DRIVEN_MPS: Final = (0.005, 30.0)
+
+
+def _speed_note(speed: float) -> Iterator[Note]:
+    low, high = _DRIVEN_MPS
+    if not low <= speed <= high:
+        units = (CLOCK_FACTORS if speed < low else {1.0 / 86400.0: "days"}).items()
+        unit = next((f"is it in {unit}?" for factor, unit in units if low <= speed * factor <= high), "check its unit")
+        text = f"the wheels drive at {speed:.2g} m/s; expected {low:g} to {high:g} m/s; {unit} Or check counts_per_rev"
+        yield Note("suspicious", "logs, column t_s", text, "clock_unit")
+
+
 def log_speed(campaign: Campaign) -> Iterator[Note]:
-    """Compare the set speed with what the log's counts say while driving."""
+    """Compare what the log's counts say while driving with the set speed, and with what vehicles drive at."""
     # four mecanum wheels amount to two on an axle only where their l + w is known
     if odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None:
         campaign = on_one_axle(campaign)
     logs, speed = campaign.logs, campaign.runs.number("speed_mps")
-    ratios = np.full(len(speed), np.nan)
-    for run in np.flatnonzero((logs.lengths >= 20) & (speed > 0)):
+    ratios, driven = np.full(len(speed), np.nan), np.full(len(speed), np.nan)
+    for run in np.flatnonzero(logs.lengths >= 20):
         log = logs.of(int(run))
         if "counts_left" not in log:
             continue
         stride = max(1, len(log["t_s"]) // 50)
         step = np.diff(log["t_s"][::stride])
         if (step > 0).all():
-            rolled = np.abs(np.diff(design.rolled_m(campaign, "left", log["counts_left"][::stride])))
-            ratios[run] = np.median(rolled / step) / speed[run]
+            way = design.rolled_m(campaign, "left", log["counts_left"][::stride])
+            rates = np.abs(np.diff(way)) / step
+            ratios[run] = np.median(rates) / speed[run] if speed[run] > 0 else np.nan
+            # a wheel that stands jitters by a count
+            driven[run] = np.median(rates[rates > 0]) if np.ptp(way) > campaign.vehicle.wheel_radius_m else np.nan
+    yield from _speed_note(float(np.nanmedian(driven)) if np.isfinite(driven).any() else 1.0)
     known = np.isfinite(ratios) & (ratios > 0)
     # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd
     if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:

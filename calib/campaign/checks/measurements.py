@@ -15,6 +15,7 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
+from calib.units import GRAVITY_MPS2
 
 
 def missing_values(campaign: Campaign) -> Iterator[Note]:
@@ -172,6 +173,8 @@ _LEAST_OF_A_LINE: Final = 8
 _MOST_OF_A_LINE: Final = 400
 #: a load off that line by so many spreads is no scatter of the places of the payload
 _LOAD_SPREADS: Final = 6.0
+#: share of a weight that two rear wheels carry, wherever it lies: a fifth at least, all at most, and scales 5 % off
+_REAR_SHARE: Final = (0.2, 1.05)
 
 
 def _allowed(total: FloatArray) -> FloatArray:
@@ -185,6 +188,8 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     if "payload_kg" not in runs.numbers:
         return
     weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
+    if not stated(campaign, "vehicle.mass_kg"):
+        yield from _unit_by_payload(runs.number("payload_kg"), weighed.sum(axis=0))
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
@@ -192,7 +197,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
         exchanged = bool(swapped.sum() > design.MOST_OF_THE_RUNS * off.sum())
         hint, code = _SWAPPED if exchanged else _CONTRADICTED
-        ratio = float(np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off]))
+        ratio = np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off])
         text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
         yield column_note(f"{_LOADS}, payload_kg", text, code)
         return
@@ -206,6 +211,34 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
 
 
+def _slopes(payload: FloatArray, total: FloatArray) -> FloatArray:
+    """Return the rise of the load in N per kg of payload between each two of the runs, all of them finite."""
+    step = 1 + len(payload) // _MOST_OF_A_LINE
+    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (payload, total))
+    return np.asarray(rise[more > 0.0] / more[more > 0.0])
+
+
+def _unit_of_shares(shares: FloatArray) -> str:
+    """Return the unit in which most loads are shares of a weight that two wheels carry; empty where none is or N is."""
+    low, high = _REAR_SHARE
+    for factor in (1.0 / GRAVITY_MPS2, GRAVITY_MPS2) if len(shares) else ():
+        if np.mean(np.abs(shares / factor - 0.5 * (low + high)) <= 0.5 * (high - low)) > design.MOST_OF_THE_RUNS:
+            return design.meaning(factor, _LOAD_UNITS)
+    return ""
+
+
+def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
+    """Hold the rise of the load with the payload, wherever that lies, against the weight of a kilogram."""
+    known = np.isfinite(payload + total)
+    slopes = _slopes(payload[known], total[known])
+    if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
+        text = (
+            f"each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected "
+            f"{_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"
+        )
+        yield column_note(f"{_LOADS}, payload_kg", text, "load_unit")
+
+
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     """Find a few loads far from the line of the others against the payload, by the median of all slopes.
 
@@ -215,9 +248,8 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     runs = np.flatnonzero(np.isfinite(total + payload))
     if len(runs) < _LEAST_OF_A_LINE:
         return
-    some = runs[:: 1 + len(runs) // _MOST_OF_A_LINE]
-    more, rise = (np.subtract.outer(values[some], values[some]) for values in (payload, total))
-    slope = float(np.median(rise[more > 0.0] / more[more > 0.0])) if (more > 0.0).any() else 0.0
+    slopes = _slopes(payload[runs], total[runs])
+    slope = float(np.median(slopes)) if len(slopes) else 0.0
     expected = slope * payload + np.median(total[runs] - slope * payload[runs])
     away = (total - expected)[runs]
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
@@ -257,6 +289,8 @@ _CONTRADICTED: Final = (
 )
 #: the payload's weight may differ by this factor from what the scales say it adds
 _MOST_PAYLOAD: Final = 1.6
+#: the empty vehicle's load may be this share of what its mass asks for: its mass or place is poorly known
+_LIGHTEST: Final = 0.3
 #: ratio of loads to those of the vehicle -> unit
 _LOAD_UNITS: Final = (
     (1e-3, "kN: name the columns load_left_kN, load_right_kN"),
@@ -290,29 +324,40 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
             yield from _swapped_loads(weighed, computed)
         else:
             yield _in_another_unit(_LOADS, ratio, "those of vehicle and payload")
-    elif vehicle.unladen_load_N > 0 and (ratio := float(total[good].min()) / (2 * vehicle.unladen_load_N)) < 0.3:
-        yield _in_another_unit(_LOADS, ratio, "that of the empty vehicle")
+    else:
+        yield from _of_the_empty_vehicle(campaign, total, good)
     most = float(np.median(np.fmax(*weighed)[good]))
     if most > 2 * vehicle.max_wheel_load_N:
+        permitted = f"{vehicle.max_wheel_load_N:g} N is permitted"
         text = (
-            f"found wheel loads of {most:.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads or loads in "
-            "another unit (g, lb, kg in a column of N)?"
+            f"found wheel loads of {most:.5g} N; {permitted}; are payloads or loads in another unit (g, lb, kg for N)?"
         )
         yield implausible_column(_LOADS, text)
     place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
     if place > 5 * vehicle.wheelbase_m:
         text = (
-            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; is it "
-            "in millimetres?"
+            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; in mm?"
         )
         yield implausible_column("payload_x_m", text)
 
 
-def _in_another_unit(columns: str, ratio: float, what: str) -> Note:
-    hint = design.meaning(ratio, _LOAD_UNITS, 0.25)
+def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray) -> Iterator[Note]:
+    """Hold the loads of the empty vehicle, else the least, which a payload only raises, against what its mass asks."""
+    vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
+    found = float(np.median(total[empty]) if empty.any() else total[good].min())
+    share = found / (vehicle.mass_kg * GRAVITY_MPS2)
+    ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
+    if all(stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m")) and vehicle.unladen_load_N > 0:
+        ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
+    if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
+        yield _in_another_unit(_LOADS, ratio, what, _unit_of_shares(np.array([share])))
+
+
+def _in_another_unit(columns: str, ratio: float, what: str, unit: str = "") -> Note:
+    hint = unit or design.meaning(ratio, _LOAD_UNITS, 0.25)
     hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
-    text = f"the wheel loads are {ratio:.3g} times {what}; expected the same within a factor of 2; {hint}"
-    return implausible_column(columns, text)
+    expected = "a fifth of it to all of it" if "weight" in what else "the same within a factor of 2"
+    return implausible_column(columns, f"the wheel loads are {ratio:.3g} times {what}; expected {expected}; {hint}")
 
 
 def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:

@@ -18,7 +18,16 @@ from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.model import Note
 from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
-from calib.campaign.readers.table import FORMAT_NAMES, comma_evidence, filled_cells, format_words, is_number, numbers
+from calib.campaign.readers.table import (
+    FORMAT_NAMES,
+    NS_PER_S,
+    comma_evidence,
+    filled_cells,
+    format_words,
+    is_number,
+    moments_ns,
+    numbers,
+)
 from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
 from calib.types import IntArray
@@ -63,7 +72,7 @@ class ColumnContents:
     form: str = ""
     #: what its numbers do: of `behaviour`
     does: str = ""
-    #: median step between rows, of the steps other than 0
+    #: median step between rows, of the steps other than 0; of times in s
     step: float = 0.0
     #: whether it rises in even steps, as a clock does
     even: bool = False
@@ -209,7 +218,8 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
         first, words = raw.written.get(name, (str(cells[0]), FORMAT_NAMES["iso8601"]))
-        return ColumnContents(name, "time", low=0.0, high=float(np.nanmax(cells)), form=words, texts=(first,))
+        high, step = float(np.nanmax(cells)), usual_step(cells.astype(np.float64))
+        return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,), step=step)
     if cells.dtype == object:
         filled = filled_cells(cells.tolist())
         n_empty = len(cells) - len(filled)
@@ -217,7 +227,8 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
             return ColumnContents(name, "empty", n_empty=n_empty)
         first = str(filled[0])
         if form := format_words(filled):
-            return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(first,))
+            step = usual_step(moments_ns(filled)[0] / NS_PER_S)
+            return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(first,), step=step)
     try:
         values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence, notes=notes)
     except BadFileError as error:
@@ -271,7 +282,8 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     what = "the run table" if is_run_table else "a recording" if file.recording else "a log"
     rows = [member.n_rows for member in group]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
-    lines = wrapped(f"{title}: {what}, {count} {'samples' if file.recording else 'rows'}", "# ")
+    count += " samples" if file.recording else " rows" if min(rows) else " rows: a header alone, export it again"
+    lines = wrapped(f"{title}: {what}, {count}", "# ")
     properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
     streams = [f"{stream.name} ({stream.kind}): {stream.words()}" for stream in file.streams]
     for text in (*dict.fromkeys(file.remarks), *properties, *streams):

@@ -26,6 +26,13 @@ from calib.io import refuse_existing, write_text
 _ALL_READ: Final = 40
 #: rows of a run table to a log: means, remarks and runs without a log stand among them
 MOST_ROWS_A_LOG: Final = 2
+#: columns of a run table by which it is known, with one of those that a log has not, where none names runs
+_LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
+_OF_RUNS: Final = frozenset(
+    {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
+)
+#: times further apart are those of runs: none takes less, and no log is sampled as seldom
+_SHORTEST_RUN_S: Final = 5.0
 #: sections whose keys only the laboratory knows
 _STATED_SECTIONS: Final = ("vehicle", "encoder", "rangefinder")
 #: what is counted instead of two rear wheels -> key of the settings -> its lines, an empty one for the usual line
@@ -39,6 +46,7 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
         "wheel_radius_m": ("", "#front_wheel_radius_m =   # nominal"),
         "counts_per_rev": ("", "#counts_per_rev_front =   # of the front wheel, where it differs"),
     },
+    "speed_left_mps": {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)},
     "speed_rear_mps": {
         "drive": ('drive = "ackermann"   # one speed of the rear axle; front wheels that steer',),
         "counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
@@ -114,6 +122,10 @@ def describe(sources: Sequence[Path]) -> Description:
     for members in kinds.values():
         chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
     files = [file_contents(path) for path in chosen]
+    if not any(file.n_rows for file in files):
+        raise BadInputError(
+            f"{files[0].name}: found a header and no rows; expected a row a run, or a row a sample; export it again"
+        )
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
     lines = _mapping_lines(table, logs)
@@ -136,20 +148,31 @@ def _folders_inside(sources: Sequence[Path]) -> str:
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
     """Return the file that names runs: a table with a column for their names, and more than a clock beside it.
 
-    `n_files`: in all; where no name is known, the one table among logs with a row each is the run table.
+    Or one with distances and counts beside what a run has one of, without a clock. `n_files`: in all; where no name is
+    known, the one table among logs with a row each is the run table.
     """
     best, best_score = None, 0
     for file in files:
         guesses = {guessed_table_column(column.name) for column in file.columns} - {None}
         timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         score = len(guesses) + 3 - 4 * timed
-        if not file.recording and "run_id" in guesses and score > best_score:
+        named = "run_id" in guesses or (guesses >= _LENGTHS and guesses & _OF_RUNS and not _has_clock(file))
+        if not file.recording and named and score > best_score:
             best, best_score = file, score
     if best is None:
         worded = [file for file in files if not file.recording and any(one.kind == "text" for one in file.columns)]
         if len(worded) == 1 and len(files) > 1 and n_files - 1 <= worded[0].n_rows <= MOST_ROWS_A_LOG * (n_files - 1):
             return worded[0]
     return best
+
+
+def _has_clock(file: FileContents) -> bool:
+    """Return whether a column of a table rises as a log's clock does; one that counts the rows is none."""
+    return any(
+        (column.even and not (column.whole and column.step == 1.0 and guessed_log_column(column.name) != "t_s"))
+        or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
+        for column in file.columns
+    )
 
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
@@ -168,7 +191,11 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
         lines += ["", "[reference]", "#sigma_xy_m =   # standard uncertainty of a position"]
         lines += ["#sigma_theta_rad =   # standard uncertainty of a heading"]
     if table is not None:
-        lines += ["", "[table]" + " " * 20 + "# calib's column = the table's column", *table_lines(table)]
+        lines += [
+            "",
+            "[table]" + " " * 20 + "# calib's column = the table's column",
+            *table_lines(table, numbered=not logs),
+        ]
     if logs:
         lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings", *file_lines(table, logs)]
         lines += own

@@ -24,7 +24,7 @@ from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import BoolArray, FloatArray, floats
-from calib.units import split_suffix
+from calib.units import SUFFIXES, split_suffix
 
 #: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
@@ -134,8 +134,10 @@ def guessed_log_column(name: str) -> str | None:
 
     `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
     """
-    last = re.sub(r"^(position|velocity|effort)\.", "", re.split(r"[:/]", name)[-1])
-    return _guessed_in_log(last) or _guessed_in_log(re.sub(r"[:/.]+", "_", name).strip("_"))
+    # a unit in brackets may hold a slash
+    parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
+    last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
+    return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
 
 
 def _guessed_in_log(name: str) -> str | None:
@@ -159,7 +161,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
             continue
-        if unit is None or target.startswith("counts_") or unit in units_for(target):
+        if unit is None or (target.startswith("counts_") and "mps" not in SUFFIXES[unit]) or unit in units_for(target):
             return target
     return None
 

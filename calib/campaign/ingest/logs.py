@@ -19,7 +19,7 @@ from calib.campaign.readers import RawTable, holds_recording, read_recording, re
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty, joined_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
-from calib.campaign.settings import Encoder, converted, recognise
+from calib.campaign.settings import Encoder, Recognised, converted, recognise
 from calib.errors import BadFileError
 from calib.types import FloatArray, floats
 
@@ -77,7 +77,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
         raw = _of_all_wheels(raw, lines, shown, border)
         border.notes.extend(recording.notes)
     else:
-        sources = {line.column for line in lines.values()}
+        sources = {name for line in lines.values() for name in line.sources}
 
         def wanted(name: str) -> bool:
             return name in sources or without_unit(name) in sources or in_log(name)
@@ -97,9 +97,9 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
 
 
 def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
-    wanted = WantedColumns(line.column for line in lines.values())
+    wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
-    if any(line.column not in recording.column_names for line in lines.values()):
+    if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
         # only the columns named were read: which there are, the whole file says
         whole = read_recording(path, shown)
         check_not_empty(whole, shown)
@@ -116,7 +116,7 @@ def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> R
     notes: list[Note] = []
     clock = lines.get("t_s", MappedColumn(column="t_s"))
     for tag, path in files.items():
-        sources = {line.column.removeprefix(f"{tag}:") for line in lines.values()} | {clock.column}
+        sources = {name.removeprefix(f"{tag}:") for line in lines.values() for name in line.sources} | {clock.column}
 
         def wanted(name: str, sources: set[str] = sources) -> bool:
             return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
@@ -144,8 +144,8 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
     """Refuse a file without a column that the mapping names, listing those it has."""
     known = list(names)
     for name, line in lines.items():
-        if line.column not in known:
-            found = f"no column {line.column!r}, only {', '.join(known)[:300]}"
+        for column in (source for source in line.sources if source not in known):
+            found = f"no column {column!r}, only {', '.join(known)[:300]}"
             remedy = f"correct log.{name} in {mapping.shown}; 'calib ingest --describe' lists the columns"
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
@@ -187,15 +187,21 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
 
 
 def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
-    """Return the columns of a file with the reference's heading going on beyond a turn."""
+    """Return the columns of a file with the reference's heading, maybe of a quaternion, going on beyond a turn."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     for name, cells in columns.items():
         mapped = name == line.column
         match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
+        if mapped and line.w in columns:
+            cells, match = _heading_of(cells, columns[line.w]), Recognised(name, "ref_theta_rad")
         if match.name == "ref_theta_rad":
             scale = match.factor * (line.scale(match.name) if mapped else 1.0)
             out[name] = continuous_angle(cells, 2.0 * np.pi / abs(scale))
     return out
+
+
+def _heading_of(z: FloatArray, w: FloatArray) -> FloatArray:
+    return np.arctan2(2.0 * w * z, w * w - z * z)
 
 
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:

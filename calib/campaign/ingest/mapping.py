@@ -75,6 +75,8 @@ class MappedColumn(_Model):
     )
     #: the source's column that is subtracted, as the reading at a run's start from that at its end
     minus: str = Field(default="", description="the name of a column of numbers")
+    #: the source's column w of a quaternion about the vertical, of which `column` is z
+    w: str = Field(default="", description="the name of a column of numbers")
     #: the source's unit
     unit: str | None = Field(default=None, description="the name of a unit")
     #: sheet of the same workbook on which the value is looked up, by the text of the run table's column `by`
@@ -111,6 +113,11 @@ class MappedColumn(_Model):
     @classmethod
     def _as_calib_writes(cls, unit: str | None) -> str | None:
         return None if unit is None else unit_spelled(unit)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The columns of the source that are read."""
+        return tuple(filter(None, (self.column, self.minus, self.w)))
 
     def unit_for(self, name: str) -> str | None:
         """Return the source's unit: the line's, or that in the source's name where column `name` may be in it."""
@@ -170,6 +177,8 @@ class _Section(_Model):
     @model_validator(mode="after")
     def _units_fit(self) -> _Section:
         for name, line in self.columns.items():
+            if line.w and (name != "ref_theta_rad" or isinstance(self, TableSection) or line.unit or not line.column):
+                raise _UnfitError(name, line.w, "w of a quaternion for ref_theta_rad in [log] alone, without a unit")
             if not line.fits(name):
                 units = units_for(name)
                 expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"

@@ -15,6 +15,7 @@ from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.recording import StreamContents
 from calib.campaign.readers.sheets import UNNAMED
 from calib.campaign.settings import recognise
+from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix, unit_named
 
 #: letters of a name that alone is no evidence of a wheel: l, r, li, re
@@ -50,6 +51,10 @@ _CORNERS: Final = {
 }
 #: share of its span by which two wheels of a side differ at most that are coupled: they slip, they do not steer
 _COUPLED: Final = 0.02
+_SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
+#: end of the name of a quaternion's z, which is no heading
+_OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
+_BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
 #: remark on the wheels of a vehicle that steers by its sides' speeds
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
@@ -107,6 +112,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         target = guessed_log_column(column.name)
         if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
             found[target] = column
+    bearing = _chosen(found, streams)
     names = {column.name for column in found.values()}
     clock = next((column for column in columns if column.even and column.name not in names), None)
     clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
@@ -115,12 +121,40 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
         columns.remove(clock)
     for target, column in found.items():
-        if target == "ref_x_m" and reference is not None and reference.kind == _ODOMETRY:
+        if target == "ref_x_m" and (
+            "pose.pose" in column.name or (reference is not None and reference.kind == _ODOMETRY)
+        ):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
-            lines.append(_line(target, column, log))
+            lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
+        if target == "ref_theta_rad" and _OF_QUATERNION.search(column.name):
+            lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
+
+
+def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
+    """Drop speeds of one wheel or beside counts, in place; return a bearing beside x and y that is taken as heading."""
+    counted = any(name.startswith("counts_") for name in found)
+    if counted or not {*_SPEEDS} <= set(found):
+        for name in _SPEEDS:
+            found.pop(name, None)
+    bearing = found.pop("bearing_rad", None)
+    # beside a wheel that steers an angle may be the steering's
+    steers = "counts_front" in found and "steer_rad" not in found
+    if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(found) or "ref_theta_rad" in found or steers:
+        return None
+    if bearing.name in streams and streams[bearing.name].kind not in _UNTYPED:
+        return None
+    return found.setdefault("ref_theta_rad", bearing)
+
+
+def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
+    """Return the line for the heading that z and w of a quaternion give."""
+    w = f"{z.name[:-1]}{'W' if z.name[-1] == 'Z' else 'w'}"
+    if w in {column.name for column in columns}:
+        return entry("ref_theta_rad", z, None, {"w": w}) + "   # of a turn about the vertical alone"
+    return f"#ref_theta_rad = {{column = {toml_value(z.name)}, w = }}}}   # z of a quaternion: its w is needed too"
 
 
 def _may_be(
@@ -174,7 +208,7 @@ def _wheel_lines(
     remark, lines = "", []
     if corners and not own and not set(_PAIR) & set(found):
         remark = _folded(found, corners)
-    elif len(set(_PAIR) & set(found)) < 2 and not corners and "counts_front" not in found:
+    elif len(set(_PAIR) & set(found)) < 2 and not {"counts_front", *corners, *_SPEEDS} & set(found):
         remark = _by_behaviour(found, [column for column in columns if column.name not in taken])
     one = [name for name in _PAIR if name in found]
     if len(one) == 1 and "counts_front" not in found:

@@ -50,8 +50,11 @@ _MOMENTS: Final = (
 )
 
 
-def table_lines(table: FileContents) -> list[str]:
-    """Return the lines that name the run table's columns, and remarks on those without one."""
+def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
+    """Return the lines that name the run table's columns, and remarks on those without one.
+
+    `numbered`: whether runs that no column names may be numbered, since no log has to be found by their names.
+    """
     lines = _place_lines(table)
     own: list[str] = []
     unused: list[str] = []
@@ -83,7 +86,8 @@ def table_lines(table: FileContents) -> list[str]:
     if table.alike_sheets and not sided:
         lines.append(_sheet_line(table.alike_sheets, named))
     if "run_id" not in named:
-        lines.append('#run_id = ""   # the column that names the runs')
+        number = 'run_id = {value = "r{n:03}"}   # no column names the runs: they are numbered'
+        lines.append(number if numbered else '#run_id = ""   # the column that names the runs')
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
     if own:

@@ -41,7 +41,7 @@ def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> d
     """Return lines with the columns' whole names, where a line names one without the unit that the file gives it."""
 
     def whole(line: MappedColumn) -> MappedColumn:
-        update = {key: whole_name(name, names) for key in ("column", "minus") if (name := getattr(line, key))}
+        update = {key: whole_name(name, names) for key in ("column", "minus", "w") if (name := getattr(line, key))}
         return line.model_copy(update=update)
 
     return {target: whole(line) for target, line in lines.items()}
@@ -157,7 +157,7 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
             if name.startswith("counts_"):
                 factor *= _counts_per_unit(name, line, encoder, mapping)
             factors[recognise(line.target(name), TABLE_COLUMNS).name] = factor
-    used = {name for line in lines.values() for name in (line.column, line.minus)}
+    used = {name for line in lines.values() for name in line.sources}
     for name, cells in raw.columns.items():
         # a column that the mapping uses is not taken a second time under its own name
         if name not in used and recognise(name, TABLE_COLUMNS).name not in lines:
@@ -183,7 +183,7 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
     """Return the source's cells: texts translated, readings subtracted, where the mapping does so."""
-    for column in filter(None, (line.column, line.minus)):
+    for column in line.sources:
         if column not in raw.columns:
             raise BadFileError(
                 shown,
@@ -223,12 +223,13 @@ def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: M
 
 
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
-    """Return a column of one value for all runs, or of one value a run."""
+    """Return a column of one value for all runs, of one a run, or of names with their numbers (``r{n:03}``)."""
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
+    if name == "run_id" and isinstance(value, str) and "{n" in value:
+        return object_array([with_number(value, number) for number in range(1, n_runs + 1)])
     values = value if isinstance(value, list) else [value] * n_runs
     if len(values) != n_runs:
-        expected = f"one value for each of {n_runs} runs"
-        raise bad_line(mapping.shown, "table", name, f"{len(values)} values", expected)
+        raise bad_line(mapping.shown, "table", name, f"{len(values)} values", f"one value for each of {n_runs} runs")
     return object_array(values)
 
 

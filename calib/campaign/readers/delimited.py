@@ -290,9 +290,9 @@ def _read_cells(
     names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
     notes += recognised
-    rows, lines = rows[n_rows:], lines[n_rows:]
+    header, rows, lines = rows[:n_rows], rows[n_rows:], lines[n_rows:]
     if layout.lab:
-        names, rows, lines, omitted = table_rows(names, rows, lines, shown)
+        names, rows, lines, omitted = table_rows(names, rows, lines, shown, header)
         notes += omitted
     filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
     rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]

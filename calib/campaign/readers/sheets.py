@@ -284,17 +284,28 @@ def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArra
 
 
 def table_rows(
-    names: Sequence[str], rows: Sequence[Sequence[Any]], lines: Sequence[int], shown: str
+    names: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    lines: Sequence[int],
+    shown: str,
+    header: Sequence[Sequence[Any]] = (),
 ) -> tuple[list[str], list[Sequence[Any]], list[int], list[Note]]:
-    """Return names, rows and lines without remarks, means and sums, and a note on each that is omitted.
+    """Return names, rows and lines without remarks, means, sums and repeated headers, and a note on each omitted.
 
-    `rows`, `lines`: cells as read, and their rows in the file. A row of one text is a remark, unless it is written as
-    other cells of its column are; one that begins with ``mean``, ``sum``, ... is a summary. A unit that all cells of a
-    column repeat goes into its name.
+    A row of one text is a remark, unless it is written as other cells of its column are; one that begins with
+    ``mean``, ``sum``, ... is a summary. A unit that all cells of a column repeat goes into its name.
+
+    Parameters
+    ----------
+    names, shown
+        Of the columns, and of the file in messages.
+    rows, lines, header
+        Cells as read, their rows in the file, and the rows of the header.
     """
     kept: list[Sequence[Any]] = []
     kept_lines, notes = [], []
     shapes: Mapping[int, set[str]] = {}
+    heads = [_without_end(_texts(row)) for row in header]
     for row, line in zip(rows, lines, strict=True):
         filled = [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]
         if not filled:
@@ -308,6 +319,8 @@ def table_rows(
             why = "" if "0" in shape and shape in shapes.get(at, set()) else "a remark"
         elif isinstance(first, str) and _SUMMARY.fullmatch(text) and not is_number(text):
             why = "a mean, a sum or the like"
+        elif len(filled) > 1 and _without_end(_texts(row)) in heads:
+            why = "the beginning of the header again"
         if why:
             notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
             continue
@@ -321,6 +334,10 @@ def table_rows(
         for name, unit in zip(names, units, strict=True)
     ]
     return whole, kept, kept_lines, notes
+
+
+def _without_end(cells: list[str]) -> list[str]:
+    return cells[: max((at + 1 for at, cell in enumerate(cells) if cell), default=0)]
 
 
 def _without_unit(cell: Any, unit: str) -> Any:

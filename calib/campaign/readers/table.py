@@ -26,7 +26,9 @@ HEADER_ROWS: Final = 60
 #: share of the usual width that a header must fill, and share of its cells that must be texts
 _HEADER_SHARE: Final = 0.6
 
-EMPTY: Final = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-"})
+#: texts by which people say that nothing was measured: read as empty, with a note
+_NOT_MEASURED: Final = frozenset({"n.a.", "n/a", "k.a.", "k. a.", "--", "?"})
+EMPTY: Final = frozenset({"", "nan", "na", "#n/a", "null", "none", "-"}) | _NOT_MEASURED
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -92,15 +94,13 @@ class Layout:
 class RawTable:
     """A table as read."""
 
-    #: under the names found in the file, in its order: float64 where the reader knows that it is numeric, else an
-    #: object array of str, float and None, shape (n_rows,)
+    #: under the names in the file, in its order, shape (n_rows,): float64 where numeric, else str, float and None
     columns: Mapping[str, npt.NDArray[Any]]
     #: line of each row in the file, counted from 1, header included, shape (n_rows,)
     line: IntArray
     #: what was recognised (encoding, delimiter, decimal comma)
     notes: tuple[Note, ...] = ()
-    #: for a column that was written as times of the clock and holds seconds since its first cell: that first time, in
-    #: nanoseconds since 1970 (or since midnight)
+    #: for a column of times of the clock, as seconds since its first cell: that in nanoseconds since 1970 or midnight
     epochs: Mapping[str, int] = field(default_factory=dict)
     #: of these columns the first cell and the format of all, as they were written
     written: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -150,8 +150,7 @@ def is_number(cell: Any) -> bool:
     if isinstance(cell, int | float):
         return True
     text = str(cell).strip().replace("−", "-")
-    plain = (form.fullmatch(text) for form in (_POINT_OR_COMMA, _GROUPED, _HEX))
-    return any(plain) or time_format(text) is not None
+    return any(form.fullmatch(text) for form in (_POINT_OR_COMMA, _GROUPED, _HEX)) or time_format(text) is not None
 
 
 def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
@@ -218,7 +217,7 @@ def numbers(
     decimal_comma
         What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
     notes : list of Note
-        Takes how many cells have marks between thousands, or base 16.
+        Takes how many cells have marks between thousands, or base 16, or say that nothing was measured.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
@@ -226,16 +225,18 @@ def numbers(
         if len(too_large):
             raise _no_number(shown, column, int(line[too_large[0]]), str(values[too_large[0]]))
         return values, False
-    out = np.full(len(cells), np.nan)
-    used_comma = False
+    out, used_comma = np.full(len(cells), np.nan), False
+    notes = [] if notes is None else notes
     marks: set[str] | None = None
-    grouped: list[tuple[str, str]] = []
+    odd: dict[str, list[tuple[str, str]]] = {}
     for index, cell in enumerate(cells):
         if cell is None:
             continue
         if isinstance(cell, str):
             text = cell.strip().replace("−", "-")
             if text.lower() in EMPTY:
+                if text.lower() in _NOT_MEASURED:
+                    odd.setdefault("not_measured", []).append((text, "an empty cell"))
                 continue
             comma = _COMMA.fullmatch(text) is not None
             unclear = (comma != (decimal_comma is True) or decimal_comma is None) and _AMBIGUOUS.fullmatch(text)
@@ -243,7 +244,7 @@ def numbers(
                 marks = _thousands(cells, decimal_comma) if marks is None else marks
                 plain = _without_marks(text, marks)
                 if plain:
-                    grouped.append((text, plain))
+                    odd.setdefault("thousands", []).append((text, plain))
                     text, comma = plain, "," in plain
                 elif not unclear or comma or "?" in marks:
                     raise (_ambiguous if unclear else _no_number)(shown, column, int(line[index]), text)
@@ -254,9 +255,9 @@ def numbers(
         if not abs(value) <= LARGEST_VALUE and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
-    if grouped and notes is not None:
-        text = f"{len(grouped)} cells were read as is {grouped[0][0]!r}: as {grouped[0][1]}"
-        notes.append(Note("info", f"{shown}, column {column}", text, "thousands"))
+    for code, found in odd.items():
+        text = f"{len(found)} cells were read as is {found[0][0]!r}: as {found[0][1]}"
+        notes.append(Note("info", f"{shown}, column {column}", text, code))
     return out, used_comma
 
 
@@ -282,15 +283,14 @@ def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
 
 
 def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
-    expected = "a finite number below 1e30, or an empty cell"
-    remedy = "correct the cell, or leave it empty where nothing was measured"
+    expected, remedy = "a finite number below 1e30, or an empty cell", "correct the cell, or leave it empty"
     return BadFileError(shown, repr(text[:40]), expected, remedy, row=row, column=column)
 
 
 def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
     found = f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}"
-    remedy = "export the table without thousands separators and with a decimal point"
-    return BadFileError(shown, found, "a number that can be read in one way only", remedy, row=row, column=column)
+    expected, remedy = "a number that can be read in one way only", "export it without marks between thousands"
+    return BadFileError(shown, found, expected, remedy, row=row, column=column)
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:

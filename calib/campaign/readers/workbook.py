@@ -85,9 +85,9 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
         header.pop()
     check_header(header, shown, row=lines[at])
     notes += [*recognised, *sheet.notes]
-    rows, lines = rows[at + n_rows :], lines[at + n_rows :]
+    head, rows, lines = rows[at : at + n_rows], rows[at + n_rows :], lines[at + n_rows :]
     if layout.lab:
-        header, rows, lines, omitted = table_rows(header, rows, lines, shown)
+        header, rows, lines, omitted = table_rows(header, rows, lines, shown, head)
         notes += omitted
     notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
     columns = {

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from calib.campaign.checks.counts import count_jumps, dead_counters
+from calib.campaign.checks.counts import count_jumps, dead_counters, log_speed
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 
@@ -75,3 +77,24 @@ def test_a_turn_about_a_wheel_is_no_dead_counter() -> None:
     assert list(dead_counters(pivots)) == []
     turned = with_numbers(pivots, ref_theta_rad=np.full(n, turn), distance_m=np.full(n, 1.2))
     assert list(dead_counters(turned)) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1e3, "milliseconds"), (1e6, "microseconds"), (1 / 86400, "days"), (1.0, ""), (20.0, ""), (1 / 20, "")],
+)
+def test_a_speed_that_no_vehicle_drives_names_the_clock(factor: float, said: str) -> None:
+    """All logs alike, without a set speed; 25 mm/s and 10 m/s are slow and fast, but driven."""
+    made = campaign(logs=True)
+    numbers = {name: cells for name, cells in made.runs.numbers.items() if name != "speed_mps"}
+    made = replace(made, runs=replace(made.runs, numbers=numbers))
+    timed = with_log_columns(made, t_s=factor * made.logs.columns["t_s"])
+    found = [note.text for note in log_speed(timed)]
+    assert [f"is it in {said}?" in text for text in found] == [True] * bool(said)
+
+
+def test_a_wheel_that_stands_is_not_slow() -> None:
+    """Its counter trembles by a count."""
+    made = campaign(logs=True)
+    still = {f"counts_{side}": np.arange(made.logs.offsets[-1]) % 2.0 for side in ("left", "right")}
+    assert not [note for note in log_speed(with_log_columns(made, **still)) if note.code == "clock_unit"]

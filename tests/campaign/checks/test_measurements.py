@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.checks.measurements import loads_against_payload
+from calib.campaign.checks.measurements import implausible_loads, loads_against_payload
 from calib.campaign.model import Campaign
 from tests.campaign.making import campaign, with_numbers
 
@@ -53,3 +53,43 @@ def test_payloads_at_several_places_are_left_alone() -> None:
     share = np.array([3.0, 4.0, 5.5, 6.0])[np.arange(len(made.runs)) % 4]
     loads = 300.2 + share * made.runs.number("payload_kg")
     assert list(loads_against_payload(with_numbers(made, load_left_N=loads, load_right_N=loads))) == []
+
+
+def _placed(share: float, factor: float, *assumed: str, payload: bool = True) -> Campaign:
+    """Loads in units of `factor`: both rear wheels carry a share of vehicle (100 kg) and payload."""
+    made = _without_places()
+    loads = 0.5 * share * 9.81 * (100.0 + made.runs.number("payload_kg")) * factor
+    made = with_numbers(made, load_left_N=loads, load_right_N=loads)
+    numbers = {name: cells for name, cells in made.runs.numbers.items() if payload or name != "payload_kg"}
+    return replace(made, runs=replace(made.runs, numbers=numbers), assumed=assumed)
+
+
+MASS, PLACE = "vehicle.mass_kg", ("vehicle.cog_x_m", "vehicle.wheelbase_m")
+KG, TWICE = "are they in kg", "are they in N times 9.81"
+
+
+@pytest.mark.parametrize("share", [0.21, 0.5, 1.0])
+@pytest.mark.parametrize(("factor", "unit"), [(1 / 9.81, KG), (9.81, TWICE)])
+def test_a_payload_tells_the_unit_of_the_loads_without_a_mass(share: float, factor: float, unit: str) -> None:
+    """A kilogram adds at most its weight of 9.81 N to two wheels, and no load of use adds less than a fifth of it."""
+    found = [note.text for note in loads_against_payload(_placed(share, factor, MASS, *PLACE))]
+    assert sum(unit in text for text in found) == 1
+    assert not any("are they in" in note.text for note in loads_against_payload(_placed(share, 1.0, MASS, *PLACE)))
+
+
+@pytest.mark.parametrize("share", [0.25, 0.6, 1.0])
+def test_a_stated_mass_tells_the_unit_wherever_its_centre_is(share: float) -> None:
+    """Two wheels carry a fifth of the empty vehicle to all of it; a place that nobody stated says no more."""
+    for factor, said in ((1 / 9.81, [KG]), (1.0, [])):
+        made = _placed(share, factor, *PLACE, payload=False)
+        made = replace(made, vehicle=replace(made.vehicle, wheelbase_m=2.5))
+        assert [note.text.split("; ")[-1].partition(":")[0] for note in implausible_loads(made)] == said
+
+
+def test_the_empty_vehicle_tells_a_unit_either_way() -> None:
+    """Three runs without payload are no column of their own; where none is known to be empty all may be laden."""
+    for payload, said in ((True, 1), (False, 0)):
+        made = _placed(0.612, 9.81, payload=payload)
+        kg = _without_places().runs.number("payload_kg")
+        made = made.select((kg > 0) | (np.cumsum(kg == 0) <= 3))
+        assert sum(TWICE in note.text for note in implausible_loads(made)) == said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,98 @@ def test_wheels_in_topics_of_their_own_begin_apart(tmp_path: Path) -> None:
     slope = np.polyfit(log["counts_left"], log["counts_right"], 1)[0]
     assert slope == pytest.approx(1.1, abs=0.01)
     assert any("another wheel has none near in time" in note.text for note in made.notes)
+
+
+def _drive(heading: np.ndarray) -> dict[str, np.ndarray]:
+    """Times and counts beside x and y of a vehicle, a sample each 20 ms."""
+    at = np.arange(len(heading)) * 0.02
+    return {
+        "t [s]": at,
+        "enc_left": np.floor(500 * at),
+        "enc_right": np.floor(510 * at),
+        "X [mm]": 400 * at,
+        "Y [mm]": at,
+    }
+
+
+def _as_proposed(
+    folder: Path, columns: dict[str, np.ndarray], change: tuple[str, str] = ("", "")
+) -> dict[str, np.ndarray]:
+    """Return the log that the proposal gives, with `change` of it."""
+    source = _log(folder / "r1.csv", columns)
+    mapping = folder / "m.toml"
+    mapping.write_text(describe([source]).to_toml().replace(*change))
+    return dict(ingest([source], folder / "c", mapping=mapping, dry_run=True).campaign.logs.columns)
+
+
+@pytest.mark.parametrize("name", ["Winkel [°]", "Kurs [°]", "Cap [deg]", "angle [deg]"])
+def test_a_bearing_beside_x_and_y_is_the_reference_heading(name: str, tmp_path: Path) -> None:
+    """Alone, or beside a wheel that steers, the same name may be any angle."""
+    heading = np.linspace(-30.0, 200.0, 200)
+    columns = {**_drive(heading), name: heading}
+    np.testing.assert_allclose(_as_proposed(tmp_path, columns)["ref_theta_rad"], np.radians(heading), atol=1e-9)
+    assert "ref_theta_rad" not in _as_proposed(tmp_path, {k: v for k, v in columns.items() if k[0] not in "XY"})
+    steered = {key.replace("enc_left", "enc_front"): cells for key, cells in columns.items() if key != "enc_right"}
+    assert "ref_theta_rad = " not in describe([_log(tmp_path / "s.csv", steered)]).to_toml()
+
+
+@pytest.mark.parametrize("names", [("v links [km/h]", "v rechts [km/h]"), ("v_l [km/h]", "v_r [km/h]")])
+def test_wheel_speeds_are_proposed_as_such(names: tuple[str, str], tmp_path: Path) -> None:
+    """A speed is no count, nor is one wheel's a vehicle's; beside counts they are not needed."""
+    speed = 3.6 * np.linspace(0.5, 1.0, 200)
+    columns = {"t [s]": np.arange(200) * 0.02, names[0]: speed, names[1]: 2 * speed}
+    logs = _as_proposed(tmp_path, columns)
+    np.testing.assert_allclose(logs["speed_right_mps"], 2 * speed / 3.6, atol=1e-6)
+    text = describe([tmp_path / "r1.csv"]).to_toml()
+    assert 'kind = "speed"' in text
+    del columns[names[1]]
+    assert "speed_left_mps = " not in describe([_log(tmp_path / "r1.csv", columns)]).to_toml()
+    assert (
+        "speed_left_mps = " not in describe([_log(tmp_path / "r1.csv", {**_drive(speed), names[0]: speed})]).to_toml()
+    )
+
+
+def test_a_quaternion_of_a_table_gives_the_heading(tmp_path: Path) -> None:
+    """Of a turn about the vertical z and w say all, in either sign and beyond a turn; z alone says nothing."""
+    heading = np.linspace(-4.0, 9.0, 300)
+    sign = np.where(np.arange(300) % 7 == 0, -1.0, 1.0)
+    columns = {
+        **{name.replace("X [mm]", "pose.position.x"): cells for name, cells in _drive(heading).items()},
+        "pose.orientation.z": sign * np.sin(heading / 2),
+        "pose.orientation.w": sign * np.cos(heading / 2),
+    }
+    logs = _as_proposed(tmp_path, columns)
+    np.testing.assert_allclose(logs["ref_theta_rad"] - logs["ref_theta_rad"][0], heading - heading[0], atol=1e-9)
+    np.testing.assert_array_equal(logs["ref_x_m"], columns["pose.position.x"])
+    with pytest.raises(CalibError, match=r"no column 'qw'"):
+        _as_proposed(tmp_path, columns, ('w = "pose.orientation.w"', 'w = "qw"'))
+    del columns["pose.orientation.w"]
+    assert "its w is needed too" in describe([_log(tmp_path / "r1.csv", columns)]).to_toml()
+
+
+def test_odometry_of_the_wheels_is_marked_as_no_reference(tmp_path: Path) -> None:
+    columns = {name.replace("X [mm]", "pose.pose.position.x"): v for name, v in _drive(np.zeros(50)).items()}
+    assert "wheel odometry is no reference" in describe([_log(tmp_path / "r1.csv", columns)]).to_toml()
+
+
+@pytest.mark.parametrize(
+    "line",
+    ['ref_x_m = {column = "X [mm]", w = "t [s]"}', 'ref_theta_rad = {column = "t [s]", w = "t [s]", unit = "deg"}'],
+)
+def test_w_of_a_quaternion_belongs_to_the_heading_of_a_log(line: str, tmp_path: Path) -> None:
+    source = _log(tmp_path / "r1.csv", _drive(np.zeros(50)))
+    for section in ("log", "table"):
+        (tmp_path / "m.toml").write_text(f"[{section}]\n{line}\n")
+        with pytest.raises(CalibError, match=r"ref_theta_rad in \[log\] alone"):
+            ingest([source], tmp_path / "c", mapping=tmp_path / "m.toml", dry_run=True)
+
+
+def test_a_header_without_rows_is_said_to_have_none(tmp_path: Path) -> None:
+    """Alone nothing can be proposed of it; among others it is named."""
+    empty = tmp_path / "empty.csv"
+    empty.write_text("t_s,counts_left,counts_right\n")
+    with pytest.raises(CalibError, match=r"empty\.csv: found a header and no rows"):
+        describe([empty])
+    _log(tmp_path / "other.csv", {**_drive(np.zeros(50)), "T": np.zeros(50)})
+    said = re.sub(r"\n#\s+", " ", describe([tmp_path]).to_toml())
+    assert "empty.csv: a log, 0 rows: a header alone" in said

@@ -189,3 +189,44 @@ def test_wheels_of_a_run_table_may_be_angles(unit: str, turn: float, tmp_path: P
     runs = ingest([source], tmp_path / "c", mapping=mapping, dry_run=True).campaign.runs
     np.testing.assert_allclose(runs.number("counts_left"), LEFT, rtol=1e-9)
     np.testing.assert_allclose(runs.number("counts_right"), RIGHT, rtol=1e-9)
+
+
+LENGTHS = "Strecke [mm];Impulse links;Impulse rechts;Radlast links [N];Radlast rechts [N]"
+
+
+def _lengths(path: Path, name: str, cells: Sequence[str]) -> Path:
+    rows = [f"{cell};{20000 + n % 7};{131361 + n % 5};{131106 + n % 3};300;301" for n, cell in enumerate(cells)]
+    path.write_text("\n".join([f"{name};{LENGTHS}", *(row.removeprefix(";") for row in rows)]).removeprefix(";") + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("", [""] * 12),
+        ("Datum", [f"0{1 + n // 6}.03.2026" for n in range(12)]),
+        ("Uhrzeit", [f"08:{7 * n // 60:02}:{7 * n % 60:02}" for n in range(12)]),
+        ("Pos", [str(n + 1) for n in range(12)]),
+    ],
+    ids=["nothing", "dates", "times seconds apart", "a running number"],
+)
+def test_runs_without_a_name_are_numbered(name: str, cells: Sequence[str], tmp_path: Path) -> None:
+    """Distances and counts beside loads, without the clock of a log, are runs in the order of their rows."""
+    runs = _as_proposed(_lengths(tmp_path / "t.csv", name, cells))[0].runs
+    assert list(runs.run_id) == [f"r{n:03}" for n in range(1, 13)]
+    assert ("session" in runs.labels) == (name == "Datum")
+    np.testing.assert_allclose(runs.number("distance_m"), [20 + n % 7 / 1000 for n in range(12)])
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("Zeit [s]", [f"{0.1 * n:.1f}" for n in range(60)]),
+        ("Zeit", [str(n) for n in range(60)]),
+        ("Stempel", [f"08:00:{n // 10:02},{n % 10}" for n in range(60)]),
+        ("Uhr", [f"{0.02 * n:.2f}" for n in range(60)]),
+    ],
+)
+def test_samples_beside_a_clock_are_a_log(name: str, cells: Sequence[str], tmp_path: Path) -> None:
+    """With any name of the clock, and loads and distances beside it."""
+    assert describe([_lengths(tmp_path / "t.csv", name, cells)]).table is None

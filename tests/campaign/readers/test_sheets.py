@@ -168,3 +168,17 @@ def test_a_campaigns_own_table_is_read_strictly(tmp_path: Path) -> None:
     with pytest.raises(BadFileError, match="numbers alone"):
         _csv(tmp_path, "0,1,2\n1,2,3\n2,3,4\n", Layout())
     assert _csv(tmp_path, "a,b,c\n1,2,3\nmean,2,3\n", Layout()).columns["a"].tolist() == ["1", "mean"]
+
+
+@pytest.mark.parametrize("book", [False, True])
+def test_a_header_that_comes_again_is_no_row(book: bool, tmp_path: Path) -> None:
+    """Each block of a load, or page, begins with the header: its rows are omitted with a note, what differs is kept."""
+    head = [["Run", "Weg", "Last L", "Last R"], [None, "mm", "N", "N"]]
+    rows = [[1, 20100, 300, 301], [2, 20200, 300, 301], *head, [3, 20300, 400, 401], ["Run", "Weg", "Last L", "?"]]
+    if book:
+        table = _book(tmp_path, [*head, *rows])
+    else:
+        lines = (";".join("" if cell is None else str(cell) for cell in row) for row in [*head, *rows])
+        table = _csv(tmp_path, "\n".join(lines) + "\n")
+    assert [str(cell)[:3].removesuffix(".0") for cell in table.columns["Run"]] == ["1", "2", "3", "Run"]
+    assert [note.where.partition(", ")[2] for note in table.notes if "header again" in note.text] == ["row 5", "row 6"]

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.campaign.model import Note
 from calib.campaign.readers import Layout, read_table
-from calib.campaign.readers.table import moment_ns, moments_ns, time_format
+from calib.campaign.readers.table import moment_ns, moments_ns, numbers, object_array, time_format
 from calib.errors import BadFileError
 
 ROWS = "Lauf;Strecke [mm];Richtung\nLauf 1;40250,5;hin\nLauf 2;41000,25;zurück\n"
@@ -172,3 +173,15 @@ def test_days_between_slashes_are_read_by_the_cell_that_shows_their_order(
 @pytest.mark.parametrize(("text", "hour"), [("12:05:00 AM", 0), ("12:05:00 PM", 12), ("1:05:00 pm", 13)])
 def test_half_days_are_read(text: str, hour: int) -> None:
     assert moment_ns(f"05/18/2026 {text}", month_first=True) == moment_ns(f"2026-05-18T{hour:02}:05:00Z")
+
+
+def test_what_was_not_measured_is_empty_and_counted() -> None:
+    """Words for it are few and known: any other text in a column of numbers is refused."""
+    cells = object_array(["1.5", "n.a.", "N/A", "k.A.", "--", "?", "-", "", None])
+    notes: list[Note] = []
+    values, _ = numbers(cells, shown="t", column="c", line=np.arange(2, 11), notes=notes)
+    np.testing.assert_array_equal(np.isfinite(values), [True] + [False] * 8)
+    assert [(note.code, note.text.partition(" ")[0]) for note in notes] == [("not_measured", "5")]
+    for text in ("??", "---", "defekt", "k.B."):
+        with pytest.raises(BadFileError):
+            numbers(object_array(["1", text]), shown="t", column="c", line=np.arange(2))
