@@ -141,7 +141,11 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
-    why = (*unhelpful(improvement), *remaining(improvement, unexplained, f"the rest goes with {beside}"), *harm(tried))
+    why = (
+        *unhelpful(improvement),
+        *remaining(improvement, unexplained, f"the rest is what {beside} would take"),
+        *harm(tried),
+    )
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in causes)
@@ -189,7 +193,7 @@ def _tried(
 def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
     """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
     kind = effect_class(cause.effect)
-    # what steps is left out for what it is, not for doubt
+    # what steps is excluded for what it is, not for doubt
     if fix.corrects is None or cause.effect in fix.corrects or (kind is not None and kind.per_session):
         return True
     return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY

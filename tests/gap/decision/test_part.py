@@ -161,7 +161,7 @@ def test_a_radius_that_follows_the_speed_is_no_error_of_lost_counts(tmp_path: Pa
 
 
 def test_a_step_of_each_session_stays_named_beside_the_fix_of_another_cause() -> None:
-    """It is left out for what it is: unnamed, the closure that it makes would be ascribed to the others."""
+    """It is excluded for what it is: unnamed, the closure that it makes would be ascribed to the others."""
     fix = Fix(recommended=True, corrects=("unequal_radii",))
     assert is_named_beside(cause("session_step"), fix, {"session_step": 0.7})
 

@@ -1,4 +1,4 @@
-"""The turn by a front wheel whose angle is sampled: no turn too large or too small, whichever axle keeps its speed."""
+"""The turn by a front wheel whose angle is sampled: neither too large nor too small, by either axle's speed."""
 
 from __future__ import annotations
 
