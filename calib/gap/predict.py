@@ -349,7 +349,8 @@ def residuals(path: Path, nominal: Path) -> FloatArray:
     """
     s = path.s
     gap = s.measured - np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
-    own = s.usable[:, Channel.HEADING] & ~np.isfinite(s.simulated[:, Channel.HEADING])
+    # a user's simulator bends its path by itself
+    own = s.usable[:, Channel.HEADING] & (not s.calibration_held)
     bend = np.where(own, np.clip(gap[:, Channel.HEADING], -LARGEST_BEND_RAD, LARGEST_BEND_RAD), 0.0)
     taken_m = bend[:, None] ** 2 * path.bent_m
     gap[:, POSE] += taken_m
