@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.kinematics.blunders import Fault
+from calib.kinematics.blunders import SKID_HINT, Fault, implausible
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
@@ -211,7 +211,7 @@ def judged(
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
     # a factor that is recognised says by itself that the length is off
-    impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted)
+    impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted, campaign)
     large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
         np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     )
@@ -308,19 +308,19 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
     return residuals
 
 
-def _implausible(fitted: Fitted) -> list[str]:
+def _implausible(fitted: Fitted, campaign: Campaign) -> list[str]:
     """Return the lengths that are further from the stated ones than wheels and floors can make them."""
-    sentences = []
-    free = fitted.parameters.free
-    for name, nominal, value in zip(
-        fitted.parameters.free_names, fitted.parameters.nominal[free], fitted.solution.values[free], strict=True
-    ):
+    sentences, parameters, free = [], fitted.parameters, fitted.parameters.free
+    sizes = zip(parameters.free_names, parameters.nominal[free], fitted.solution.values[free], strict=True)
+    for name, nominal, value in sizes:
         if not nominal or not (name.startswith(("track", "wheelbase")) or "radius" in name):
             continue
-        change = value / nominal - 1.0
-        if abs(change) > (PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE):
+        change, track = value / nominal - 1.0, name == "track_m"
+        most = PLAUSIBLE_TRACK_CHANGE if track else PLAUSIBLE_CHANGE
+        if implausible(name, value / nominal, most, campaign.vehicle.drive):
             away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
             also = "; play or lag of the steering acts alike: see 'calib diagnose'" if name == "wheelbase_m" else ""
+            also = SKID_HINT if track and change > 0.0 else also
             sentences.append(
                 f"{away}, more than wheels can change: check lengths, counts per revolution and units{also}"
             )

@@ -77,7 +77,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
     nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
-    faults = (*faults, *factor_faults(nominal_of, value_of))
+    faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
@@ -109,7 +109,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=_notes(fitted),
+        notes=_notes(fitted, campaign.vehicle.drive),
         inputs=campaign.hashes,
         judgement=judgement,
     )
@@ -175,8 +175,8 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: Fitted) -> tuple[str, ...]:
-    """Return notes on the estimates, in sentences."""
+def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
+    """Return notes on the estimates of a `kind` of drive, in sentences."""
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     notes = []
     if name in {"session", "route"}:
@@ -192,6 +192,8 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
         )
+    if kind == "skid" and "track_m" in fitted.parameters.free_names:
+        notes.append("Track_m is the effective track of a skid-steered vehicle: it holds for this floor and load alone.")
     if _gyro_alone(fitted):
         notes.append(
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "

@@ -22,7 +22,7 @@ import numpy as np
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
-from calib.kinematics.blunders import Fault
+from calib.kinematics.blunders import Fault, implausible
 from calib.kinematics.drives import (
     STEERING_SCALE,
     Drive,
@@ -135,18 +135,16 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         return Trial(np.inf, False, 0.0)
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
-    change = np.array(
-        [
-            value / item.nominal - 1.0
-            for value, item in zip(values, drive.parameters, strict=False)
-            if item.nominal and not item.name.startswith("steering") and not item.name.startswith("slope")
-        ]
+    near = not any(
+        implausible(item.name, value / item.nominal, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
+        for value, item in zip(values, drive.parameters, strict=False)
+        if item.nominal and not item.name.startswith(("steering", "slope"))
     )
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
-    near = bool((np.abs(change) < PLAUSIBLE_CHANGE).all()) and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
+    near = near and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
     found = dict(zip(parameters.names, values.tolist(), strict=True))
     radii = [found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]
     near = near and abs(turned) < SAME_WAY_RAD

@@ -47,6 +47,17 @@ CLEAR: Final = 5.0
 LARGEST_STEERING_RAD: Final = 2.0
 #: an angle that moves by less over a whole campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
+#: skid steering turns about an effective track of 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
+SKID_TRACK: Final = 2.5
+#: what a track too wide for two wheels may be
+SKID_HINT: Final = ' (an effective track? of wheels that skid in turns state drive = "skid")'
+#: a reference mirrored in y and heading is to the wheels the same as left for right
+OR_MIRRORED: Final = (
+    "; or ref_y_m and ref_theta_rad are both mirrored (clockwise, y to the right, NED): then change their signs and "
+    "exchange nothing. Drive a left turn: ref_theta_rad must grow, and the right wheel roll further"
+)
+#: column of the yaw rate that, with v_mps, stands for two wheels
+TWIST: Final = "omega_radps"
 Between = Callable[[FloatArray], FloatArray]
 
 
@@ -65,6 +76,7 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
     columns are swapped or a counter runs backwards.
     """
+    twist = TWIST in recording.speeds
     turned = segments.between(recording.steps.turned_rad)
     good, seen = segments.seen[:, 2], segments.seen[:, 0]
     slopes = _regression(turned[:, good], segments.measured[good, 2])
@@ -79,9 +91,14 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
         code, text = "reversed_right", "the right counter runs backwards; correct its sign or its wiring"
         corrected = (left, -right)
     elif forward < 0.0:
-        code, text, corrected = "reversed_both", "both counters run backwards; correct their signs", (-left, -right)
+        what = f"v_mps and {TWIST} have the other sign" if twist else "both counters run backwards"
+        code, text, corrected = "reversed_both", f"{what}; correct their signs", (-left, -right)
+    elif twist:
+        code, corrected = "reversed_omega", (right, left)
+        text = f"{TWIST} has the other sign: left turns are positive; correct it{OR_MIRRORED}"
     else:
-        code, text = "swapped_wheels", "the wheels are swapped; exchange the columns counts_left and counts_right"
+        code, names = "swapped_wheels", recording.speeds or ("counts_left", "counts_right")
+        text = f"the wheels are swapped; exchange the columns {' and '.join(names[:2])}{OR_MIRRORED}"
         corrected = (right, left)
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
@@ -135,7 +152,7 @@ def front_faults(
         recording = recording.with_turned(-recording.steps.turned_rad)
     aside = segments.between(recording.steps.turned_rad[0] * np.sin(steer))
     if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
-        faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
+        faults.append(Fault("reversed_steering", f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"))
         recording = recording.with_steering(-steer)
     return recording, tuple(faults)
 
@@ -200,12 +217,21 @@ def _chord_sense(measured: FloatArray) -> FloatArray:
     return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
 
 
-def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) -> tuple[Fault, ...]:
-    """Return faults of the settings that leave a factor between nominal and found lengths."""
+def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
+    """Return whether a length is off by more than a share `most`; the track of a skid-steered `drive` may be wider."""
+    wider = SKID_TRACK - 1.0 if drive == "skid" and name == "track_m" else most
+    return not -most <= ratio - 1.0 <= wider
+
+
+def factor_faults(
+    nominal: Mapping[str, float], estimated: Mapping[str, float], drive: str = "differential"
+) -> tuple[Fault, ...]:
+    """Return faults of the settings that leave a factor between nominal and found lengths of a `drive`."""
     faults = []
-    for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
-        if name in estimated:
-            faults += _factor(name, estimated[name] / nominal[name], factors)
+    for name in {"track_m", "half_length_plus_half_width_m"} & estimated.keys():
+        ratio = estimated[name] / nominal[name]
+        if implausible(name, ratio, NEAR, drive):
+            faults += _factor(name, ratio, TRACK_FACTORS, SKID_HINT if ratio > 1.0 and name == "track_m" else "")
     for name in ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m"):
         if name in estimated:
             ratio = estimated[name] / nominal[name]
@@ -226,8 +252,11 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
         return
-    # of either sign: counters may run backwards
-    ratio = abs(float(told_rad @ measured_rad)) / square
+    # of either sign: counters may run backwards, all of them: one alone makes turns that follow no factor
+    slope = float(told_rad @ measured_rad) / square
+    ratio, left_rad = abs(slope), measured_rad - slope * told_rad
+    if float(left_rad @ left_rad) > CLEARLY_LESS * float(measured_rad @ measured_rad):
+        return
     words = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
     for factor, what in words.items():
         if abs(ratio / factor - 1.0) < 2.0 * NEAR:
@@ -237,13 +266,13 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
             )
 
 
-def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
+def _factor(name: str, ratio: float, factors: dict[float, str], hint: str = "") -> list[Fault]:
     factor = min(factors, key=lambda one: abs(ratio / one - 1.0))
     if abs(ratio / factor - 1.0) >= NEAR:
         return []
     meaning = factors[factor]
     code = "half_track" if meaning.endswith("the track") else "radius_factor"
-    text = f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping"
+    text = f"{name} is {ratio:.3g} times the nominal value, {meaning}{hint}; correct the settings or the mapping"
     return [Fault(code, text)]
 
 
@@ -316,6 +345,7 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
         for one, other in pairs:
             order[one], order[other] = other, one
         names = ", ".join(f"counts_{WHEELS[one]} and counts_{WHEELS[other]}" for one, other in pairs)
+        names += OR_MIRRORED if pairs == [(0, 1), (2, 3)] else ""
         yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
 
 

@@ -204,10 +204,13 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     if found is None:
         return None
     campaign, corrected, blunder = found
+    # a track that skids in turns may be that wide: the fit alone needed it to begin with
+    wide = campaign.vehicle.drive == "skid" and blunder.code == "half_track"
     try:
-        return _fitted(replace(task, campaign=campaign), corrected, (blunder,))
+        fit = _fitted(replace(task, campaign=campaign), corrected, () if wide else (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
+    return replace(fit, geometry=fit.geometry.with_wide_track(task.campaign.model.track_m, blunder)) if wide else fit
 
 
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:

@@ -58,6 +58,8 @@ class Recording:
     left_out: tuple[tuple[str, str], ...] = ()
     #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
+    #: columns of speeds that the wheels' angles were integrated from; empty of counts
+    speeds: tuple[str, ...] = ()
     #: how much the reference's clock is fast, relative
     clock_rate: float = 0.0
 
@@ -198,6 +200,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         end_pose=np.stack([piece.end_pose for piece in pieces]),
         by_gyro=np.array([piece.by_gyro for piece in pieces]),
         left_out=tuple(left_out),
+        speeds=campaign.logs.speeds,
     )
 
 
