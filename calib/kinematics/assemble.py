@@ -69,6 +69,8 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
 
 #: an outlier is a run that chance makes once in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01
+#: no run is driven slower: a metre takes a quarter of an hour
+SLOWEST_MPS: Final = 1e-3
 
 
 def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, faults: tuple[Fault, ...]) -> Geometry:
@@ -77,7 +79,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
     nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
-    faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive))
+    faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive, model.recording.speeds))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
@@ -198,6 +200,13 @@ def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
         notes.append(
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
             "interval of the track. A closed loop, or a turn of known angle, tells the two apart."
+        )
+    ends, radii = recording.offsets[1:] - 1, [row.nominal for row in fitted.parameters.items if "radius" in row.name]
+    took_s = float(recording.t_s[ends].sum())
+    if (mps := float(recording.travel_rad[ends].sum()) * radii[0] / max(took_s, 1e-9)) < SLOWEST_MPS:
+        notes.append(
+            f"T_s: {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: times in ms, or "
+            "us, taken for s? Radii and track hold all the same; a delay of the reference is found by right times only."
         )
     if not fitted.solution.converged:
         notes.append("The search did not settle exactly; the values are good to a small part of their sd.")

@@ -173,6 +173,8 @@ PLAYS_RAD: Final = (0.01, 0.04)
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
+#: resultant of the doubled headings at the starts, above which runs begin along one axis, in either sense
+ALONG_ONE: Final = 0.9
 #: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
 #: slip by the yaw rate
@@ -234,10 +236,10 @@ LEAST_SIZE: Final = 0.5
 
 def _remeasured(segments: Segments, recording: Recording) -> Segments:
     """Return the segments with what the reference of a changed recording says of them."""
-    if segments.are_runs_of(recording):
-        return segments
-    measured = moved_between(np.nan_to_num(recording.reference), segments.first, segments.last)
-    return replace(segments, measured=np.where(segments.seen, measured, segments.measured))
+    reference, ends = recording.reference, np.stack([segments.first, segments.last])
+    known = np.isfinite(reference[:, ends]).all(axis=(0, 1))
+    measured = moved_between(np.nan_to_num(reference), *ends)
+    return replace(segments, measured=np.where(segments.seen & known[:, None], measured, segments.measured))
 
 
 def _departures(model: Model) -> Iterator[Departure]:
@@ -249,11 +251,13 @@ def _departures(model: Model) -> Iterator[Departure]:
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
-    if whole:
-        # all begin at the same heading: an axis of the reference is then one of the vehicle, which may slide along it
+    begin_rad = model.recording.reference[2, model.segments.first]
+    # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
+    if whole and not abs(np.mean(np.exp(2j * begin_rad))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):
-        yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        if not whole:
+            yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
             change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
             yield Departure(change, sign * AXIS_SCALE, named, share, CLEAR_AXIS)
@@ -318,7 +322,7 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
     """Return the recording with one axis of the reference's positions longer by a share."""
     factors = np.ones(3)
     factors[axis] += share
-    return replace(recording, reference=(recording.reference.T * factors).T, end_pose=recording.end_pose * factors)
+    return recording.with_reference((recording.reference.T * factors).T)
 
 
 def _axis(share: float, name: str) -> Fault:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -224,23 +224,39 @@ def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
 
 
 def factor_faults(
-    nominal: Mapping[str, float], estimated: Mapping[str, float], drive: str = "differential"
+    nominal: Mapping[str, float],
+    estimated: Mapping[str, float],
+    drive: str = "differential",
+    speeds: Sequence[str] = (),
 ) -> tuple[Fault, ...]:
-    """Return faults of the settings that leave a factor between nominal and found lengths of a `drive`."""
+    """Return faults of the settings that leave a factor between nominal and found lengths of a `drive`.
+
+    `speeds`: columns that stand for counts.
+    """
     faults = []
     for name in {"track_m", "half_length_plus_half_width_m"} & estimated.keys():
         ratio = estimated[name] / nominal[name]
         if implausible(name, ratio, NEAR, drive):
             faults += _factor(name, ratio, TRACK_FACTORS, SKID_HINT if ratio > 1.0 and name == "track_m" else "")
+    track = estimated.get("track_m", 1.0) / nominal.get("track_m", 1.0)
+    factors = _speed_factors(speeds, turns=1.0 / FARTHEST < track < FARTHEST) if speeds else RADIUS_FACTORS
     for name in ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m"):
         if name in estimated:
             ratio = estimated[name] / nominal[name]
-            explained = _factor(name, ratio, RADIUS_FACTORS)
+            explained = _factor(name, ratio, factors)
             if not explained and ratio > 0.0 and not 1.0 / FARTHEST < ratio < FARTHEST:
                 text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
                 explained = [Fault("radius_factor", text)]
             faults += explained
     return tuple(faults)
+
+
+def _speed_factors(speeds: Sequence[str], *, turns: bool) -> dict[float, str]:
+    """Return what factors of the radii mean where `speeds` stand for counts; `turns`: turns are off by the same one."""
+    times, lengths = "t_s in ms taken for s", f"{speeds[0]} in mm/s taken for m/s"
+    # a yaw rate, not in m/s, is off with the times alone
+    what = f"{times}, or {lengths}" if TWIST not in speeds else times if turns else lengths
+    return {1e-3: f"a thousandth: {what}", 1.0 / 3.6: f"1 / 3.6 times: {speeds[0]} in km/h taken for m/s"}
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:

@@ -132,6 +132,16 @@ class Recording:
                 f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
             )
 
+    def with_reference(self, reference: FloatArray) -> Recording:
+        """Return the recording with another reference along the path, shape (3, n_samples), and the ends it has."""
+        ends, starts = self.end_pose.copy(), self.offsets
+        for run, (first, last) in enumerate(zip(starts, starts[1:], strict=False)):
+            # of a run whose end the path says, not the run table
+            moved = _last_pose(reference[:, first:last]) - _last_pose(self.reference[:, first:last])
+            if np.isfinite(moved).all():
+                ends[run] += moved
+        return replace(self, reference=reference, end_pose=ends)
+
     def with_turned(self, turned_rad: FloatArray) -> Recording:
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
