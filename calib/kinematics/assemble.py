@@ -17,8 +17,9 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged
-from calib.kinematics.blunders import Fault, factor_faults
+from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
+from calib.kinematics.factors import factor_faults
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
@@ -195,7 +196,7 @@ def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
             "are determined; a straight run of known length would determine the scale."
         )
     if kind == "skid" and "track_m" in fitted.parameters.free_names:
-        notes.append("Track_m is the effective track of a skid-steered vehicle: it holds for this floor and load alone.")
+        notes.append("Track_m is the effective track of a skid-steered vehicle: it holds for this floor and load.")
     if _gyro_alone(fitted):
         notes.append(
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "

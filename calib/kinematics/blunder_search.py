@@ -22,7 +22,7 @@ import numpy as np
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
-from calib.kinematics.blunders import Fault, implausible
+from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import (
     STEERING_SCALE,
     Drive,
@@ -32,6 +32,7 @@ from calib.kinematics.drives import (
     nominal_turn,
     parameters_of,
 )
+from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import Change, Reading, readings, unchanged
@@ -135,20 +136,26 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         return Trial(np.inf, False, 0.0)
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
-    near = not any(
-        implausible(item.name, value / item.nominal, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
-        for value, item in zip(values, drive.parameters, strict=False)
-        if item.nominal and not item.name.startswith(("steering", "slope"))
-    )
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
-    turned = float(np.angle(np.vdot(ahead, seen)))
-    stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
-    near = near and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
+    # a path that closes leads nowhere, at any scale: neither its length nor its direction is told
+    leads = np.abs(ahead) > SMALL_SHARE * path
     found = dict(zip(parameters.names, values.tolist(), strict=True))
-    radii = [found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]
-    near = near and abs(turned) < SAME_WAY_RAD
-    return Trial(_trimmed(share), near, turned, (float(np.mean(radii)), found.get(STEERING_SCALE, 1.0)))
+    scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
+    common = 1.0 if leads.any() else scale
+    near = not any(
+        implausible(item.name, found[item.name] / item.nominal / common, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
+        for item in drive.parameters
+        if item.nominal and not item.name.startswith(("steering", "slope"))
+    )
+    if leads.any():
+        ahead, seen = ahead[leads], seen[leads]
+        turned = float(np.angle(np.vdot(ahead, seen)))
+        stretched = float(np.sum(np.abs(seen)) / np.sum(np.abs(ahead)))
+        near = near and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
+    else:
+        turned = 0.0
+    return Trial(_trimmed(share), near, turned, (scale, found.get(STEERING_SCALE, 1.0)))
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -167,6 +174,8 @@ CLEAR_SLIP: Final = 4.5
 CLEAR_AXIS: Final = 12.0
 #: share of the weighted squares, noise included, that a departure must explain
 EXPLAINED: Final = 0.5
+#: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
+LEAD: Final = 0.1
 #: plays of a steering that are tried, rad
 PLAYS_RAD: Final = (0.01, 0.04)
 #: shifts in time of a steering angle that are tried, s: from half the least on, which is no step of a log any more
@@ -175,6 +184,8 @@ SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 AXIS_SCALE: Final = 0.01
 #: resultant of the doubled headings at the starts, above which runs begin along one axis, in either sense
 ALONG_ONE: Final = 0.9
+#: scale of the reference's heading beside its positions
+HEADING_SCALE: Final = 0.005
 #: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
 #: slip by the yaw rate
@@ -193,10 +204,13 @@ class Departure:
     clear: float = CLEAR
 
 
-def find_departure(fitted: Fitted) -> tuple[Departure, float] | None:
-    """Return the departure that explains most, and its size; None where none is clear."""
+def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] | None:
+    """Return the departure that explains most, and its size; None where none is clear.
+
+    `misfit`: the residuals speak against the fit, so that departures are tried which sound ones need not be tested for.
+    """
     most, found = 0.0, None
-    for departure in _departures(fitted.model):
+    for departure in _departures(fitted.model, misfit=misfit):
         share, size, std = score(fitted, departure)
         clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:
@@ -237,12 +251,12 @@ LEAST_SIZE: Final = 0.5
 def _remeasured(segments: Segments, recording: Recording) -> Segments:
     """Return the segments with what the reference of a changed recording says of them."""
     reference, ends = recording.reference, np.stack([segments.first, segments.last])
-    known = np.isfinite(reference[:, ends]).all(axis=(0, 1))
+    known = np.asarray(np.isfinite(reference[:, ends]).all(axis=(0, 1)))
     measured = moved_between(np.nan_to_num(reference), *ends)
     return replace(segments, measured=np.where(segments.seen & known[:, None], measured, segments.measured))
 
 
-def _departures(model: Model) -> Iterator[Departure]:
+def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
     """Yield the departures that a recording can show."""
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
@@ -258,6 +272,9 @@ def _departures(model: Model) -> Iterator[Departure]:
     for sign in (1.0, -1.0):
         if not whole:
             yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        if misfit and not whole:
+            for change in (_wound, _wound_since_start):
+                yield Departure(change, sign * HEADING_SCALE, _heading_scale, LEAD)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
             change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
             yield Departure(change, sign * AXIS_SCALE, named, share, CLEAR_AXIS)
@@ -323,6 +340,25 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
     factors = np.ones(3)
     factors[axis] += share
     return recording.with_reference((recording.reference.T * factors).T)
+
+
+def _wound(recording: Recording, share: float) -> Recording:
+    """Return the recording with headings that turn more by a share."""
+    reference = recording.reference.copy()
+    reference[2] *= 1.0 + share
+    return recording.with_reference(reference)
+
+
+def _wound_since_start(recording: Recording, share: float) -> Recording:
+    """Return the recording with headings that turn more by a share from the start of each run, as a gyro's do."""
+    begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
+    wound = _wound(recording, share)
+    return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
+
+
+def _heading_scale(share: float) -> Fault:
+    text = f"ref_theta_rad: it turns {100 * abs(share):.2g} % too {'little' if share > 0 else 'much'} beside the path "
+    return Fault("heading_scale", f"{text}of its positions; calibrate what measures it (a gyro?)")
 
 
 def _axis(share: float, name: str) -> Fault:

@@ -159,8 +159,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
-        # from where the coarser one ended: over short windows a delay of many steps is not found from zero; but not
-        # from a fit of paths that bend otherwise
+        # from where the coarser one ended, where paths bend alike: short windows do not find a delay of many steps
         other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=None if many else chosen)
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
@@ -173,7 +172,8 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 
 def _without_departure(fit: _Fit) -> Geometry:
     """Return the geometry with a departure corrected, where that moves it and leaves nothing else unexplained."""
-    found, geometry = find_departure(fit.fitted), fit.geometry
+    geometry = fit.geometry
+    found = find_departure(fit.fitted, misfit=geometry.misfit)
     if found is None:
         return geometry
     departure, size = found
@@ -204,7 +204,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     if found is None:
         return None
     campaign, corrected, blunder = found
-    # a track that skids in turns may be that wide: the fit alone needed it to begin with
+    # of skid steering: no blunder, the fit needed a wide track to begin with
     wide = campaign.vehicle.drive == "skid" and blunder.code == "half_track"
     try:
         fit = _fitted(replace(task, campaign=campaign), corrected, () if wide else (blunder,))
@@ -216,8 +216,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
     """Return the fit with the place of the reference's sensor estimated too; None where that explains no more.
 
-    Along the path, where the reference follows the vehicle. It is taken in any case where end headings are far off,
-    since end poses of paths that bend otherwise say little.
+    Along the path, where the reference follows the vehicle; in any case where end headings are far off.
     """
     way: Using = "windows" if recording.continuous else task.way
     try:
@@ -282,7 +281,6 @@ def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> 
 
 
 def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
-    """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
     return nominal_turn(drive_of(campaign, source, recording), recording.steps)
 
 

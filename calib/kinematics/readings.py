@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.kinematics.blunders import LARGEST_STEERING_RAD, SKID_HINT, TWIST, Fault
+from calib.kinematics.blunders import LARGEST_STEERING_RAD, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
+from calib.kinematics.factors import SKID_HINT
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
 

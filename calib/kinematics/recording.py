@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -134,8 +135,8 @@ class Recording:
 
     def with_reference(self, reference: FloatArray) -> Recording:
         """Return the recording with another reference along the path, shape (3, n_samples), and the ends it has."""
-        ends, starts = self.end_pose.copy(), self.offsets
-        for run, (first, last) in enumerate(zip(starts, starts[1:], strict=False)):
+        ends = self.end_pose.copy()
+        for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
             # of a run whose end the path says, not the run table
             moved = _last_pose(reference[:, first:last]) - _last_pose(self.reference[:, first:last])
             if np.isfinite(moved).all():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.errors import RefusedError
-from calib.kinematics.blunders import WHEELS, factor_faults, refuse_heading_unit, wheels_faults
+from calib.kinematics.blunders import WHEELS, refuse_heading_unit, wheels_faults
+from calib.kinematics.factors import factor_faults
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
