@@ -196,7 +196,7 @@ def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
             "are determined; a straight run of known length would determine the scale."
         )
     if kind == "skid" and "track_m" in fitted.parameters.free_names:
-        notes.append("Track_m is the effective track of a skid-steered vehicle: it holds for this floor and load.")
+        notes.append("The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load.")
     if _gyro_alone(fitted):
         notes.append(
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
@@ -206,8 +206,8 @@ def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
     took_s = float(recording.t_s[ends].sum())
     if (mps := float(recording.travel_rad[ends].sum()) * radii[0] / max(took_s, 1e-9)) < SLOWEST_MPS:
         notes.append(
-            f"T_s: {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: times in ms, or "
-            "us, taken for s? Radii and track hold all the same; a delay of the reference is found by right times only."
+            f"Times (t_s) make {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: ms, "
+            "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
     if not fitted.solution.converged:
         notes.append("The search did not settle exactly; the values are good to a small part of their sd.")

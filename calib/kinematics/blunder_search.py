@@ -222,7 +222,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     """Return the share of the squares that a departure explains, its size, and the standard uncertainty of that."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
-    changed = Model(model.drive, recording, _remeasured(model.segments, recording)).predict(solution.values)
+    segments = _remeasured(model.segments, model.recording.reference, recording.reference)
+    changed = Model(model.drive, recording, segments).predict(solution.values)
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed.residuals)
     shift *= np.sqrt(solution.weights)[:, None]
@@ -248,12 +249,14 @@ FEWEST_GROUPS: Final = 8
 LEAST_SIZE: Final = 0.5
 
 
-def _remeasured(segments: Segments, recording: Recording) -> Segments:
-    """Return the segments with what the reference of a changed recording says of them."""
-    reference, ends = recording.reference, np.stack([segments.first, segments.last])
-    known = np.asarray(np.isfinite(reference[:, ends]).all(axis=(0, 1)))
-    measured = moved_between(np.nan_to_num(reference), *ends)
-    return replace(segments, measured=np.where(segments.seen & known[:, None], measured, segments.measured))
+def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
+    """Return the segments with what a changed reference along the path, shape (3, n_samples), adds to them."""
+    if after is before:
+        return segments
+    ends = segments.first, segments.last
+    known = np.asarray(np.isfinite(after[:, np.stack(ends)]).all(axis=(0, 1)))
+    added = moved_between(np.nan_to_num(after), *ends) - moved_between(np.nan_to_num(before), *ends)
+    return replace(segments, measured=segments.measured + np.where(segments.seen & known[:, None], added, 0.0))
 
 
 def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:

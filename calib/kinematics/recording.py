@@ -134,10 +134,9 @@ class Recording:
             )
 
     def with_reference(self, reference: FloatArray) -> Recording:
-        """Return the recording with another reference along the path, shape (3, n_samples), and the ends it has."""
+        """Return the recording with another reference along the path, shape (3, n_samples), and its ends."""
         ends = self.end_pose.copy()
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
-            # of a run whose end the path says, not the run table
             moved = _last_pose(reference[:, first:last]) - _last_pose(self.reference[:, first:last])
             if np.isfinite(moved).all():
                 ends[run] += moved
