@@ -138,23 +138,16 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
-    # a path that closes leads nowhere, at any scale: neither its length nor its direction is told
-    leads = np.abs(ahead) > SMALL_SHARE * path
+    turned = float(np.angle(np.vdot(ahead, seen)))
+    stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
     found = dict(zip(parameters.names, values.tolist(), strict=True))
-    scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
-    common = 1.0 if leads.any() else scale
-    near = not any(
-        implausible(item.name, found[item.name] / item.nominal / common, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
+    near = 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
+    near = near and not any(
+        implausible(item.name, found[item.name] / item.nominal, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
         for item in drive.parameters
         if item.nominal and not item.name.startswith(("steering", "slope"))
     )
-    if leads.any():
-        ahead, seen = ahead[leads], seen[leads]
-        turned = float(np.angle(np.vdot(ahead, seen)))
-        stretched = float(np.sum(np.abs(seen)) / np.sum(np.abs(ahead)))
-        near = near and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
-    else:
-        turned = 0.0
+    scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
     return Trial(_trimmed(share), near, turned, (scale, found.get(STEERING_SCALE, 1.0)))
 
 

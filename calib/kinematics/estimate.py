@@ -173,8 +173,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 def _without_departure(fit: _Fit) -> Geometry:
     """Return the geometry with a departure corrected, where that moves it and leaves nothing else unexplained."""
     geometry = fit.geometry
-    found = find_departure(fit.fitted, misfit=geometry.misfit)
-    if found is None:
+    if (found := find_departure(fit.fitted, misfit=geometry.misfit)) is None:
         return geometry
     departure, size = found
     # a delay that grows looks like several
@@ -187,8 +186,9 @@ def _without_departure(fit: _Fit) -> Geometry:
         if settled or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
         size += more
+    explained = departure.share or (geometry.misfit and not corrected.misfit)
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
-    if not (settled and (departure.share or moved)) or (corrected.misfit and geometry.misfit):
+    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 

@@ -137,9 +137,11 @@ class Recording:
         """Return the recording with another reference along the path, shape (3, n_samples), and its ends."""
         ends = self.end_pose.copy()
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
-            moved = _last_pose(reference[:, first:last]) - _last_pose(self.reference[:, first:last])
-            if np.isfinite(moved).all():
-                ends[run] += moved
+            both = np.stack([reference[:, first:last], self.reference[:, first:last]])
+            known = np.flatnonzero(np.isfinite(both).all(axis=(0, 1)))
+            if len(known) > 1:
+                after, before = (moved_between(np.nan_to_num(part), known[:1], known[-1:])[0] for part in both)
+                ends[run] += after - before
         return replace(self, reference=reference, end_pose=ends)
 
     def with_turned(self, turned_rad: FloatArray) -> Recording:

@@ -15,10 +15,10 @@ from calib.kinematics.blunders import still_counters
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.factors import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
 from calib.kinematics.joint_fit import drive_of, fit_parameters
-from calib.kinematics.model import end_pose_segments, window_segments
+from calib.kinematics.model import window_segments
 from calib.kinematics.recording import recording_of
 from calib.kinematics.result import Geometry
-from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed
+from tests.kinematics.campaigns import Truth, campaign, mixed
 from tests.kinematics.test_departures import ROUTE
 
 Columns = dict[str, np.ndarray]
@@ -134,15 +134,6 @@ def test_times_that_no_vehicle_takes_are_noted(times: float) -> None:
     """Radii hold at any times; a mean speed of less than 1 mm/s says that they are not in seconds."""
     found = estimate_geometry(in_map(4, lambda log: log | {"t_s": times * log["t_s"]}))
     assert any("(t_s)" in note for note in found.notes) is (times > 1.0)
-
-
-def test_increments_of_closed_paths_are_named() -> None:
-    """Closed paths fit at any scale, which is no sign against a reading."""
-    made = campaign(both_ways(2), TRUTH, np.random.default_rng(5), samples=50)
-    sides = ("counts_left", "counts_right")
-    made = changed(made, lambda log: log | {k: np.diff(log[k], prepend=log[k][0]) for k in sides})
-    found = find_blunder(made, recording_of(made, "rear"), "rear", lambda _, other: end_pose_segments(other))
-    assert found is not None and found[2].code == "count_increments"
 
 
 @pytest.mark.parametrize("stuck", [False, True])
