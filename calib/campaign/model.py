@@ -254,6 +254,8 @@ class Logs:
     #: columns of `LOG_COLUMNS` that any log has, NaN in the stretches of logs that lack one. Counts are unwrapped and
     #: start at the log's own first value; times are seconds from the run's start, shape (n_samples,)
     columns: Mapping[str, FloatArray]
+    #: columns of speeds that counts were integrated from
+    speeds: tuple[str, ...] = ()
 
     @property
     def lengths(self) -> IntArray:
@@ -286,7 +288,7 @@ class Logs:
         columns = LogColumns(int(offsets[-1]), len(self.columns))
         for name, column in self.columns.items():
             columns.add(name, np.concatenate([column[:0], *(column[stretch] for stretch in stretches)]))
-        return Logs(offsets=offsets, columns=columns)
+        return Logs(offsets=offsets, columns=columns, speeds=self.speeds)
 
     @staticmethod
     def empty(n_runs: int) -> Logs:

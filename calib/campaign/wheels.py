@@ -247,7 +247,8 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
         logged = columns.get(name)
         columns[name] = counts if logged is None else np.where(np.isnan(logged), counts, logged)
         border.say("logs", f"{name} integrated from speeds, by the nominal radius", "speeds")
-    return Logs(logs.offsets, {name: column for name, column in columns.items() if name not in SPEEDS})
+    kept = {name: column for name, column in columns.items() if name not in SPEEDS}
+    return Logs(logs.offsets, kept, tuple(name for name in SPEEDS if name in columns))
 
 
 def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tuple[str, FloatArray]]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
+from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.sessions import left_within
@@ -43,10 +44,6 @@ REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry where no replicates say it: share of the way (UMBmark's robots: 0.1 to 0.5 %), and
 #: heading as a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
-#: a length further from what is stated is a wrong setting, unit or count; rubber, wear and load stay within it
-PLAUSIBLE_CHANGE: Final = 0.15
-#: a track may be an effective one, of two tyres that scrub or of a wide tread
-PLAUSIBLE_TRACK_CHANGE: Final = 0.3
 #: at most this share of the runs are single bad ones, which take no part; one run always may be
 FEW_OUTLIERS: Final = 0.1
 #: share of runs that the noise cannot explain, from which on the result is doubtful
@@ -211,7 +208,8 @@ def judged(
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
     # a factor that is recognised says by itself that the length is off
-    impossible = [] if {fault.code for fault in faults} & {"half_track", "radius_factor"} else _implausible(fitted)
+    explained = {fault.code for fault in faults} & {"half_track", "radius_factor"}
+    impossible = [] if explained else implausible_lengths(fitted, campaign.vehicle.drive)
     large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
         np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     )
@@ -306,25 +304,6 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
         fit = solve(seen, fitted.parameters, solution.values, solution.scales)
         residuals[away] = logged.predict(fit.values).residuals[away]
     return residuals
-
-
-def _implausible(fitted: Fitted) -> list[str]:
-    """Return the lengths that are further from the stated ones than wheels and floors can make them."""
-    sentences = []
-    free = fitted.parameters.free
-    for name, nominal, value in zip(
-        fitted.parameters.free_names, fitted.parameters.nominal[free], fitted.solution.values[free], strict=True
-    ):
-        if not nominal or not (name.startswith(("track", "wheelbase")) or "radius" in name):
-            continue
-        change = value / nominal - 1.0
-        if abs(change) > (PLAUSIBLE_TRACK_CHANGE if name.startswith("track") else PLAUSIBLE_CHANGE):
-            away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
-            also = "; play or lag of the steering acts alike: see 'calib diagnose'" if name == "wheelbase_m" else ""
-            sentences.append(
-                f"{away}, more than wheels can change: check lengths, counts per revolution and units{also}"
-            )
-    return sentences
 
 
 def _sideways(position: Residuals, heading: Residuals) -> list[str]:

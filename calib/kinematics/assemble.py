@@ -17,8 +17,9 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged
-from calib.kinematics.blunders import Fault, factor_faults
+from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
+from calib.kinematics.factors import factor_faults
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
@@ -69,6 +70,8 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
 
 #: an outlier is a run that chance makes once in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01
+#: no run is driven slower: a metre takes a quarter of an hour
+SLOWEST_MPS: Final = 1e-3
 
 
 def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, faults: tuple[Fault, ...]) -> Geometry:
@@ -77,7 +80,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
     nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
-    faults = (*faults, *factor_faults(nominal_of, value_of))
+    faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive, model.recording.speeds))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
@@ -109,7 +112,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=_notes(fitted),
+        notes=_notes(fitted, campaign.vehicle.drive),
         inputs=campaign.hashes,
         judgement=judgement,
     )
@@ -175,8 +178,8 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: Fitted) -> tuple[str, ...]:
-    """Return notes on the estimates, in sentences."""
+def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
+    """Return notes on the estimates of a `kind` of drive, in sentences."""
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     notes = []
     if name in {"session", "route"}:
@@ -192,10 +195,19 @@ def _notes(fitted: Fitted) -> tuple[str, ...]:
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
         )
+    if kind == "skid" and "track_m" in fitted.parameters.free_names:
+        notes.append("The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load.")
     if _gyro_alone(fitted):
         notes.append(
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
             "interval of the track. A closed loop, or a turn of known angle, tells the two apart."
+        )
+    ends, radii = recording.offsets[1:] - 1, [row.nominal for row in fitted.parameters.items if "radius" in row.name]
+    took_s = float(recording.t_s[ends].sum())
+    if (mps := float(recording.travel_rad[ends].sum()) * radii[0] / max(took_s, 1e-9)) < SLOWEST_MPS:
+        notes.append(
+            f"Times (t_s) make {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: ms, "
+            "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
     if not fitted.solution.converged:
         notes.append("The search did not settle exactly; the values are good to a small part of their sd.")

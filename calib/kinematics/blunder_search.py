@@ -32,6 +32,7 @@ from calib.kinematics.drives import (
     nominal_turn,
     parameters_of,
 )
+from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import Change, Reading, readings, unchanged
@@ -135,22 +136,19 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         return Trial(np.inf, False, 0.0)
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
-    change = np.array(
-        [
-            value / item.nominal - 1.0
-            for value, item in zip(values, drive.parameters, strict=False)
-            if item.nominal and not item.name.startswith("steering") and not item.name.startswith("slope")
-        ]
-    )
     told = segments.measured - residuals
     ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
-    near = bool((np.abs(change) < PLAUSIBLE_CHANGE).all()) and 1.0 / SAME_LENGTH < stretched < SAME_LENGTH
     found = dict(zip(parameters.names, values.tolist(), strict=True))
-    radii = [found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]
-    near = near and abs(turned) < SAME_WAY_RAD
-    return Trial(_trimmed(share), near, turned, (float(np.mean(radii)), found.get(STEERING_SCALE, 1.0)))
+    near = 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
+    near = near and not any(
+        implausible(item.name, found[item.name] / item.nominal, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
+        for item in drive.parameters
+        if item.nominal and not item.name.startswith(("steering", "slope"))
+    )
+    scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
+    return Trial(_trimmed(share), near, turned, (scale, found.get(STEERING_SCALE, 1.0)))
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -169,12 +167,18 @@ CLEAR_SLIP: Final = 4.5
 CLEAR_AXIS: Final = 12.0
 #: share of the weighted squares, noise included, that a departure must explain
 EXPLAINED: Final = 0.5
+#: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
+LEAD: Final = 0.1
 #: plays of a steering that are tried, rad
 PLAYS_RAD: Final = (0.01, 0.04)
 #: shifts in time of a steering angle that are tried, s: from half the least on, which is no step of a log any more
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
+#: resultant of the doubled headings at the starts, above which runs begin along one axis, in either sense
+ALONG_ONE: Final = 0.9
+#: scale of the reference's heading beside its positions
+HEADING_SCALE: Final = 0.005
 #: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
 #: slip by the yaw rate
@@ -193,10 +197,13 @@ class Departure:
     clear: float = CLEAR
 
 
-def find_departure(fitted: Fitted) -> tuple[Departure, float] | None:
-    """Return the departure that explains most, and its size; None where none is clear."""
+def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] | None:
+    """Return the departure that explains most, and its size; None where none is clear.
+
+    `misfit`: the residuals speak against the fit, so that departures are tried which sound ones need not be tested for.
+    """
     most, found = 0.0, None
-    for departure in _departures(fitted.model):
+    for departure in _departures(fitted.model, misfit=misfit):
         share, size, std = score(fitted, departure)
         clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:
@@ -208,7 +215,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     """Return the share of the squares that a departure explains, its size, and the standard uncertainty of that."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
-    changed = Model(model.drive, recording, _remeasured(model.segments, recording)).predict(solution.values)
+    segments = _remeasured(model.segments, model.recording.reference, recording.reference)
+    changed = Model(model.drive, recording, segments).predict(solution.values)
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed.residuals)
     shift *= np.sqrt(solution.weights)[:, None]
@@ -234,15 +242,17 @@ FEWEST_GROUPS: Final = 8
 LEAST_SIZE: Final = 0.5
 
 
-def _remeasured(segments: Segments, recording: Recording) -> Segments:
-    """Return the segments with what the reference of a changed recording says of them."""
-    if segments.are_runs_of(recording):
+def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
+    """Return the segments with what a changed reference along the path, shape (3, n_samples), adds to them."""
+    if after is before:
         return segments
-    measured = moved_between(np.nan_to_num(recording.reference), segments.first, segments.last)
-    return replace(segments, measured=np.where(segments.seen, measured, segments.measured))
+    ends = segments.first, segments.last
+    known = np.asarray(np.isfinite(after[:, np.stack(ends)]).all(axis=(0, 1)))
+    added = moved_between(np.nan_to_num(after), *ends) - moved_between(np.nan_to_num(before), *ends)
+    return replace(segments, measured=segments.measured + np.where(segments.seen & known[:, None], added, 0.0))
 
 
-def _departures(model: Model) -> Iterator[Departure]:
+def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
     """Yield the departures that a recording can show."""
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
@@ -251,11 +261,16 @@ def _departures(model: Model) -> Iterator[Departure]:
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
-    if whole:
-        # all begin at the same heading: an axis of the reference is then one of the vehicle, which may slide along it
+    begin_rad = model.recording.reference[2, model.segments.first]
+    # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
+    if whole and not abs(np.mean(np.exp(2j * begin_rad))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):
-        yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        if not whole:
+            yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        if misfit and not whole:
+            for change in (_wound, _wound_since_start):
+                yield Departure(change, sign * HEADING_SCALE, _heading_scale, LEAD)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
             change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
             yield Departure(change, sign * AXIS_SCALE, named, share, CLEAR_AXIS)
@@ -320,7 +335,26 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
     """Return the recording with one axis of the reference's positions longer by a share."""
     factors = np.ones(3)
     factors[axis] += share
-    return replace(recording, reference=(recording.reference.T * factors).T, end_pose=recording.end_pose * factors)
+    return recording.with_reference((recording.reference.T * factors).T)
+
+
+def _wound(recording: Recording, share: float) -> Recording:
+    """Return the recording with headings that turn more by a share."""
+    reference = recording.reference.copy()
+    reference[2] *= 1.0 + share
+    return recording.with_reference(reference)
+
+
+def _wound_since_start(recording: Recording, share: float) -> Recording:
+    """Return the recording with headings that turn more by a share from the start of each run, as a gyro's do."""
+    begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
+    wound = _wound(recording, share)
+    return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
+
+
+def _heading_scale(share: float) -> Fault:
+    text = f"ref_theta_rad: it turns {100 * abs(share):.2g} % too {'little' if share > 0 else 'much'} beside the path "
+    return Fault("heading_scale", f"{text}of its positions; calibrate what measures it (a gyro?)")
 
 
 def _axis(share: float, name: str) -> Fault:

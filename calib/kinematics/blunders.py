@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -11,32 +11,13 @@ import numpy as np
 
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import Drive, nominal_values
+from calib.kinematics.drives import Drive, nominal_turn, nominal_values
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.types import FloatArray, IntArray
 
 #: how far a ratio may be from a factor and still be taken for it, relative
 NEAR: Final = 0.08
-#: factors that faults of settings leave, and what they mean
-TRACK_FACTORS: Final = {0.5: "half the track", 2.0: "twice the track"}
-RADIUS_FACTORS: Final = {
-    0.5: "half the radius: twice the counts per revolution, or the radius for the diameter",
-    2.0: "twice the radius: half the counts per revolution, or the diameter for the radius",
-    4.0: "four times the radius: a quarter of the counts per revolution (quadrature)",
-    0.25: "a quarter of the radius: four times the counts per revolution (quadrature)",
-    float(np.pi): "pi times the radius",
-    1.0 / 0.3048: "1 / 0.3048 times: positions in feet taken for m",
-    1.0 / 0.0254: "1 / 0.0254 times: positions in inches taken for m",
-    1e-3: "a thousandth: positions in m taken for mm, or lengths of the settings in mm taken for m",
-    1e3: "a thousand times: positions in mm taken for m",
-    1e-2: "a hundredth: positions in m taken for cm, or lengths of the settings in cm taken for m",
-    1e2: "a hundred times: positions in cm taken for m",
-    float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
-    float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
-}
-#: a radius off by more than this factor is no radius, no matter what made it
-FARTHEST: Final = 5.0
 #: turns of the wheels by less, root mean square over the stretches, say nothing of the heading's unit
 TURNS_RAD: Final = 0.1
 #: a steering angle that straight ahead reads further from zero was never set to it: assembly leaves hundredths
@@ -47,6 +28,13 @@ CLEAR: Final = 5.0
 LARGEST_STEERING_RAD: Final = 2.0
 #: an angle that moves by less over a whole campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
+#: a reference mirrored in y and heading is to the wheels the same as left for right
+OR_MIRRORED: Final = (
+    "; or ref_y_m and ref_theta_rad are both mirrored (clockwise, y to the right, NED): then change their signs and "
+    "exchange nothing. Drive a left turn: ref_theta_rad must grow, and the right wheel roll further"
+)
+#: column of the yaw rate that, with v_mps, stands for two wheels
+TWIST: Final = "omega_radps"
 Between = Callable[[FloatArray], FloatArray]
 
 
@@ -65,6 +53,7 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
     columns are swapped or a counter runs backwards.
     """
+    twist = TWIST in recording.speeds
     turned = segments.between(recording.steps.turned_rad)
     good, seen = segments.seen[:, 2], segments.seen[:, 0]
     slopes = _regression(turned[:, good], segments.measured[good, 2])
@@ -79,9 +68,14 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
         code, text = "reversed_right", "the right counter runs backwards; correct its sign or its wiring"
         corrected = (left, -right)
     elif forward < 0.0:
-        code, text, corrected = "reversed_both", "both counters run backwards; correct their signs", (-left, -right)
+        what = f"v_mps and {TWIST} have the other sign" if twist else "both counters run backwards"
+        code, text, corrected = "reversed_both", f"{what}; correct their signs", (-left, -right)
+    elif twist:
+        code, corrected = "reversed_omega", (right, left)
+        text = f"{TWIST} has the other sign: left turns are positive; correct it{OR_MIRRORED}"
     else:
-        code, text = "swapped_wheels", "the wheels are swapped; exchange the columns counts_left and counts_right"
+        code, names = "swapped_wheels", recording.speeds or ("counts_left", "counts_right")
+        text = f"the wheels are swapped; exchange the columns {' and '.join(names[:2])}{OR_MIRRORED}"
         corrected = (right, left)
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
@@ -135,7 +129,8 @@ def front_faults(
         recording = recording.with_turned(-recording.steps.turned_rad)
     aside = segments.between(recording.steps.turned_rad[0] * np.sin(steer))
     if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
-        faults.append(Fault("reversed_steering", "the steering angle has the other sign; left turns are positive"))
+        text = f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"
+        faults.append(Fault("reversed_steering", text))
         recording = recording.with_steering(-steer)
     return recording, tuple(faults)
 
@@ -200,23 +195,6 @@ def _chord_sense(measured: FloatArray) -> FloatArray:
     return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
 
 
-def factor_faults(nominal: Mapping[str, float], estimated: Mapping[str, float]) -> tuple[Fault, ...]:
-    """Return faults of the settings that leave a factor between nominal and found lengths."""
-    faults = []
-    for name, factors in (("track_m", TRACK_FACTORS), ("half_length_plus_half_width_m", TRACK_FACTORS)):
-        if name in estimated:
-            faults += _factor(name, estimated[name] / nominal[name], factors)
-    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m"):
-        if name in estimated:
-            ratio = estimated[name] / nominal[name]
-            explained = _factor(name, ratio, RADIUS_FACTORS)
-            if not explained and ratio > 0.0 and not 1.0 / FARTHEST < ratio < FARTHEST:
-                text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"
-                explained = [Fault("radius_factor", text)]
-            faults += explained
-    return tuple(faults)
-
-
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     """Refuse a reference whose heading is in another unit than radians.
 
@@ -226,8 +204,11 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
         return
-    # of either sign: counters may run backwards
-    ratio = abs(float(told_rad @ measured_rad)) / square
+    # of either sign: counters may run backwards, all of them: one alone makes turns that follow no factor
+    slope = float(told_rad @ measured_rad) / square
+    ratio, left_rad = abs(slope), measured_rad - slope * told_rad
+    if float(left_rad @ left_rad) > CLEARLY_LESS * float(measured_rad @ measured_rad):
+        return
     words = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
     for factor, what in words.items():
         if abs(ratio / factor - 1.0) < 2.0 * NEAR:
@@ -235,16 +216,6 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
                 f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much; "
                 f"the heading's unit is wrong ({what}): correct it in the mapping or the log"
             )
-
-
-def _factor(name: str, ratio: float, factors: dict[float, str]) -> list[Fault]:
-    factor = min(factors, key=lambda one: abs(ratio / one - 1.0))
-    if abs(ratio / factor - 1.0) >= NEAR:
-        return []
-    meaning = factors[factor]
-    code = "half_track" if meaning.endswith("the track") else "radius_factor"
-    text = f"{name} is {ratio:.3g} times the nominal value, {meaning}; correct the settings or the mapping"
-    return [Fault(code, text)]
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
@@ -275,7 +246,35 @@ def corrected(
     refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
     if source in STEERED:
         return recording, faults
-    return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
+    if source == "wheels":
+        return wheels_faults(recording, segments, drive)
+    recording, faults = rear_faults(recording, segments)
+    return recording, (*still_counters(recording, drive), *faults)
+
+
+def still_counters(recording: Recording, drive: Drive) -> Iterator[Fault]:
+    """Yield the counters, of two wheels, that stand still in a run whose reference does not turn about that wheel."""
+    told_rad, names = nominal_turn(drive, recording.steps), recording.speeds or ("counts_left", "counts_right")
+    for side, name in enumerate(names if TWIST not in recording.speeds else ()):
+        for run, first, last in zip(recording.run_id, recording.offsets, recording.offsets[1:] - 1, strict=False):
+            part = slice(first, last + 1)
+            rolled = np.cumsum(np.abs(recording.steps.turned_rad[:, part]), axis=1)
+            heading, t_s = recording.reference[2, part], recording.t_s[part]
+            # the longest stretch without a count, by what the other wheel rolls in it
+            moved = np.concatenate([[0], np.flatnonzero(recording.steps.turned_rad[side, part]), [last - first]])
+            longest = int(np.argmax(np.diff(rolled[1 - side, moved])))
+            begin, end = int(moved[longest]), int(moved[longest + 1])
+            known = np.flatnonzero(np.isfinite(heading[begin : end + 1])) + begin
+            if not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
+                continue
+            begin, end = int(known[0]), int(known[-1])
+            turn, seen = told_rad[part][begin + 1 : end + 1].sum(), heading[end] - heading[begin]
+            if abs(seen) < CLEARLY_LESS * abs(turn):
+                text = (
+                    f"{name}: it stands still from {t_s[begin]:.3g} to {t_s[end]:.3g} s in {run}, and the vehicle "
+                    f"turns by {seen:.2g} rad, not {turn:.2g} rad about that wheel; check the encoder, omit this run"
+                )
+                yield Fault("counter_still", text, seen=True)
 
 
 def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
@@ -316,6 +315,7 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
         for one, other in pairs:
             order[one], order[other] = other, one
         names = ", ".join(f"counts_{WHEELS[one]} and counts_{WHEELS[other]}" for one, other in pairs)
+        names += OR_MIRRORED if pairs == [(0, 1), (2, 3)] else ""
         yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
 
 

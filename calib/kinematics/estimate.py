@@ -159,8 +159,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
-        # from where the coarser one ended: over short windows a delay of many steps is not found from zero; but not
-        # from a fit of paths that bend otherwise
+        # from where the coarser one ended, where paths bend alike: short windows do not find a delay of many steps
         other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=None if many else chosen)
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
@@ -173,8 +172,8 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 
 def _without_departure(fit: _Fit) -> Geometry:
     """Return the geometry with a departure corrected, where that moves it and leaves nothing else unexplained."""
-    found, geometry = find_departure(fit.fitted), fit.geometry
-    if found is None:
+    geometry = fit.geometry
+    if (found := find_departure(fit.fitted, misfit=geometry.misfit)) is None:
         return geometry
     departure, size = found
     # a delay that grows looks like several
@@ -187,8 +186,9 @@ def _without_departure(fit: _Fit) -> Geometry:
         if settled or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
         size += more
+    explained = departure.share or (geometry.misfit and not corrected.misfit)
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
-    if not (settled and (departure.share or moved)) or (corrected.misfit and geometry.misfit):
+    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 
@@ -204,17 +204,19 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     if found is None:
         return None
     campaign, corrected, blunder = found
+    # of skid steering: no blunder, the fit needed a wide track to begin with
+    wide = campaign.vehicle.drive == "skid" and blunder.code == "half_track"
     try:
-        return _fitted(replace(task, campaign=campaign), corrected, (blunder,))
+        fit = _fitted(replace(task, campaign=campaign), corrected, () if wide else (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
+    return replace(fit, geometry=fit.geometry.with_wide_track(task.campaign.model.track_m, blunder)) if wide else fit
 
 
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
     """Return the fit with the place of the reference's sensor estimated too; None where that explains no more.
 
-    Along the path, where the reference follows the vehicle. It is taken in any case where end headings are far off,
-    since end poses of paths that bend otherwise say little.
+    Along the path, where the reference follows the vehicle; in any case where end headings are far off.
     """
     way: Using = "windows" if recording.continuous else task.way
     try:
@@ -279,7 +281,6 @@ def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> 
 
 
 def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
-    """Return the turn in each step by the nominal vehicle, shape (n_samples,)."""
     return nominal_turn(drive_of(campaign, source, recording), recording.steps)
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.kinematics.blunders import LARGEST_STEERING_RAD, Fault
+from calib.kinematics.blunders import LARGEST_STEERING_RAD, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
+from calib.kinematics.factors import SKID_HINT
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
 
@@ -82,6 +83,7 @@ def readings(
         Whether lengths are near nominal as it stands.
     """
     yield from _axes(turned_rad)
+    yield from _yaw_rates(recording)
     yield from _quaternions(recording, drive)
     yield from _units()
     yield from _tracks(drive)
@@ -133,6 +135,19 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         ("mirrored", "y and heading are mirrored, or the wheels exchanged", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
     ):
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
+
+
+def _yaw_rates(recording: Recording) -> Iterator[Reading]:
+    """Yield yaw rates in other units, where the wheels' angles come from them."""
+    for unit, radians in ANGLE_UNITS.items() if TWIST in recording.speeds else ():
+
+        def turned(recording: Recording, factor: float = float(radians)) -> Recording:
+            left, right = recording.steps.turned_rad
+            ahead, half = 0.5 * (left + right), 0.5 * factor * (right - left)
+            return recording.with_turned(np.stack([ahead - half, ahead + half]))
+
+        text = f"{TWIST}: found {unit}/s where rad/s are expected; convert, or state the unit in the mapping"
+        yield Reading(Fault("omega_unit", text), turned)
 
 
 def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
@@ -188,7 +203,8 @@ def _tracks(drive: Drive) -> Iterator[Reading]:
         def stated(campaign: Campaign, factor: float = factor) -> Campaign:
             return replace(campaign, model=replace(campaign.model, track_m=factor * campaign.model.track_m))
 
-        text = f"track_m: {words} the track that is stated explains the data; correct [vehicle]"
+        hint = SKID_HINT if factor > 1.0 else ""
+        text = f"track_m: {words} the track that is stated explains the data{hint}; correct [vehicle]"
         yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), unchanged, setting=stated)
 
 

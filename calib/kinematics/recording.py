@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -58,6 +59,8 @@ class Recording:
     left_out: tuple[tuple[str, str], ...] = ()
     #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
+    #: columns of speeds that the wheels' angles were integrated from; empty of counts
+    speeds: tuple[str, ...] = ()
     #: how much the reference's clock is fast, relative
     clock_rate: float = 0.0
 
@@ -130,6 +133,17 @@ class Recording:
                 f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
             )
 
+    def with_reference(self, reference: FloatArray) -> Recording:
+        """Return the recording with another reference along the path, shape (3, n_samples), and its ends."""
+        ends = self.end_pose.copy()
+        for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
+            both = np.stack([reference[:, first:last], self.reference[:, first:last]])
+            known = np.flatnonzero(np.isfinite(both).all(axis=(0, 1)))
+            if len(known) > 1:
+                after, before = (moved_between(np.nan_to_num(part), known[:1], known[-1:])[0] for part in both)
+                ends[run] += after - before
+        return replace(self, reference=reference, end_pose=ends)
+
     def with_turned(self, turned_rad: FloatArray) -> Recording:
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
@@ -198,6 +212,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         end_pose=np.stack([piece.end_pose for piece in pieces]),
         by_gyro=np.array([piece.by_gyro for piece in pieces]),
         left_out=tuple(left_out),
+        speeds=campaign.logs.speeds,
     )
 
 

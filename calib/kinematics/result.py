@@ -11,6 +11,7 @@ import numpy as np
 from calib.documents import Result, plain_fields
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
+from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Delay
 from calib.kinematics.uncertainty import Freedom
 from calib.types import FloatArray, IntArray
@@ -233,6 +234,12 @@ class Geometry(Result):
         verdict = GeometryVerdict.DOUBTFUL if self.passed else self.verdict
         judgement = replace(self.judgement, verdict=verdict, why=(fault.text, *self.why))
         return replace(self, judgement=judgement, faults=(fault,))
+
+    def with_wide_track(self, stated_m: float, fault: Fault) -> Geometry:
+        """Return the result beside the track that is stated, with the fault where no skid steering makes it so wide."""
+        rows = (replace(row, nominal=stated_m) if row.name == "track_m" else row for row in self.estimates)
+        found = replace(self, estimates=tuple(rows))
+        return self.doubted(fault) if implausible("track_m", found.values["track_m"] / stated_m, 1.0, "skid") else found
 
     @property
     def table(self) -> DataFrame:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.errors import RefusedError
-from calib.kinematics.blunders import WHEELS, factor_faults, refuse_heading_unit, wheels_faults
+from calib.kinematics.blunders import WHEELS, refuse_heading_unit, wheels_faults
+from calib.kinematics.factors import factor_faults
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
@@ -69,6 +70,8 @@ def test_a_heading_in_another_unit_is_refused(factor: float, what: str) -> None:
     for measured in (told, 0.5 * told, -told, 1e-3 * told):
         refuse_heading_unit(told, measured)
     refuse_heading_unit(1e-2 * told, factor * 1e-2 * told)
+    # one counter backwards: turns that follow no factor, though their sum may
+    refuse_heading_unit(told, factor * told + 60.0 * np.array([0.4, 1.5, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize(

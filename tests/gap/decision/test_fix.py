@@ -14,7 +14,7 @@ from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.library import effect_class
-from calib.kinematics.adequacy import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
+from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain
 CLOSES = Improvement(5.0, 1.2, (3.5, 4.1), (0.9, 1.0))
