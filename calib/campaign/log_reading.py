@@ -235,7 +235,6 @@ def _state(path: Path) -> tuple[int, ...]:
 
 
 def _processors() -> int:
-    """Return how many processors this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:

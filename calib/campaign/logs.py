@@ -267,7 +267,6 @@ def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: 
 
 
 def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
-    """Return the step to each sample from the one before, 0 at the first of each log."""
     step = np.diff(counts, prepend=counts[:1])
     starts = offsets[:-1]
     step[starts[starts < len(step)]] = 0.0

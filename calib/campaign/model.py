@@ -238,7 +238,6 @@ class LogColumns(Mapping[str, FloatArray]):
 
 
 def _all_bytes(column: FloatArray, move: Callable[[memoryview, int], int]) -> None:
-    """Read or write a column by a call that may move fewer bytes than it is asked to."""
     done, data = 0, column.data.cast("B")
     while done < len(data):
         done += move(data[done:], done)

@@ -238,7 +238,6 @@ def look_alike(name: str, missing: Iterable[str]) -> str | None:
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """Return the words of a column name without its unit, in any order, long and in lower case."""
     stem, _ = split_suffix(re.sub(r"[\s\-.]+", "_", name.strip()))
     words = re.split(r"_+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem).lower())
     return tuple(sorted(_WORDS.get(one, one) for one in words if one and one not in _BESIDE and one not in SUFFIXES))

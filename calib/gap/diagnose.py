@@ -227,7 +227,6 @@ def _refitted(
 
 
 def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
-    """Return a campaign with these runs excluded."""
     if not omitted:
         return campaign
     excluded = campaign.runs.excluded | np.isin(campaign.runs.label("run_id"), list(omitted))
@@ -299,7 +298,6 @@ def _observed(
 
 
 def _check_distances(campaign: Campaign, observations: Observations) -> None:
-    """Refuse runs whose wheels rolled too far for double precision to resolve millimetres."""
     for travel_m in (observations.travel_left_m, observations.travel_right_m):
         distances_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
         number = int(np.argmax(distances_m))
@@ -312,7 +310,6 @@ def _check_distances(campaign: Campaign, observations: Observations) -> None:
 
 
 def _check_steering(campaign: Campaign, observations: Observations) -> None:
-    """Refuse steering angles so wrong that repeats scatter by them, and no noise can be told."""
     blunder = steering_blunder(observations)
     if blunder:
         raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")

@@ -153,7 +153,6 @@ def _undetermined(fitted: Fitted) -> tuple[str, ...]:
 
 
 def _gyro_alone(fitted: Fitted) -> bool:
-    """Return whether a gyro of undetermined scale alone measured the turns."""
     return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.dropped
 
 

@@ -277,7 +277,6 @@ def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
 
 
 def _clocked(recording: Recording, rate: float) -> Recording:
-    """Return the recording with a faster clock of the reference."""
     return replace(recording, clock_rate=recording.clock_rate + rate)
 
 
@@ -287,7 +286,6 @@ def _clock(rate: float) -> Fault:
 
 
 def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> Recording:
-    """Return the recording without slip in turns."""
     yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(nominal_turn(drive, recording.steps)), recording.t_s))
     return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
 
@@ -298,7 +296,6 @@ def _slip(slip_s_per_rad: float) -> Fault:
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:
-    """Return the recording with the angle of wheels that follow the sensor with a play."""
     sensor = np.asarray(recording.steps.steer_rad)
     wheel = sensor.copy()
     half = 0.5 * play_rad
@@ -316,7 +313,6 @@ def _play(play_rad: float) -> Fault:
 
 
 def _shifted(recording: Recording, shift_s: float) -> Recording:
-    """Return the recording with the steering angle a time later."""
     steer = np.asarray(recording.steps.steer_rad).copy()
     for first, last in pairwise(recording.offsets.tolist()):
         t_s = recording.t_s[first:last]
@@ -332,14 +328,12 @@ def _shift(shift_s: float) -> Fault:
 
 
 def _stretched(recording: Recording, share: float, axis: int) -> Recording:
-    """Return the recording with one axis of the reference's positions longer by a share."""
     factors = np.ones(3)
     factors[axis] += share
     return recording.with_reference((recording.reference.T * factors).T)
 
 
 def _wound(recording: Recording, share: float) -> Recording:
-    """Return the recording with headings that turn more by a share."""
     reference = recording.reference.copy()
     reference[2] *= 1.0 + share
     return recording.with_reference(reference)

@@ -191,7 +191,6 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
 
 
 def _chord_sense(measured: FloatArray) -> FloatArray:
-    """Return forward distance where the heading hardly turned, else nothing: only there its sign is that of the way."""
     return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
 
 

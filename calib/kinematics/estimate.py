@@ -230,7 +230,6 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
 
 
 def _bends(fitted: Fitted) -> bool:
-    """Return whether heading residuals in the longest windows are too large for a linear model of positions."""
     segments = fitted.model.segments
     longest = (segments.level == 0) & segments.seen[:, 2]
     rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2:]
@@ -339,7 +338,6 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
 
 
 def _from_starts(recording: Recording) -> Segments:
-    """Return a segment from the start of each run to each of its samples."""
     n = len(recording.t_s)
     whole = np.zeros(n, dtype=np.bool_)
     number = np.arange(n, dtype=np.int64)

@@ -303,7 +303,6 @@ def recording_groups(recording: Recording) -> IntArray:
 
 
 def _disagree(shift: FloatArray, std: FloatArray) -> bool:
-    """Return whether the recordings ask for several delays beyond chance."""
     from scipy.special import chdtrc
 
     weight = 1.0 / np.square(std)

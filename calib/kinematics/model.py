@@ -133,7 +133,6 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
 
 
 def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
-    """Return the samples where the travel is nearest to `wanted`."""
     after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
     return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
 
@@ -249,7 +248,6 @@ def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _through(derivative: FloatArray, moved: FloatArray, place: FloatArray) -> FloatArray:
-    """Return derivatives of the sensor's displacement from those of the vehicle's."""
     x, y, yaw = place
     turn, cosine, sine = moved[:, 2], np.cos(yaw), np.sin(yaw)
     d_forward = derivative[:, 0] + (-np.sin(turn) * x - np.cos(turn) * y)[:, None] * derivative[:, 2]

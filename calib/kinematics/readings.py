@@ -138,7 +138,6 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
 
 
 def _yaw_rates(recording: Recording) -> Iterator[Reading]:
-    """Yield yaw rates in other units, where the wheels' angles come from them."""
     for unit, radians in ANGLE_UNITS.items() if TWIST in recording.speeds else ():
 
         def turned(recording: Recording, factor: float = float(radians)) -> Recording:
@@ -178,7 +177,6 @@ def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
 
 
 def _units() -> Iterator[Reading]:
-    """Yield positions and headings in other units."""
     for unit, metres in LENGTH_UNITS.items():
         for columns, x, y in (("ref_x_m, ref_y_m", metres, metres), ("ref_x_m", metres, 1.0), ("ref_y_m", 1.0, metres)):
             text = f"{columns}: found {unit} where metres are expected; convert, or state the unit in the mapping"
@@ -209,7 +207,6 @@ def _tracks(drive: Drive) -> Iterator[Reading]:
 
 
 def _turned(factors: FloatArray | float) -> Change:
-    """Return a change of the wheels' angles by factors, one a wheel."""
     return lambda recording: recording.with_turned((recording.steps.turned_rad.T * factors).T)
 
 
@@ -241,7 +238,6 @@ def _geared() -> Iterator[Reading]:
 
 
 def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
-    """Return sets of wheels with their names: all; of two wheels each by itself, too."""
     if n_wheels != 2:
         return [("the wheels", np.ones(1, dtype=np.bool_))]
     both = np.ones(2, dtype=np.bool_)
@@ -262,7 +258,6 @@ def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
 
 
 def _wrapped(what: str, period_rad: float) -> Reading:
-    """Return the reading of counters that overflow at a number."""
 
     def unwrapped(recording: Recording) -> Recording:
         turned = recording.steps.turned_rad
@@ -272,7 +267,6 @@ def _wrapped(what: str, period_rad: float) -> Reading:
 
 
 def _increments(recording: Recording) -> Iterator[Reading]:
-    """Yield counts that are increments since the sample before."""
     for side, which in _sides(len(recording.steps.turned_rad)):
 
         def summed(recording: Recording, which: BoolArray = which) -> Recording:

@@ -327,7 +327,6 @@ def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
 
 
 def _inverse(whitener: FloatArray) -> FloatArray:
-    """Return the lower triangles of inverse covariances."""
     a, b, c, d, e, f = whitener
     return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f])
 
@@ -346,7 +345,6 @@ def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]
 
 
 def _judge(whitener: FloatArray, size: IntArray) -> Callable[[Prediction], float]:
-    """Return the loss as a function of a prediction, at fixed noise."""
 
     def loss(prediction: Prediction) -> float:
         squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
@@ -377,7 +375,6 @@ def _advance(
 
 
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
-    """Return squares scaled such that their median is that of chi squared."""
     from scipy.special import chdtri
 
     expected = chdtri(np.maximum(size, 1), 0.5)

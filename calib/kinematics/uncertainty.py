@@ -213,7 +213,6 @@ def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, Floa
 
 
 def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
-    """Yield the rows, three a stretch, of each cluster."""
     order = np.argsort(np.repeat(cluster, 3), kind="stable")
     ends = np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))
     for low, high in pairwise(ends):
@@ -289,7 +288,6 @@ def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
 
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
-    """Return Bell and McCaffrey's degrees of freedom of each parameter's variance."""
     degrees = []
     for at in range(sizes.shape[1]):
         inner = np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T
@@ -298,7 +296,6 @@ def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
 
 
 def _influence(solution: Solution) -> float:
-    """Return the factor by which the robust weights overstate the information: mean weight over mean slope."""
     size = np.maximum(solution.prediction.jacobian.any(axis=2).sum(axis=1), 1)
     squares = (DEGREES + size) / solution.weights - DEGREES
     slope = solution.weights * (1.0 - 2.0 * squares / (size * (DEGREES + squares)))
@@ -344,7 +341,6 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
 
 
 def _width(uncertainty: Uncertainty) -> float:
-    """Return the mean logarithm of the intervals' half widths."""
     return float(np.mean(np.log(uncertainty.half_widths())))
 
 
@@ -353,7 +349,6 @@ def _codes(labels: StrArray) -> IntArray:
 
 
 def _routes(recording: Recording) -> StrArray:
-    """Return a label of each run's route: its kind, and the sense in which it turns."""
     turn = recording.end_pose[:, 2]
     sense = np.where(turn > 1.0, " ccw", np.where(turn < -1.0, " cw", ""))
     return np.char.add(recording.kind, sense)

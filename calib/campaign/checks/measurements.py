@@ -212,7 +212,6 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
 
 
 def _slopes(payload: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the rise of the load in N per kg of payload between each two of the runs, all of them finite."""
     step = 1 + len(payload) // _MOST_OF_A_LINE
     more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (payload, total))
     return np.asarray(rise[more > 0.0] / more[more > 0.0])

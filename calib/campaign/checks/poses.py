@@ -247,7 +247,6 @@ def _aside_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
 
 
 def _straight(campaign: Campaign) -> BoolArray:
-    """Return which runs ended nearly straight ahead of where they began, in a frame of their own."""
     runs = campaign.runs
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     own_frame = campaign.reference.frame != "map"

@@ -74,7 +74,6 @@ def _over_model(campaign: Campaign, side: str) -> FloatArray:
 
 
 def _is_round(counts: float) -> bool:
-    """Return whether encoders have so many counts: a power of two, or a multiple of a hundred."""
     whole = round(counts)
     return abs(counts - whole) < 1e-9 and whole > 0 and (whole & (whole - 1) == 0 or whole % 100 == 0)
 

@@ -266,7 +266,6 @@ def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, bo
 
 
 def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestion) -> None:
-    """Exchange left and right in the logs of the runs that the mapping names, in place."""
     names = {str(run_id): index for index, run_id in enumerate(runs.run_id)}
     for run_id in work.mapping.log.swapped:
         log = logs.get(names.get(run_id, -1))

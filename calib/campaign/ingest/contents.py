@@ -164,7 +164,6 @@ def file_contents(path: Path) -> FileContents:
 
 
 def _with_texts_of(sheets: Sequence[FileContents]) -> FileContents:
-    """Return the first of sheets that have the same columns, with the different texts of all."""
     columns = []
     for alike in zip(*(sheet.columns for sheet in sheets), strict=True):
         texts = dict.fromkeys(text for column in alike for text in column.texts)
@@ -210,7 +209,6 @@ def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
 
 
 def _known(names: Iterable[str]) -> set[str]:
-    """Return the columns of a run table that names may mean."""
     return {target for name in names if (target := guessed_table_column(name))}
 
 

@@ -137,7 +137,6 @@ def describe(sources: Sequence[Path]) -> Description:
 
 
 def _folders_inside(sources: Sequence[Path]) -> str:
-    """Return the folders in sources that hold no file to read, in words."""
     folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
     if not folders:
         return ""

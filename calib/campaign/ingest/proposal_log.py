@@ -96,7 +96,6 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
 
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
-    """Return the columns of a log, with the width of a counter where any log alike shows it."""
     widths = [[one.columns[at].wrap_bits for one in alike] for at in range(len(log.columns))]
     return [replace(c, wrap_bits=next(filter(None, w), None)) for c, w in zip(log.columns, widths, strict=True)]
 
@@ -150,7 +149,6 @@ def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamConten
 
 
 def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
-    """Return the line for the heading that z and w of a quaternion give."""
     w = f"{z.name[:-1]}{'W' if z.name[-1] == 'Z' else 'w'}"
     if w in {column.name for column in columns}:
         return entry("ref_theta_rad", z, None, {"w": w}) + "   # of a turn about the vertical alone"
@@ -177,7 +175,6 @@ def _may_be(
 
 
 def _line(target: str, column: ColumnContents, log: FileContents) -> str:
-    """Return the line for what is no wheel, with the unit that its name, the file or its numbers give."""
     needs, remark = split_suffix(target)[1], ""
     own = unit_named(column.unit)
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)

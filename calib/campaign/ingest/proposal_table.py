@@ -100,13 +100,11 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
 
 
 def _axle_lines(column: ColumnContents) -> list[str]:
-    """Return the lines for the load on both rear wheels together: half of it on each."""
     lines = [_column_line(column, f"load_{side}_N", {"factor": 0.5}) for side in ("left", "right")]
     return [f"{line}   # half of the axle's" for line in lines]
 
 
 def _place_lines(table: FileContents) -> list[str]:
-    """Return the lines that say where the runs stand: on which sheets, in rows or in columns."""
     lines, sides = [], _sheets_of_sides(table)
     if table.alike_sheets and not sides:
         lines.append(f"sheets = {toml_value(list(table.alike_sheets))}   # runs on several sheets, one after another")
@@ -118,7 +116,6 @@ def _place_lines(table: FileContents) -> list[str]:
 
 
 def _sheets_of_sides(table: FileContents) -> dict[str, str]:
-    """Return the sheets of the left and the right wheel, where there are two that are called so."""
     sides = {guesses.side_of(sheet) or "": sheet for sheet in table.alike_sheets}
     return sides if set(sides) == {"left", "right"} and len(table.alike_sheets) == len(sides) else {}
 
@@ -146,7 +143,6 @@ def _sided_lines(table: FileContents) -> dict[str, list[str]]:
 
 
 def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
-    """Return the line for what the sheets' names say: payloads in kg, else maybe sessions."""
     masses = [guesses.mass_of(sheet) for sheet in sheets]
     if None in masses or {"payload_kg", "load_left_N"} & named:
         return f'#session = "{SHEET}"   # where each sheet holds a session of its own'
@@ -198,7 +194,6 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
 
 
 def _may_be(target: str, column: ColumnContents) -> bool:
-    """Return whether a column's cells may be what its name looks like: no text is a number, no clock a session."""
     if column.kind == "empty" or (target == "session" and column.kind == "time"):
         return False
     return column.kind == "number" or target in {*LABEL_COLUMNS, "excluded"}
@@ -228,7 +223,6 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
 
 
 def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
-    """Return whether two text columns hold the same labels, as far as they are listed."""
     if by.kind != "text" or key.kind != "text":
         return False
     shared = {plain_text(text) for text in by.texts} & {plain_text(text) for text in key.texts}

@@ -180,7 +180,6 @@ def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
 
 
 def _after(data: bytes, start: int, n_rows: int) -> int:
-    """Return where the row begins that stands so many rows behind the one that begins at `start`."""
     for _ in range(n_rows):
         start = data.find(b"\n", start) + 1 or len(data)
     return start
@@ -191,7 +190,6 @@ def _first_delimiter(lines: list[str]) -> str:
 
 
 def _first_lines(data: bytes, n_lines: int) -> list[str]:
-    """Return the first lines, within the bytes in which the header is looked for."""
     head = data[:_HEAD_BYTES]
     return head[: _after(head, 0, n_lines)].decode("utf-8", errors="ignore").splitlines()[:n_lines]
 
@@ -311,7 +309,6 @@ def _read_cells(
 
 
 def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
-    """Return what to do about a row of another width than the header."""
     for other, called in _DELIMITERS.items():
         if other != delimiter and sum(cell.count(other) for cell in cells) + 1 == len(names):
             above = _DELIMITERS[delimiter]

@@ -231,7 +231,6 @@ def _cell(value: Any) -> Any:
 
 
 def _dated(cells: list[Any]) -> list[Any]:
-    """Return cells with dates as texts: without the time of day where no cell of the column has one."""
     days = all(cell.time() == datetime.time() for cell in cells if isinstance(cell, datetime.datetime))
     return [str(cell.date() if days else cell) if isinstance(cell, datetime.datetime) else cell for cell in cells]
 

@@ -136,7 +136,6 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
 
 
 def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
-    """Return what the check of a campaign calls wrong; where runs end far off and nothing is, what else it says."""
     wrong = tuple(note.sentence for note in implausible(situation.campaign))
     return wrong or (situation.notes[:MOST_SAID] if off else ())
 
@@ -155,12 +154,10 @@ def stands_off(evidence: Evidence) -> bool:
 
 
 def _misfit(evidence: Evidence) -> float:
-    """Return how far runs end off with the causes corrected, as a share of their length, on average."""
     return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
 
 
 def _rather_not(causes: Sequence[Cause], certain: Mapping[str, float]) -> bool:
-    """Return whether the large causes are less likely all at work than not, or no length measured says so."""
     large = [cause for cause in causes if cause.share > SMALL_SHARE]
     together = prod(certain.get(cause.effect, cause.probability) for cause in large)
     return together < EVEN_PROBABILITY or bool(without_length(cause.effect for cause in large))
@@ -210,7 +207,6 @@ def _rather_unknown(placed: Sequence[Cause], unknown: float) -> dict[str, float]
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:
-    """Return the note on effects that cannot be told from what the named causes leave, or are rather not at work."""
     if not small:
         return ()
     listed = ", ".join(small)
@@ -230,7 +226,6 @@ def _on_scatter(evidence: Evidence) -> str:
 
 
 def _on_omitted(omitted: Mapping[str, float]) -> str:
-    """Return the sentence on runs that were omitted, empty where none was."""
     if not omitted:
         return ""
     runs = joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")

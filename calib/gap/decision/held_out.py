@@ -279,7 +279,6 @@ def _fraction(squares: FloatArray, expected: FloatArray) -> float | None:
 def _interval(
     squares: FloatArray, expected: FloatArray, condition: IntArray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of the closure over conditions."""
     _, number = np.unique(condition, return_inverse=True)
     n = int(number.max()) + 1
     by_condition = np.stack([np.bincount(number, values, n) for values in (*squares.T, expected)], axis=1)

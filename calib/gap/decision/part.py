@@ -153,7 +153,6 @@ def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexp
 
 
 def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
-    """Return whether some causes are all that was fitted, radii and track included."""
     return set(evidence.search.effects).issubset(names) and len(_along(evidence, names)) == len(DIRECTIONS)
 
 

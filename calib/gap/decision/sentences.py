@@ -167,7 +167,6 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _unsupported(diagnosis: Diagnosis) -> str:
-    """Return on what a noise level that nothing supports rests, and what to drive."""
     support = diagnosis.noise_level.support
     return f"their noise level rests on {support}. Drive one route several times under the same conditions"
 
@@ -189,7 +188,6 @@ def _but_single_runs(diagnosis: Diagnosis) -> str:
 
 
 def _nearest(diagnosis: Diagnosis) -> str:
-    """Return the effects that would be named if they did not leave more of the gap than they explain."""
     probable = [name for name, p in diagnosis.probabilities.items() if p >= EVEN_PROBABILITY and name != "unknown"]
     names = joined((_named(name, diagnosis) for name in probable), "and")
     return f" Closest: {names}; more than half of the gap remains." if probable else ""
@@ -232,12 +230,10 @@ def advice(diagnosis: Diagnosis) -> str:
 
 
 def _capital(text: str) -> str:
-    """Return a sentence with a capital; an id of several words stays as it is."""
     return text if "_" in text.partition(" ")[0] else f"{text[:1].upper()}{text[1:]}"
 
 
 def _confounded(diagnosis: Diagnosis) -> int:
-    """Return the number of effects in the largest confounded group."""
     return max((len(group.effects) for group in diagnosis.groups), default=0)
 
 
@@ -393,5 +389,4 @@ def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
 
 
 def _metres(value: float) -> str:
-    """Return a length with two significant digits or more, without an exponent."""
     return f"{value:.2f}" if value >= 0.995 else f"{value:.2g}"

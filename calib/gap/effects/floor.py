@@ -323,7 +323,6 @@ class TravelDirection(Effect):
 
 
 def _to_the_right(heading_rad: FloatArray) -> FloatArray:
-    """Return how far downhill along x lies to the left of a heading: to the right of one along y."""
     return np.asarray(-np.sin(heading_rad))
 
 

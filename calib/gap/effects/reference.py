@@ -319,7 +319,6 @@ class TurnedReference:
 
 
 def _with_y_mirrored(campaign: Campaign) -> Campaign:
-    """Return a campaign with the sign of the reference's y changed, in the table and in the logs."""
     runs, logs = campaign.runs, campaign.logs
     numbers, columns = (
         {name: -cells if name == "ref_y_m" else cells for name, cells in table.items()}

@@ -212,7 +212,6 @@ def _quantities(s: Observations) -> list[FloatArray]:
 
 
 def _is_noise(square: float, count: int) -> bool:
-    """Return whether the squares of so many readings over their noise are no more than noise."""
     from scipy.special import chdtrc
 
     return bool(chdtrc(count, square) > _NOISE_TAIL)

@@ -250,7 +250,6 @@ class HeldOutFit:
         return left
 
     def _without(self, out: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return estimates (p,) and covariance (p, p) without the units `out`; kept, as both are asked for in turn."""
         key = out.tobytes()
         if key not in self._solved:
             self._solved[key] = self.weighting.solve(self.columns, self.precision, use=~out)

@@ -92,7 +92,6 @@ class LinearSystem:
 
     @property
     def _n_narrow(self) -> int:
-        """Columns of the recalibration and of all forms but a wide one."""
         return N_CALIBRATION + int(self.layout.counts.sum()) - self.layout.n_wide
 
     @property
@@ -101,7 +100,6 @@ class LinearSystem:
 
     @property
     def _common(self) -> dict[int, slice]:
-        """Where the columns of a lack of fit common to all blocks stand, by its number."""
         return common_places(self.kinds, self._n_narrow + 1 + self.layout.n_wide)
 
     @cached_property
@@ -125,7 +123,6 @@ class LinearSystem:
         return selected
 
     def _place(self, number: int) -> slice:
-        """Return where the columns of a form stand; those of a wide one behind the gap."""
         first = N_CALIBRATION + int(self.layout.starts[number]) + (number == self.layout.wide)
         return slice(first, first + int(self.layout.counts[number]))
 

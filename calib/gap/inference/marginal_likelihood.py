@@ -102,7 +102,6 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
 
 
 def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
-    """Set the diagonal of matrices (..., p, p), in place, and return them."""
     place = np.arange(matrix.shape[-1])
     matrix[..., place, place] = value
     return matrix
@@ -151,7 +150,6 @@ def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) ->
 
 
 def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return products (..., n_models, k, k) and (..., n_models, k) in which what is not there stands alone."""
     if not there.all():
         gram = gram * (there[:, :, None] & there[:, None, :])
         gram += np.eye(there.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
@@ -160,7 +158,6 @@ def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[Floa
 
 
 def _variance(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
-    """Return the prior variance of each column; next to nothing where there is none."""
     return np.where(owner >= 0, prior_scale(sizes, owner, most) ** 2, 1e-12)
 
 

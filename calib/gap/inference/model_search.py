@@ -228,7 +228,6 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
 
 
 def _settled(squares: float, before: float) -> bool:
-    """Return whether a trial's squares are those that the linear fit promised, or those before its last step."""
     return abs(squares - before) <= _SETTLED_SHARE * squares
 
 

@@ -302,7 +302,6 @@ def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
 
 
 def _standardised(values: FloatArray) -> list[FloatArray]:
-    """Return the values less their mean over their spread; nothing where they do not vary."""
     if not np.isfinite(values).any():
         return []
     filled = np.nan_to_num(values - np.nanmean(values))

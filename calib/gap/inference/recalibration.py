@@ -94,7 +94,6 @@ def without_unidentified(
 
 
 def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the subset that one wheel's radius, alone or beside the track, belongs to."""
     return (0, 1, *way[:-1])
 
 

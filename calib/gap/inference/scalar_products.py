@@ -125,13 +125,11 @@ class FormPriors:
 
 
 def _forms_of(models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-    """Return the forms of all models end to end, and the number of the model of each."""
     form = np.fromiter(chain.from_iterable(models), dtype=np.int64)
     return form, np.repeat(np.arange(len(models)), [len(model) for model in models])
 
 
 def _within(row: IntArray) -> IntArray:
-    """Return the number of each place among those of its row; rows ascend."""
     return np.arange(len(row)) - np.searchsorted(row, row)
 
 

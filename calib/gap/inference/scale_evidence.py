@@ -88,7 +88,6 @@ class ScaleEvidence:
         return 0.5 * (log_det + square + float(away @ away)), gradient, square, log_det
 
     def _information(self, log_scale: FloatArray) -> FloatArray:
-        """Return the expected information on the logarithms of the active scales, their prior's included."""
         variance = self._variance(log_scale)
         factor = np.linalg.inv(np.linalg.cholesky(np.tensordot(variance, self._kernels, axes=1) + self._fixed))
         parts = (factor @ self._kernels[self._active] @ factor.transpose(0, 2, 1)).reshape(int(self._active.sum()), -1)

@@ -260,7 +260,6 @@ def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, Int
 
 
 def _stretches(n: int) -> tuple[IntArray, IntArray]:
-    """Return start and end (grid indices) of every stretch that is searched."""
     longest = max(2, int(MAX_STRETCH_SHARE * n))
     longer = np.geomspace(8, max(longest, 9), 8).astype(int)
     lengths = np.unique(np.concatenate([np.arange(1, min(9, longest)), longer]))

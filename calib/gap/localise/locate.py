@@ -111,7 +111,6 @@ def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> t
 
 
 def _times(observations: Observations, unit: int) -> dict[str, float]:
-    """Return when a window of a recording begins and ends; nothing for whole runs."""
     first, last = observations.starts[unit], observations.starts[unit + 1] - 1
     begin, end = float(observations.time_s[first] - observations.duration_s[first]), float(observations.time_s[last])
     if not observations.windowed or not np.isfinite([begin, end]).all():

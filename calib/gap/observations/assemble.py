@@ -106,7 +106,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
 
 
 def _both_ways(campaign: Campaign) -> bool:
-    """Return whether any run says that it was driven out or back."""
     return bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
 
 
@@ -150,7 +149,6 @@ def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
-    """Return an uncertainty of the reference in each observation: the observation's own, else the settings'."""
     values = np.array([getattr(u, name) for u in units], dtype=np.float64)
     return np.where(np.isnan(values), getattr(campaign.reference, name), values)
 
@@ -290,7 +288,6 @@ def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, 
 
 
 def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
-    """Return whether the uncertainty of an instrument that is used was filled in by a program."""
     assumed = {str(key) for key in campaign.extra.get("assumed", ())}
     laser, pose = bool(usable[:, 0].any()), bool(usable[:, 1:4].any())
     of_pose = {"reference.sigma_xy_m", "reference.sigma_theta_rad"}

@@ -209,7 +209,6 @@ def replicates(
 
 
 def _column_width(values: FloatArray) -> float:
-    """Width that tells set values of a further column apart: a tenth of its spread."""
     spread = float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
     return spread / 10.0 if spread > 0 else 1.0
 

@@ -97,7 +97,6 @@ class SimulatorRunner:
         return f"Simulator: {runs}{each}; {self.asked - self.ran} of {self.asked} results were kept from before."
 
     def _command(self) -> list[str]:
-        """Return the command with its program as a path; refused where there is no such program."""
         name, *rest = self.settings.command
         beside = self.settings.path.resolve().parent / name
         program = str(beside) if os.sep in name and beside.is_file() else shutil.which(name)
@@ -177,7 +176,6 @@ def _filled(part: str, places: dict[str, str]) -> str:
 
 
 def _drain(stream: IO[bytes], kept: bytearray) -> None:
-    """Read a stream to its end and keep the last of it, so that its writer never waits."""
     with suppress(OSError, ValueError):
         while data := stream.read1(KEPT_BYTES):  # type: ignore[attr-defined]
             kept += data
@@ -185,7 +183,6 @@ def _drain(stream: IO[bytes], kept: bytearray) -> None:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End a process and all of its group, whether or not it has ended itself."""
     with suppress(OSError):
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)

@@ -112,7 +112,6 @@ def read_settings(path: Path) -> SimulatorSettings:
 
 
 def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:
-    """Return what is found, expected and to be done where a parameter cannot be used."""
     if each.name in names:
         return "the name twice", "one table for each parameter", "remove one of them"
     if each.step == 0.0 or not math.isfinite(1.0 / each.step) or abs(each.step) > each.largest:
