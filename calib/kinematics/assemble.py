@@ -17,7 +17,7 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import judged
-from calib.kinematics.blunders import Fault
+from calib.kinematics.blunders import Fault, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
 from calib.kinematics.factors import factor_faults
 from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
@@ -81,6 +81,8 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     estimates, covariance = _estimates(fitted)
     nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
     faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive, model.recording.speeds))
+    if source == "rear":
+        faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.wheels import STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import Drive, nominal_turn, nominal_values
+from calib.kinematics.drives import Drive, nominal_values
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.types import FloatArray, IntArray
@@ -245,15 +245,15 @@ def corrected(
     refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
     if source in STEERED:
         return recording, faults
-    if source == "wheels":
-        return wheels_faults(recording, segments, drive)
-    recording, faults = rear_faults(recording, segments)
-    return recording, (*still_counters(recording, drive), *faults)
+    return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
 
 
-def still_counters(recording: Recording, drive: Drive) -> Iterator[Fault]:
-    """Yield the counters, of two wheels, that stand still in a run whose reference does not turn about that wheel."""
-    told_rad, names = nominal_turn(drive, recording.steps), recording.speeds or ("counts_left", "counts_right")
+def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault]:
+    """Yield the counters, of two wheels, that stand still in a run whose reference does not turn about that wheel.
+
+    `told_rad` (shape (n_samples,)): turn in each step by the wheels, of fitted lengths: other units are no still wheel.
+    """
+    names = recording.speeds or ("counts_left", "counts_right")
     for side, name in enumerate(names if TWIST not in recording.speeds else ()):
         for run, first, last in zip(recording.run_id, recording.offsets, recording.offsets[1:] - 1, strict=False):
             part = slice(first, last + 1)

@@ -12,6 +12,7 @@ from calib.campaign.model import Border, Campaign
 from calib.campaign.wheels import with_counts
 from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import still_counters
+from calib.kinematics.drives import nominal_turn
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.factors import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
 from calib.kinematics.joint_fit import drive_of, fit_parameters
@@ -148,7 +149,8 @@ def test_a_counter_that_stands_still_is_named_with_its_run_and_time(stuck: bool)
     first = sound.logs.of(0)["ref_x_m"][0]
     made = changed(sound, lambda log: stopped(log) if stuck and log["ref_x_m"][0] == first else log)
     recording = recording_of(made, "rear")
-    texts = [fault.text for fault in still_counters(recording, drive_of(made, "rear", recording))]
+    drive = drive_of(made, "rear", recording)
+    texts = [fault.text for fault in still_counters(recording, nominal_turn(drive, recording.steps))]
     assert len(texts) == stuck
     assert all("counts_left: it stands still from 30 to 60 s in r000" in text for text in texts)
 
