@@ -38,7 +38,7 @@ from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.planned_runs import joined
-from calib.gap.predict import Path, predict, residuals
+from calib.gap.predict import Path, measured_gap, predict, residuals
 from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def _situation(
         return replace(_situation(_without(campaign, omitted), model, applied, exclude, None), omitted=omitted)
     if turned is None:
         return _counts_corrected(campaign, observations, notes, (), exclude)
-    return _corrected(campaign, model, applied, exclude, turned, residuals(nominal, nominal))
+    return _corrected(campaign, model, applied, exclude, turned, measured_gap(nominal, nominal))
 
 
 def _refitted(
@@ -260,7 +260,7 @@ def _counts_corrected(
     if fault is None:
         return Situation(campaign, observations, notes, faults, as_counted)
     if as_counted is None:
-        as_counted = residuals(nominal, nominal)
+        as_counted = measured_gap(nominal, nominal)
     return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 

@@ -337,23 +337,31 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     return change
 
 
-def residuals(path: Path, nominal: Path) -> FloatArray:
+def measured_gap(path: Path, nominal: Path) -> FloatArray:
     """Return measured minus predicted, shape (n_obs, n_channels), 0 where an observation lacks the channel.
 
     Along and lateral are read in the frame of the end heading: along the path, and left of it. Where an outside
     simulator predicted one, its prediction takes the place of `nominal`, the model alone, and only the hypothesis'
     change is added to it.
-
-    A heading that is off bends the path, which takes off its square as well: where radii scatter that is in every run,
-    of one sign, and no signature to first order holds it. It is given back.
     """
     s = path.s
     gap = s.measured - np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
+    _turn(gap, -path.frame)
+    return np.where(s.usable, np.nan_to_num(gap), 0.0)
+
+
+def residuals(path: Path, nominal: Path) -> FloatArray:
+    """Return the gap, shape (n_obs, n_channels), as signatures to first order hold it.
+
+    A heading that is off bends the path, which takes off its square as well: where radii scatter that is in every run,
+    of one sign, and no signature holds it. It is given back.
+    """
+    s, gap = path.s, measured_gap(path, nominal)
     # a user's simulator bends its path by itself
     own = s.usable[:, Channel.HEADING] & (not s.calibration_held)
     bend = np.where(own, np.clip(gap[:, Channel.HEADING], -LARGEST_BEND_RAD, LARGEST_BEND_RAD), 0.0)
-    taken_m = bend[:, None] ** 2 * path.bent_m
-    gap[:, POSE] += taken_m
-    gap[:, Channel.DISTANCE] += np.where(s.axis == 1, taken_m[:, 0], 0.0)
-    _turn(gap, -path.frame)
-    return np.where(s.usable, np.nan_to_num(gap), 0.0)
+    taken = np.zeros_like(gap)
+    taken[:, POSE] = bend[:, None] ** 2 * path.bent_m
+    taken[:, Channel.DISTANCE] = np.where(s.axis == 1, taken[:, Channel.ALONG], 0.0)
+    _turn(taken, -path.frame)
+    return gap + np.where(s.usable, taken, 0.0)

@@ -12,7 +12,7 @@ from calib.gap.inference.fit import Fitted, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
-from calib.gap.predict import Path, residuals
+from calib.gap.predict import Path, measured_gap, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: no run was held out, the user's simulator ran again with the fix
@@ -182,9 +182,10 @@ def measure_closure(
     left_out = left_out or HeldOutFit(fitted, nominal, noise)
     before = residuals(nominal, nominal)
     after, by = _after(left_out, sessions=sessions)
-    stated = before if as_counted is None else as_counted
+    stated = measured_gap(nominal, nominal) if as_counted is None else as_counted
     held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
-    return replace(held_out, improvement=_improvement(left_out, stated, after, noise.dof, floor_factor))
+    before = before if as_counted is None else as_counted
+    return replace(held_out, improvement=_improvement(left_out, before, after, noise.dof, floor_factor))
 
 
 def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:

@@ -61,11 +61,11 @@ class GapArrays:
         """Return the arrays of a diagnosis."""
         # a report without a diagnosis needs none of this
         from calib.gap.localise.covariates import covariate_values
-        from calib.gap.predict import residuals
+        from calib.gap.predict import measured_gap
 
         observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
         usable = observations.usable
-        _, along, lateral, *_ = np.where(usable, residuals(nominal, nominal), np.nan).T
+        _, along, lateral, *_ = np.where(usable, measured_gap(nominal, nominal), np.nan).T
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
         known = bool(np.isfinite(offset).any())
