@@ -18,7 +18,7 @@ from calib.reporting.content import compose
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import blocks_html, to_pdf
 from calib.reporting.source import Source
-from calib.reporting.topics.diagnosis import diagnosis_content
+from calib.reporting.topics.diagnosis import diagnosis_content, verdict_notice
 from calib.reporting.topics.fit import diagnosis_section
 from tests.reporting.making import findings, with_findings
 
@@ -91,3 +91,12 @@ def test_the_report_with_a_diagnosis_is_set(source: Source) -> None:
     made = compose(with_findings(source))
     assert to_pdf(made).startswith(b"%PDF")
     assert made.report_id != compose(source).report_id
+
+
+def test_a_title_and_its_sentence_say_a_thing_once() -> None:
+    """A verdict that cannot be given begins its sentence, which stands alone elsewhere, as its title does."""
+    sentence = "These runs cannot show whether there is a gap: their noise level rests on nothing."
+    notice = verdict_notice(Diagnosis(VerdictKind.UNDECIDED, sentence))
+    assert notice.title == "These runs cannot show whether there is a gap (undecided)"
+    assert notice.text == "Their noise level rests on nothing."
+    assert verdict_notice(Diagnosis(VerdictKind.EXPLAINED, "The gap is small.")).text == "The gap is small."

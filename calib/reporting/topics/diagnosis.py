@@ -44,7 +44,9 @@ TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = TITLES[verdict.kind]
-    return Notice(level, with_kind(title, verdict.kind), prose(verdict.sentence))
+    # a title says its sentence's beginning already
+    text = prose(verdict.sentence.removeprefix(f"{title}: "))
+    return Notice(level, with_kind(title, verdict.kind), text[:1].upper() + text[1:])
 
 
 def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
