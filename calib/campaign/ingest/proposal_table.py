@@ -38,6 +38,7 @@ def unit_remark(name: str) -> str:
 
 #: what a column may mean that holds the load on both rear wheels together
 _AXLE: Final = "load_axle_N"
+_WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 #: characters of a remark that lists columns
 _LISTED_COLUMNS: Final = 110
 #: a date in a file's name, and a time behind it -> how a mapping says so
@@ -63,6 +64,9 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
+    targets = {column.name: guessed_table_column(column.name) for column in table.columns}
+    if set(_WHEEL_LOADS) & set(targets.values()):
+        passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
     readings, sided = _reading_lines(table.columns), _sided_lines(table)
     lines += [*readings.values(), *chain.from_iterable(sided.values())]
     named = {*readings, *sided}
@@ -78,7 +82,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         if column in passed_over or name is None or name in named or not _may_be(name, column):
             (unused if column.kind == "number" else texts).append(column.name)
             continue
-        named.add(name)
+        named |= {name, *(_WHEEL_LOADS if name == _AXLE else ())}
         proposed = _axle_lines(column) if name == _AXLE else [_column_line(column, name)]
         lines += filter(None, proposed)
         own += [] if any(proposed) else [column.name]
@@ -100,7 +104,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
 
 
 def _axle_lines(column: ColumnContents) -> list[str]:
-    lines = [_column_line(column, f"load_{side}_N", {"factor": 0.5}) for side in ("left", "right")]
+    lines = [_column_line(column, name, {"factor": 0.5}) for name in _WHEEL_LOADS]
     return [f"{line}   # half of the axle's" for line in lines]
 
 
@@ -121,7 +125,6 @@ def _sheets_of_sides(table: FileContents) -> dict[str, str]:
 
 
 def _of_wheel(column: ColumnContents, side: str) -> str | None:
-    """Return the wheel's column that one on the sheet of a side may mean: ``Load [N]`` is the load of that wheel."""
     name, unit = bracketed(column.name)
     target = guessed_table_column(f"{name} {side}" + (f" [{unit}]" if unit else ""))
     return target if target and side in target else None

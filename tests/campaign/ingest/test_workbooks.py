@@ -230,3 +230,13 @@ def test_runs_without_a_name_are_numbered(name: str, cells: Sequence[str], tmp_p
 def test_samples_beside_a_clock_are_a_log(name: str, cells: Sequence[str], tmp_path: Path) -> None:
     """With any name of the clock, and loads and distances beside it."""
     assert describe([_lengths(tmp_path / "t.csv", name, cells)]).table is None
+
+
+def test_the_load_of_an_axle_stands_back_behind_those_of_its_wheels(tmp_path: Path) -> None:
+    """One line for each wheel's load: two would be no mapping."""
+    rows = [f"{n};{WAY_M[n]};{LEFT[n]};{RIGHT[n]};80;{30 + n};{50 - n}" for n in range(3)]
+    header = "Run;Distance [m];Enc L;Enc R;Axle load [kg];Load left [kg];Load right [kg]"
+    source = tmp_path / "runs.csv"
+    source.write_text("\n".join([header, *rows]))
+    runs = _as_proposed(source)[0].runs
+    np.testing.assert_allclose(runs.number("load_left_N"), GRAVITY_MPS2 * np.array([30.0, 31.0, 32.0]), rtol=1e-12)
