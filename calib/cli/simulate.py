@@ -144,8 +144,9 @@ def journey(
         ),
     ] = None,
     reference: Annotated[
-        str, opt("L,R", "Loads whose radii the uncorrected odometry uses, N.", "--reference-load")
-    ] = "300,300",
+        str | None,
+        opt("L,R", "Loads whose radii the uncorrected odometry uses, N (the law's reference).", "--reference-load"),
+    ] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,
@@ -165,17 +166,17 @@ def journey(
     from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
 
     targets = Targets(output, tum, speed)
-    base = terminal.numbers(reference, 2, "--reference-load")
+    base = terminal.numbers(reference, 2, "--reference-load") if reference else ()
     loads_N = terminal.pairs(load, "--load")
     carried = [terminal.numbers(text, 3, "--payload") for text in payload or ()]
     changes = [terminal.numbers(text, 4, "--payload-at") for text in payload_at or ()]
-    if min([*base, *(value for pair in loads_N for value in pair)]) <= 0.0:
+    if min([*base, *(value for pair in loads_N for value in pair)], default=1.0) <= 0.0:
         raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
     source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
     with terminal.waiting("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
-        under = LawJourneys(source, loads_N, (base[0], base[1]), loading, draws)
+        under = LawJourneys(source, loads_N, (base[0], base[1]) if base else None, loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
     finish(simulation, targets, seed=seed, notes=source.notes, law=law)

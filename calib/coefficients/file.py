@@ -87,6 +87,9 @@ class CoefficientFile(Section):
             if document[name] is None:
                 # older readers do not know these sections
                 del document[name]
+        for wheel in document["wheels"].values():
+            if wheel["strata"] is None:
+                del wheel["strata"]
         for name, usual in USUAL_VEHICLE.items():
             if document["vehicle"][name] == usual:
                 del document["vehicle"][name]

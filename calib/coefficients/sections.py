@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from calib.campaign.settings import OdometrySource
 from calib.errors import BadInputError
-from calib.radius.law import WheelLaw
+from calib.radius.law import LineEstimate, WheelLaw
+from calib.types import FloatArray
 from calib.vehicle import Drive
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -194,8 +195,65 @@ class LoadRange(Section):
         return self.min.value <= load_N <= self.max.value
 
 
+class StratumSection(Section):
+    """A part of a law's covariance with its own degrees of freedom, and the standard deviation behind it."""
+
+    variance_radius_ref: LengthSquared
+    covariance_radius_ref_slope: LengthSquaredPerForce
+    variance_slope: LengthSquaredPerForceSquared
+    dof: Number
+    scatter: NonNegativeLength
+
+
+class SystematicSection(Section):
+    """What one standard uncertainty of a source that is the same in every run changes; dof null: infinite."""
+
+    radius_ref: Length
+    slope: LengthPerForce
+    dof: Number | None = None
+
+
+class StrataSection(Section):
+    """Parts of a law's covariance: runs within a session, sessions, and what is the same in every run.
+
+    They add up to the covariance, and tell the degrees of freedom of mean and single run at each load.
+    """
+
+    within: StratumSection
+    between: StratumSection
+    systematic: list[SystematicSection] = Field(default_factory=list)
+
+    def estimate(self, radius_m: float, slope_m_per_N: float) -> LineEstimate:
+        """Return the estimate that they are parts of."""
+        within, between = self.within, self.between
+        return LineEstimate(
+            np.array([radius_m, slope_m_per_N]),
+            within.dof.value,
+            between.dof.value,
+            within.scatter.value**2,
+            between.scatter.value**2,
+            _matrix(within),
+            _matrix(between),
+            None,
+            hc3=False,
+            design="",
+            systematic=np.array([list(one.si("radius_ref", "slope").values()) for one in self.systematic]).reshape(-1, 2),
+            systematic_dof=np.array([np.inf if one.dof is None else one.dof.value for one in self.systematic]),
+        )
+
+
+def _matrix(of: StratumSection | WheelSection) -> FloatArray:
+    cross = of.covariance_radius_ref_slope.value
+    return np.array([[of.variance_radius_ref.value, cross], [cross, of.variance_slope.value]])
+
+
 class WheelSection(Section):
-    """The law of one wheel: r(F) = radius_ref + slope (F - reference_load), valid within valid_load."""
+    """The law of one wheel: r(F) = radius_ref + slope (F - reference_load), valid within valid_load.
+
+    residual_std: standard deviation of a single run, in a session of its own, about the law (`single_run_std_m` of
+    fit.json; `residual_std_m` there is that of all residuals as if runs were independent). dof: the smaller of those of
+    radius_ref and slope; strata tells those at each load.
+    """
 
     radius_ref: PositiveLength
     slope: LengthPerForce
@@ -207,6 +265,7 @@ class WheelSection(Section):
     residual_std: NonNegativeLength
     n_runs: Number
     valid_load: LoadRange
+    strata: StrataSection | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -218,17 +277,20 @@ class WheelSection(Section):
         for load in (self.valid_load.min.value, self.valid_load.max.value):
             if self.radius_ref.value + self.slope.value * (load - self.reference_load.value) <= 0.0:
                 raise ValueError(f"the radius is not above zero at the valid load {load:g} N")
+        strata = self.law.strata
+        if strata is not None and not np.allclose(strata.covariance, _matrix(self), rtol=1e-6, atol=0.0):
+            raise ValueError("strata do not add up to the covariance")
         return self
 
     @property
     def law(self) -> WheelLaw:
         """The law of the wheel, as arrays compute with it; it does not look at the valid range."""
-        cross = self.covariance_radius_ref_slope.value
         return WheelLaw(
-            covariance=np.array([[self.variance_radius_ref.value, cross], [cross, self.variance_slope.value]]),
+            covariance=_matrix(self),
             load_min_N=self.valid_load.min.value,
             load_max_N=self.valid_load.max.value,
             n_runs=int(self.n_runs.value),
+            strata=None if self.strata is None else self.strata.estimate(self.radius_ref.value, self.slope.value),
             **self.si("reference_load", "radius_ref", "slope", "dof", "residual_std"),
         )
 

@@ -6,6 +6,7 @@ Its uncertainty is carried to the end pose by linear propagation and by Monte Ca
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -42,14 +43,11 @@ class TableRow:
 
 def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
     """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
-    from scipy.special import stdtrit
-
     loads = floats(loads_N)
     columns = []
     for wheel in (law.left, law.right):
-        factor = float(stdtrit(wheel.dof, 0.975))
         beyond = (loads < wheel.load_min_N) | (loads > wheel.load_max_N)
-        bands = (factor * wheel.mean_std_m(loads), factor * wheel.prediction_std_m(loads))
+        bands = (wheel.half_width_m(loads, single_run=band == "prediction") for band in BANDS)
         columns.append([part.tolist() for part in (wheel.radius_m(loads), *bands, beyond)])
     pairs = [column for pair in zip(*columns, strict=True) for column in pair]
     return tuple(TableRow(*row) for row in zip(loads.tolist(), *pairs, strict=True))
@@ -118,10 +116,12 @@ def law_journey(
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
     wheels = (law.left, law.right)
-    dof = [wheel.dof for wheel in wheels]
+    single = band == "prediction"
+    at = [wheel.contrast(load) for wheel, load in zip(wheels, loads_N, strict=True)]
+    dof = [float(wheel.dof_of(c, single_run=single)) for wheel, c in zip(wheels, at, strict=True)]
     mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
-    bands = [(wheel.mean_std_m, wheel.prediction_std_m)[BANDS.index(band)] for wheel in wheels]
-    std = np.array([at(load) for at, load in zip(bands, loads_N, strict=True)])
+    spreads = [wheel.prediction_std_m if single else wheel.mean_std_m for wheel in wheels]
+    std = np.array([spread(load) for spread, load in zip(spreads, loads_N, strict=True)])
     # a radius whose standard uncertainty was itself estimated follows Student's t
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
@@ -142,7 +142,7 @@ def law_journey(
         intervals[name] = {}
         for component, scales in zip(COMPONENTS, np.abs(slopes) * std, strict=True):
             value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
-            intervals[name][component] = Interval.of(value, _half_width(scales, dof), drawn)
+            intervals[name][component] = Interval.of(value, half_width(scales, dof), drawn)
     ratios = np.sqrt(square["without"] / square["corrected"])
     ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
     each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
@@ -176,7 +176,7 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
     return np.vstack([turned, by_radius[:2]])
 
 
-def _half_width(scales: FloatArray, dof: list[float]) -> float:
+def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
     """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
 
     Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.

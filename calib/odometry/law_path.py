@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from calib.errors import BadInputError
+from calib.odometry.law_journey import half_width
 from calib.odometry.poses import (
     COMPONENTS,
     POSE,
@@ -27,6 +29,7 @@ from calib.radius.law import RadiusLaw
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
+NORMAL_95: Final = 1.959963984540054  #: quantile of the normal distribution, 97.5 %
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
@@ -133,8 +136,11 @@ class Driven:
     random: FloatArray
     #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
     std: dict[str, FloatArray]
-    #: shape (2,): what the law of the left and of the right wheel adds to the mean square of the distance at the end
+    half: dict[str, float]  #: half width of the 95 % interval of each of `COMPONENTS` at the end
+    #: shape (2,): what the law of the left and of the right wheel adds to the mean square of the distance at the end,
+    #: and the degrees of freedom behind it
     by_wheel_m2: FloatArray
+    dof: FloatArray
 
     @property
     def rms_m(self) -> FloatArray:
@@ -143,9 +149,10 @@ class Driven:
         return np.asarray(np.sqrt(self.errors.distance_m**2 + spread))
 
     def end(self) -> dict[str, float]:
-        """Return the errors at the end of the route, with their standard uncertainties and the rms distance."""
+        """Return the errors at the end, with standard uncertainties, half widths of 95 % and the rms distance."""
         values = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
         values |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
+        values |= {f"half_width95_{name}": half for name, half in self.half.items()}
         return values | {"rms_m": float(self.rms_m[-1])}
 
 
@@ -254,19 +261,48 @@ def law_path(
         random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
         poses = path.poses.from_origin()
         std = _std(systematic + random, reference)
-        # x and y at the end by the coefficients of each wheel
-        last = [(slopes[-1, :2, part], spread[part, part]) for part in (slice(0, 2), slice(2, 4))]
-        by_wheel = np.array([np.trace(slope @ own @ slope.T) for slope, own in last])
-        driven.append(Driven(poses, pose_errors(poses, reference), systematic, random, std, by_wheel))
-    interval = None if rng is None else _ratio_interval(driven[0], driven[1], (law.left.dof, law.right.dof), draws, rng)
+        by_wheel = _by_wheel(law, slopes[-1], spread, float(reference.theta_rad[-1]))
+        widths = _half_widths(by_wheel, {name: float(part[-1]) for name, part in std.items()})
+        variance, dof = by_wheel[0][3:], by_wheel[1][3:]
+        # of the larger of x and y
+        dofs = dof[np.argmax(variance, axis=0), [0, 1]]
+        errors = pose_errors(poses, reference)
+        driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
+    interval = None if rng is None else _ratio_interval(driven[0], driven[1], draws, rng)
     return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
 
 
+def _by_wheel(
+    law: RadiusLaw, slopes: FloatArray, spread: FloatArray, heading_rad: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what each wheel's law adds to the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
+
+    `slopes` (3, 5): change of the end pose by `spread`'s parameters, a single run's.
+    """
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    frame = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    variance, dof = [], []
+    for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
+        contrast = frame @ slopes[:, part]
+        variance.append(np.einsum("ni,ij,nj->n", contrast, spread[part, part], contrast))
+        dof.append(wheel.dof_of(contrast, single_run=True))
+    return np.column_stack(variance), np.column_stack(dof)
+
+
+def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float]) -> dict[str, float]:
+    """Return the half widths of 95 %: the wheels' variances were estimated, those of track and random walk given."""
+    halves = {}
+    for (name, size), variance, dof in zip(std.items(), *by_wheel, strict=True):
+        given = NORMAL_95**2 * (size**2 - variance.sum())
+        halves[name] = math.sqrt(max(half_width(np.sqrt(variance), dof.tolist()) ** 2 + given, 0.0))
+    return halves
+
+
 def _ratio_interval(
-    without: Driven, corrected: Driven, dof: tuple[float, float], draws: int, rng: np.random.Generator
+    without: Driven, corrected: Driven, draws: int, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
-    more = np.stack([d / rng.chisquare(d, draws) for d in dof]) - 1.0
+    more = np.stack([d / rng.chisquare(d, draws) for d in corrected.dof]) - 1.0
     square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]
     low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
     return float(low), float(high)

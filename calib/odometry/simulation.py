@@ -18,7 +18,7 @@ from calib.odometry.law_journey import BANDS, Journey, TableRow, law_journey, la
 from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
 from calib.odometry.routes import SPACING_M, Axle, Route, find_route, follow
-from calib.radius.law import RadiusLaw
+from calib.radius.law import RadiusLaw, round_loads
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -224,15 +224,12 @@ def paper_headline() -> Improvement:
 
 CUSTOM: Final = "custom"
 
-#: wheel loads (left, right) of the studies' journeys: the extremes of Fig. 3
-LOADS_N: Final = {
-    "symmetric": ((1100.0, 1100.0),),
-    "asymmetric": ((200.0, 900.0), (900.0, 200.0)),
-    "corrected": ((200.0, 900.0), (900.0, 200.0), (1100.0, 1100.0)),
+#: wheel loads (left, right) of the studies' journeys: 0 the lowest, 1 the highest of Table 1 that the wheel holds
+EXTREMES: Final = {
+    "symmetric": ((1, 1),),
+    "asymmetric": ((0, 1), (1, 0)),
+    "corrected": ((0, 1), (1, 0), (1, 1)),
 }
-
-#: loads of Table 1
-TABLE_LOADS_N: Final = tuple(100.0 * n for n in range(2, 12))
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
@@ -257,7 +254,8 @@ class LawJourneys:
 
     axle: AxleLaw  #: the law, and the track that it is driven with
     loads_N: Sequence[tuple[float, float]] = ()  #: loads (left, right) of the journeys, in place of the study's own
-    reference_N: tuple[float, float] = (300.0, 300.0)  #: loads whose radii the uncorrected odometry uses
+    #: loads whose radii the uncorrected odometry uses; None: each law's reference load, or the nearest that it holds for
+    reference_N: tuple[float, float] | None = None
     loading: Loading | None = None  #: loads that change on the way; None: the first of `loads_N` all along
     draws: int = 20_000  #: draws of the Monte Carlo
 
@@ -353,12 +351,17 @@ def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
 
 
 def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:
-    law, track_m, reference_N, draws = under.axle.radii, under.axle.track_m, under.reference_N, under.draws
+    law, track_m, draws = under.axle.radii, under.axle.track_m, under.draws
+    wheels = (law.left, law.right)
+    left_N, right_N = (float(np.clip(w.reference_load_N, w.load_min_N, w.load_max_N)) for w in wheels)
+    reference_N = under.reference_N or (left_N, right_N)
     refuse_more("draws", draws, DRAWS, "the intervals no longer change")
     if draws < 100:
         raise BadInputError(f"draws: found {draws}; expected 100 or more; quantiles need them")
     own = tuple(dict.fromkeys(row[1:] for row in under.loading.rows)) if under.loading and study == CUSTOM else ()
-    pairs = tuple(under.loads_N) or own or LOADS_N.get(study, LOADS_N["corrected"])
+    ends = [round_loads(wheel.load_min_N, wheel.load_max_N)[[0, -1]].tolist() for wheel in wheels]
+    usual = [(ends[0][left], ends[1][right]) for left, right in EXTREMES.get(study, EXTREMES["corrected"])]
+    pairs = tuple(under.loads_N) or own or tuple(usual)
     # setting a journey up takes as long as some twenty pieces
     most = DRAWN_PIECES // (len(pairs) * (len(route) + 20))
     refuse_more(f"draws of {len(pairs)} journeys of {len(route)} pieces", draws, most, "ask for fewer of them")
@@ -380,6 +383,5 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
                 f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "
                 f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N where the law holds: it extrapolates there"
             )
-    return LawPart(
-        law=law, table=law_table(law, np.array(TABLE_LOADS_N)), journeys=journeys, notes=tuple(notes), path=path
-    )
+    every = round_loads(min(wheel.load_min_N for wheel in wheels), max(wheel.load_max_N for wheel in wheels))
+    return LawPart(law=law, table=law_table(law, every), journeys=journeys, notes=tuple(notes), path=path)

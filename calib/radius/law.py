@@ -35,8 +35,6 @@ FEWEST_BETWEEN_DOF: Final = 2.0
 NODES_FEW_DOF: Final = 64
 NODES_MANY_DOF: Final = 16
 MANY_DOF: Final = 20.0
-#: loads at which a band is compared with the intervals that it holds: a kink between two of them is below 1 %
-BAND_NODES: Final = 129
 #: in place of infinitely many degrees of freedom: Student's t is then normal to six digits
 LARGEST_DOF: Final = 1e6
 
@@ -56,15 +54,17 @@ class WheelLaw:
     slope_m_per_N: float
     #: covariance of (radius_ref_m, slope_m_per_N), shape (2, 2)
     covariance: FloatArray
-    #: degrees of freedom of that covariance
+    #: degrees of freedom of that covariance; see `strata`
     dof: float
-    #: standard deviation of a single run about the law
+    #: standard deviation of a single run, in a session of its own, about the law
     residual_std_m: float
     #: loads that were measured; outside them the law extrapolates
     load_min_N: float
     load_max_N: float
     #: runs behind it
     n_runs: int
+    #: parts of the covariance and of the scatter, which give each load its degrees of freedom; None: `dof` for all
+    strata: LineEstimate | None = None
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
@@ -80,6 +80,48 @@ class WheelLaw:
     def prediction_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""
         return np.asarray(np.hypot(self.mean_std_m(load_N), self.residual_std_m))
+
+    def half_width_m(self, load_N: ArrayLike, *, single_run: bool = False) -> FloatArray:
+        """Return the half width of the 95 % band at `load_N` (any shape), same shape, in m.
+
+        Of the mean, or of a `single_run` in a session of its own. NaN where there are no degrees of freedom.
+        """
+        contrast = self.contrast(load_N)
+        if self.strata is not None:
+            return self.strata.half_width(contrast, COVERAGE, **self._more(contrast, single_run))
+        std = self.prediction_std_m(load_N) if single_run else self.mean_std_m(load_N)
+        return np.asarray(std * (stdtrit(self.dof, 0.5 + COVERAGE / 2) if self.dof > 0 else np.nan))
+
+    def dof_of(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
+        """Return the degrees of freedom whose Student's t gives the 95 % band of ``contrast @ (radius_ref, slope)``.
+
+        `contrast` (shape (..., 2)): `contrast` of a load, or the change of a pose by both; `single_run`: as above.
+        """
+        c = floats(contrast)
+        if self.strata is None:
+            return np.full(c.shape[:-1], self.dof)
+        return self.strata.dof(c, **self._more(c, single_run))
+
+    def contrast(self, load_N: ArrayLike) -> FloatArray:
+        """Return what a radius at `load_N` (any shape) is made of: 1 and the load above the reference, (..., 2)."""
+        offset = floats(load_N) - self.reference_load_N
+        return np.stack((np.ones_like(offset), offset), axis=-1)
+
+    def _more(self, contrast: FloatArray, single_run: bool) -> dict[str, Any]:
+        if not single_run or self.strata is None:
+            return {}
+        square = contrast[..., 0] ** 2
+        parts = {"more_within": self.strata.run_variance, "more_between": self.strata.session_variance}
+        return {name: square * variance for name, variance in parts.items()}
+
+
+def round_loads(low: float, high: float) -> FloatArray:
+    """Return round loads inside the range; its ends where nothing round lies in it."""
+    for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
+        first, last = np.ceil(low / step), np.floor(high / step)
+        if 3 <= last - first + 1 <= 9:
+            return floats(step * np.arange(first, last + 1))
+    return np.unique(np.array([low, 0.5 * (low + high), high]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +199,7 @@ class LineEstimate:
         return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
 
     def half_width(
-        self, contrast: ArrayLike, coverage: float, *, more_within: float = 0.0, more_between: float = 0.0
+        self, contrast: ArrayLike, coverage: float, *, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
     ) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
@@ -171,32 +213,6 @@ class LineEstimate:
         each = floats(contrast) @ self.systematic.T
         factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), 0.5 + coverage / 2)
         return np.asarray(np.hypot(random, np.sqrt(np.sum((each * factor) ** 2, axis=-1))))
-
-    def band(
-        self, offset_N: ArrayLike, reach_N: tuple[float, float], *, more_within: float = 0.0, more_between: float = 0.0
-    ) -> FloatArray:
-        """Return the half width of the band about the law, 95 % at each load, shape (...).
-
-        `offset_N`: loads minus the reference load; `reach_N`: the measured ones, lowest and highest. The critical value
-        depends on the share of sessions in the variance, which changes with the load; a band of the intervals
-        themselves has kinks. The band is the narrowest hyperbola about the load of least variance that holds them all.
-        """
-        more = {"more_within": more_within, "more_between": more_between}
-
-        def half(offset: FloatArray) -> FloatArray:
-            return self.half_width(np.stack((np.ones_like(offset), offset), axis=-1), COVERAGE, **more)
-
-        offset = floats(offset_N)
-        low, high = reach_N
-        covariance = self.covariance
-        if not (high > low and covariance[1, 1] > 0 and self.cov_between.any() and self.cov_within.any()):
-            return half(offset)
-        centre = float(np.clip(-covariance[0, 1] / covariance[1, 1], low, high))
-        grid = np.linspace(low, high, BAND_NODES)
-        level, rise = covering_line((grid - centre) ** 2, half(grid) ** 2)
-        hyperbola = np.sqrt(level + rise * (offset - centre) ** 2)
-        # beyond the measured loads the intervals may widen faster
-        return np.where((offset < low) | (offset > high), np.maximum(hyperbola, half(offset)), hyperbola)
 
     @property
     def radius_ref_ci95_m(self) -> tuple[float, float]:
@@ -212,24 +228,24 @@ class LineEstimate:
         value, half = self.coefficients[index], self.half_width(np.eye(2)[index], COVERAGE)
         return float(value - half), float(value + half)
 
-    def dof(self, contrast: ArrayLike, coverage: float = COVERAGE) -> FloatArray:
-        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
-        total, share = self._variance(contrast)
+    def dof(self, contrast: ArrayLike, coverage: float = COVERAGE, **more: ArrayLike) -> FloatArray:
+        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
+        total, share = self._variance(contrast, **more)
         if len(self.systematic):
             each = floats(contrast) @ self.systematic.T
             std = np.sqrt(total + np.sum(each**2, axis=-1))
-            return equivalent_dof(self.half_width(contrast, coverage) / np.where(std > 0, std, 1.0), coverage)
+            return equivalent_dof(self.half_width(contrast, coverage, **more) / np.where(std > 0, std, 1.0), coverage)
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within, coverage), coverage)
         # pure parts exactly
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
     def _variance(
-        self, contrast: ArrayLike, more_within: float = 0.0, more_between: float = 0.0
+        self, contrast: ArrayLike, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         c = floats(contrast)
         parts = (self.cov_within, self.cov_between)
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
-        within, between = variances[0] + more_within, variances[1] + more_between
+        within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
         total = np.asarray(within + between)
         return total, np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
 
@@ -238,23 +254,6 @@ class LineEstimate:
         document = plain_fields(self)
         unused = () if len(self.systematic) else ("systematic", "systematic_dof")
         return {key: value for key, value in document.items() if key not in unused}
-
-
-def covering_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Return level at 0 and slope, at least 0, of the line above all points that is lowest at the mean of `x`.
-
-    `x`, `y` (shape (n,)). It is the side of their upper hull there, so it is exact where the points lie on a line.
-    """
-    middle = float(x.mean())
-    left, right = np.flatnonzero(x <= middle), np.flatnonzero(x > middle)
-    if not len(right):
-        return float(y.max()), 0.0
-    # height at the middle of the line through every pair; the hull's side is the highest
-    weight = (middle - x[left, None]) / (x[right] - x[left, None])
-    first, second = np.unravel_index(np.argmax((1 - weight) * y[left, None] + weight * y[right]), weight.shape)
-    one, other = left[first], right[second]
-    slope = float((y[other] - y[one]) / (x[other] - x[one]))
-    return (float(y[one] - slope * x[one]), slope) if slope > 0 else (float(y.max()), 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -120,6 +120,7 @@ class WheelFit:
             load_min_N=float(self.load_N.min()),
             load_max_N=float(self.load_N.max()),
             n_runs=len(self.load_N),
+            strata=self.estimate,
         )
 
     @cached_property
@@ -164,18 +165,14 @@ class WheelFit:
 
     def mean_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the lower and upper end of the 95 % band of the regression mean at wheel loads, in m (Fig. 11)."""
-        return self._band(load_N, 0.0, 0.0)
+        return self._band(load_N, single_run=False)
 
     def prediction_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
-        return self._band(load_N, self.estimate.run_variance, self.estimate.session_variance)
+        return self._band(load_N, single_run=True)
 
-    def _band(self, load_N: ArrayLike, more_within: float, more_between: float) -> tuple[FloatArray, FloatArray]:
-        load = floats(load_N)
-        reach = (self.law.load_min_N - self.reference_load_N, self.law.load_max_N - self.reference_load_N)
-        more = {"more_within": more_within, "more_between": more_between}
-        half = self.estimate.band(load - self.reference_load_N, reach, **more)
-        centre = self.law.radius_m(load)
+    def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
+        centre, half = self.law.radius_m(load_N), self.law.half_width_m(load_N, single_run=single_run)
         return centre - half, centre + half
 
     def to_dict(self) -> dict[str, Any]:

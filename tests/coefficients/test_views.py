@@ -10,10 +10,14 @@ import pytest
 import yaml
 from scipy.special import stdtrit
 
-from calib.coefficients.build import export
+from calib.campaign.settings import Encoder
+from calib.coefficients.build import Header, export, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, parse_loads
 from calib.errors import BadInputError, RefusedError
+from calib.radius.law import RadiusLaw
+from calib.radius.regression import fit_wheel
+from calib.vehicle import Vehicle
 
 
 def parameters(text: str | bytes) -> dict[str, dict[str, Any]]:
@@ -86,6 +90,32 @@ def test_the_table_holds_radius_and_its_bands(file: CoefficientFile) -> None:
     assert 0 < seen < 41
     clamped = list(csv.DictReader(io.StringIO(export(file.changed(outside="clamp"), "csv")[0].data.decode())))
     assert all(row["radius_right_m"] for row in clamped)
+
+
+@pytest.mark.parametrize("session_um", [0.0, 10.0])
+def test_exported_bands_cover_what_they_say(session_um: float) -> None:
+    """Four sessions of a crossed campaign: Monte Carlo of the law, and of one further run, through file and table."""
+    campaigns, rng, at = 400, np.random.default_rng(5), np.array([300.0, 675.0, 1000.0])
+    load, session = np.tile([300.0, 500.0, 800.0, 1100.0], 12), np.repeat(np.arange(4), 12)
+    held = np.zeros((2, len(at)))
+    for _ in range(campaigns):
+        radius = 0.1 + 1e-6 * (rng.normal(0, session_um, 4)[session] + rng.normal(0, 19, 48))
+        fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+        made = from_law(RadiusLaw(fit.law, fit.law), Vehicle(), Encoder(4096.0, 4096.0), Header("drawn", True))
+        again = CoefficientFile.model_validate_json(made.to_bytes())
+        table = export(again, "csv", [LoadPair(value, value) for value in at])[0].data.decode()
+        rows = list(csv.DictReader(io.StringIO(table)))
+        new = 0.1 + 1e-6 * (rng.normal(0, session_um) + rng.normal(0, 19))
+        for number, (truth, band) in enumerate(((0.1, fit.mean_band_m), (new, fit.prediction_band_m))):
+            name = ("mean", "prediction")[number]
+            middle, half = (
+                np.array([float(row[f"radius_left_{key}"]) for row in rows]) for key in ("m", f"{name}_u95_m")
+            )
+            # the digits of the table
+            np.testing.assert_allclose(half, 0.5 * np.diff(band(at), axis=0)[0], rtol=SIX_DIGITS)
+            held[number] += np.abs(truth - middle) < half
+    # standard error of 400 campaigns 1.1 %; three of them
+    np.testing.assert_allclose(held / campaigns, 0.95, atol=0.033)
 
 
 def test_a_load_valid_for_no_wheel_gets_no_row(file: CoefficientFile) -> None:

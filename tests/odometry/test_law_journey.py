@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
 from calib.errors import BadInputError
 from calib.odometry.law_journey import law_journey, law_table
-from calib.odometry.law_path import AxleLaw
+from calib.odometry.law_path import AxleLaw, Loading, law_path
 from calib.odometry.routes import find_route
 from calib.odometry.simulation import LawJourneys, simulate
-from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.law import LineEstimate, RadiusLaw, WheelLaw
 
 SLOPES = {"growing": (1.4862e-5, 1.2996e-5), "shrinking": (-1.4688e-5, -1.2863e-5)}  # left, right, per newton
 
@@ -142,10 +144,45 @@ def test_the_headline_is_about_seventeen_at_both_tracks() -> None:
 
 
 def test_a_law_beyond_its_loads_says_so() -> None:
-    under = LawJourneys(AxleLaw(law(), 0.7), draws=200)
+    under = LawJourneys(AxleLaw(law(), 0.7), [(200.0, 900.0)], draws=200)
     found = simulate("asymmetric", track_m=0.7, under=under, rng=np.random.default_rng(0))
     assert found.law is not None
     assert any("200 N lie outside" in note for note in found.law.notes)
+
+
+def test_a_small_vehicle_stands_on_its_own_loads() -> None:
+    """A law of 20 to 60 N centred on 300 N: the nearest load that it holds for, and no load of the paper's vehicle."""
+    own = law()
+    small = RadiusLaw(*(replace(wheel, load_min_N=20.0, load_max_N=60.0) for wheel in (own.left, own.right)))
+    under = LawJourneys(AxleLaw(small, 0.15), draws=200)
+    part = simulate("corrected", track_m=0.15, under=under, rng=np.random.default_rng(0)).law
+    assert part is not None and part.notes == ()
+    assert part.path.reference_N == (60.0, 60.0)
+    assert [row.load_N for row in part.table] == [20.0, 40.0, 60.0]
+    pairs = {(one.load_left_N, one.load_right_N) for one in part.journeys}
+    assert pairs == {(20.0, 60.0), (60.0, 20.0), (60.0, 60.0)}
+
+
+def test_rows_of_a_run_and_the_path_below_them_have_one_band() -> None:
+    """Four sessions, 43 degrees of freedom of runs: both are the t of the run's own parts, not that of the mean."""
+    within = np.array([[9e-12, -1e-14], [-1e-14, 5e-17]])
+    between = np.diag([8e-12, 0.0])
+    strata = LineEstimate(np.zeros(2), 43.0, 3.0, 4e-10, 2e-11, within, between, None, hc3=False, design="crossed")
+    wheel = replace(law().left, covariance=within + between, dof=3.0, residual_std_m=4.2e-10**0.5, strata=strata)
+    route, at, rng = find_route("straight15"), (700.0, 700.0), np.random.default_rng(1)
+    both = RadiusLaw(wheel, wheel)
+    journey = law_journey(
+        both, route, loads_N=at, reference_N=at, track_m=0.7, band="prediction", draws=40_000, rng=rng
+    ).corrected["lateral_m"]
+    loading = Loading.from_rows([(0.0, *at)])
+    path = law_path(AxleLaw(both, 0.7), route, loading=loading, reference_N=at, rng=rng)
+    half = 0.5 * float(np.diff(journey.linear)[0])
+    assert path.corrected.half["lateral_m"] == pytest.approx(half, rel=1e-3)  # the integral over the law's own route
+    # 4e-10 of the variance has 43 degrees of freedom: near the normal, far from the 3.18 of three
+    k = half / float(path.corrected.std["lateral_m"][-1])
+    assert k == pytest.approx(student.ppf(0.975, 60), rel=0.03)
+    # 2.5 % quantiles of 40,000 draws: 1.6 % of the width, three of those
+    assert 0.5 * float(np.diff(journey.monte_carlo)[0]) == pytest.approx(half, rel=0.05)
 
 
 def test_unknown_studies_and_empty_ones_are_refused() -> None:

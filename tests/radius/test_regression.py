@@ -8,7 +8,6 @@ from scipy import stats
 from statsmodels.regression.linear_model import OLS
 
 from calib.errors import RefusedError
-from calib.radius.law import covering_line
 from calib.radius.regression import distinct_loads, fit_wheel, independent_line, least_squares, t_quantile
 from calib.radius.sessions import breusch_pagan
 
@@ -126,33 +125,21 @@ def test_the_prediction_band_of_sixty_runs_is_several_times_the_band_of_the_mean
     assert 4.6 < width[1] / width[0] < 8.0
 
 
-def test_the_band_holds_the_interval_at_each_load_has_no_kinks_and_is_narrowest_at_one_load() -> None:
-    load = np.linspace(300.0, 1100.0, 401)
-    for crossed in (True, False):
-        fit = fit_wheel("left", *runs(crossed), reference_load_N=300.0)
-        contrast = np.stack((np.ones_like(load), load - 300.0), axis=-1)
-        for band, more in (
-            (fit.mean_band_m, (0.0, 0.0)),
-            (fit.prediction_band_m, (fit.estimate.run_variance, fit.estimate.session_variance)),
-        ):
-            interval = fit.estimate.half_width(contrast, 0.95, more_within=more[0], more_between=more[1])
-            half = 0.5 * np.diff(band(load), axis=0)[0]
-            assert (half > interval * (1 - 1e-3)).all()  # between two nodes of the band a kink may stand out
-            assert half.mean() < 1.1 * interval.mean()  # no wider than the kinks are high
-            # a hyperbola: its square bends one way only
-            assert (np.diff(half**2, 2) > -1e-9 * half.max() ** 2).all()  # rounding
-
-
-def test_the_covering_line_is_the_lowest_in_the_mean_of_all_lines_above_the_points() -> None:
-    """Against linear programming."""
-    from scipy.optimize import linprog
-
-    rng = np.random.default_rng(4)
-    for _ in range(50):
-        x, y = rng.uniform(0, 3, 30), rng.normal(2, 1, 30)
-        level, slope = covering_line(x, y)
-        oracle = linprog([1, x.mean()], -np.column_stack((np.ones(30), x)), -y, bounds=((None, None), (0, None)))
-        assert level + slope * x.mean() == pytest.approx(oracle.fun, abs=1e-9)  # the solver's tolerance
+@pytest.mark.parametrize("crossed", [True, False])
+def test_the_band_at_a_load_is_students_t_times_the_standard_uncertainty_there(crossed: bool) -> None:
+    """At the mean load of crossed sessions it is the interval of the session means, by hand."""
+    load, radius, session = runs(crossed)
+    fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+    for single, std in ((False, fit.law.mean_std_m), (True, fit.law.prediction_std_m)):
+        k = stats.t.ppf(0.975, fit.law.dof_of(fit.law.contrast(LOADS), single_run=single))
+        # to the tolerance of the inverse of Student's t
+        np.testing.assert_allclose(fit.law.half_width_m(LOADS, single_run=single), k * std(LOADS), rtol=1e-7)
+    at_reference = 0.5 * np.diff(fit.radius_ref_ci95_m)[0]
+    np.testing.assert_allclose(fit.law.half_width_m(300.0), at_reference, rtol=1e-9)  # rounding
+    means = [radius[session == one].mean() for one in np.unique(session)]
+    if crossed:
+        by_hand = stats.t.ppf(0.975, len(means) - 1) * stats.sem(means)
+        np.testing.assert_allclose(fit.law.half_width_m(load.mean()), by_hand, rtol=1e-9)
 
 
 def test_breusch_pagan_is_n_times_r_squared_of_the_squared_residuals() -> None:

@@ -218,12 +218,9 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
 
 
 def _columns_of(law: WheelLaw, loads: FloatArray, side: str, *, clamp: bool) -> dict[str, list[str]]:
-    from scipy.stats import t
-
     used = np.clip(loads, law.load_min_N, law.load_max_N)
-    k = float(t.ppf(0.975, law.dof)) if law.dof > 0 else float("nan")
-    mean = law.mean_std_m(used)
-    numbers = (law.radius_m(used), mean, k * mean, k * law.prediction_std_m(used))
+    bands = (law.half_width_m(used, single_run=single) for single in (False, True))
+    numbers = (law.radius_m(used), law.mean_std_m(used), *bands)
     shown = (used == loads) | clamp
     return {
         name.format(side): [

@@ -244,8 +244,8 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
     """Return load, radius, half width of its 95 % interval and standard uncertainty, at the loads driven."""
     loads = _loads(wheel, fit)
-    low, high = wheel.mean_band_m(loads)
-    columns = (np.array(loads), wheel.law.radius_m(loads), 0.5 * (high - low), wheel.law.mean_std_m(loads))
+    law = wheel.law
+    columns = (np.array(loads), law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads))
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
 from calib.reporting.source import Source
-from calib.types import FloatArray, floats
 
 MM: Final = 1e3
 UM: Final = 1e6
@@ -64,8 +64,8 @@ def single_run_text(fit: Fit) -> Text:
     """Return the prediction interval of one further run in the middle of the load range."""
     parts = []
     for name, wheel in fit.wheels.items():
-        low, high = wheel.prediction_band_m(0.5 * (wheel.law.load_min_N + wheel.law.load_max_N))
-        parts.append(f"±{two_digits(0.5 * UM * float(high - low))} µm ({name})")
+        half = wheel.law.half_width_m(0.5 * (wheel.law.load_min_N + wheel.law.load_max_N), single_run=True)
+        parts.append(f"±{two_digits(UM * float(half))} µm ({name})")
     return Text(
         f"The radius that one further run shows lies, with 95 % probability, within {' and '.join(parts)} of the law "
         "in the middle of the load range."
@@ -123,26 +123,15 @@ def regression_section(source: Source) -> Section:
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     lows, highs = zip(*((wheel.law.load_min_N, wheel.law.load_max_N) for wheel in (left, right)), strict=True)
     low, high = (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
-    loads = _round_loads(low, high)
+    loads = round_loads(low, high)
     columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
-        mean, single = (
-            0.5 * UM * (above - below) for below, above in (wheel.mean_band_m(loads), wheel.prediction_band_m(loads))
-        )
+        mean, single = (UM * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
         # one number of decimals for all radii: that of the narrowest band
         decimals = places(1e-3 * float(mean.min()))
         columns.append([fixed(MM * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
         columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
     return tuple(zip(*columns, strict=True))
-
-
-def _round_loads(low: float, high: float) -> FloatArray:
-    """Return round loads inside the range; its ends where nothing round lies in it."""
-    for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
-        first, last = np.ceil(low / step), np.floor(high / step)
-        if 3 <= last - first + 1 <= 9:
-            return floats(step * np.arange(first, last + 1))
-    return np.unique(np.array([low, 0.5 * (low + high), high]))
 
 
 def coefficients_section(source: Source) -> Section:

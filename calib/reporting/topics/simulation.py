@@ -113,12 +113,17 @@ def _path(path: LawPath, route: str) -> list[Block]:
     for title, end in ends.items():
         errors = (_signed(factor * end[f"error_{key}"], 4) for key, factor in _FACTORS.items())
         rows.append((title, *errors, fixed(end["rms_m"], 4)))
-        rows.append(("", *(f"± {2.0 * factor * end[f'std_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
+        rows.append(("", *(f"± {factor * end[f'half_width95_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
     heads = ("<Radii", "along (m)", "left (m)", "heading (mrad)", "global x (m)", "global y (m)", "rms (m)")
     ends_of_ratio = path.ratio_ci95
     interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
     return [
-        table(f"{route}, {path.loading_text}: end error; ± is 95 % (k = 2).", heads, rows),
+        table(
+            f"{route}, {path.loading_text}: end error; ± is the half width of the 95 % interval of a single run, that "
+            "of track and random walk included.",
+            heads,
+            rows,
+        ),
         Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}."),
     ]
 
