@@ -19,7 +19,7 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import formats, sections
 from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients, sealed
-from calib.coefficients.formats import Artifact, ExportOptions, LoadPair
+from calib.coefficients.formats import WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import LineEstimate, RadiusLaw, WheelLaw
@@ -128,6 +128,8 @@ class PoseNoise:
     track_std_m: float = TRACK_STD_M
     along_m_per_sqrt_m: float = ALONG_M_PER_SQRT_M
     heading_rad_per_sqrt_m: float = HEADING_RAD_PER_SQRT_M
+    #: fields of the file that these runs do not tell
+    assumed: Sequence[str] = ("noise.along", "noise.heading")
 
 
 def from_law(
@@ -165,6 +167,7 @@ def from_law(
             if left in wheels.left.valid_load and right in wheels.right.valid_load
         ],
         effects=list(effects),
+        assumed=[*(["vehicle.track_std"] if noise == PoseNoise() else []), *noise.assumed],
         inputs=[{"path": path, "sha256": digest} for path, digest in sorted(header.inputs.items())],
     )
 
@@ -227,7 +230,7 @@ def from_geometry(
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)
     vehicle = campaign.vehicle
     law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
-    track, track_std = _track(geometry, campaign)
+    track, track_std, assumed = _track(geometry, campaign)
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     runs = campaign.included().runs
     file = from_law(
@@ -236,7 +239,7 @@ def from_geometry(
         campaign.encoder,
         Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
-        noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"]),
+        noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"], assumed),
     )
     file = file.changed(joint_geometry=_section(geometry))
     return file if geometry.passed else file.accepted(accept, geometry.why)
@@ -293,12 +296,14 @@ def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
     )
 
 
-def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float]:
-    """Return the track and its standard deviation; of mecanum wheels the track of two wheels that turn alike."""
+def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float, Sequence[str]]:
+    """Return the track (of mecanum wheels that of two that turn alike), its standard deviation, and where assumed."""
     name, factor = ("half_length_plus_half_width_m", 2.0) if geometry.source == "wheels" else ("track_m", 1.0)
     track = factor * geometry.values.get(name, campaign.vehicle.track_m)
     determined = any(estimate.name == name for estimate in geometry.estimates)
-    return track, factor * geometry[name].std if determined else NOMINAL_STD * track
+    if determined:
+        return track, factor * geometry[name].std, ()
+    return track, NOMINAL_STD * track, ("vehicle.track_std",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,7 +391,7 @@ def export(
         )
     formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
-        return (Artifact("coefficients.json", file.to_bytes()),)
+        return (Artifact("coefficients.json", file.to_bytes(), assumed_note(file)),)
     if (chosen.model is not None or chosen.left or chosen.right) and to not in formats.PATCHING:
         raise BadInputError(
             f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
@@ -401,5 +406,6 @@ def export(
     chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
     module, _, function = formats.FORMATS[to].partition(".")
     render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
-    artifacts: tuple[Artifact, ...] = render(file, chosen)
-    return artifacts
+    first, *more = render(file, chosen)
+    notes = assumed_note(file) if to in WITH_NOISE else ()
+    return (replace(first, notes=(*first.notes, *notes)), *more)

@@ -56,6 +56,8 @@ class CoefficientFile(Section):
     load_table: list[sections.LoadPoint] = Field(default_factory=list)
     effects: list[sections.EffectSection] = Field(default_factory=list)
     joint_geometry: sections.GeometrySection | None = None
+    #: fields that were neither measured nor stated
+    assumed: list[str] = Field(default_factory=list)
     inputs: list[sections.InputFile] = Field(default_factory=list)
     accepted_implausible: sections.AcceptedSection | None = None
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
@@ -83,8 +85,8 @@ class CoefficientFile(Section):
     def to_dict(self) -> dict[str, object]:
         """Return the document as plain Python values, in the order of the file."""
         document = self.model_dump(mode="json")
-        for name in ("joint_geometry", "accepted_implausible"):
-            if document[name] is None:
+        for name in ("joint_geometry", "assumed", "accepted_implausible"):
+            if not document[name]:
                 # older readers do not know these sections
                 del document[name]
         for wheel in document["wheels"].values():

@@ -237,7 +237,9 @@ class StrataSection(Section):
             None,
             hc3=False,
             design="",
-            systematic=np.array([list(one.si("radius_ref", "slope").values()) for one in self.systematic]).reshape(-1, 2),
+            systematic=np.array([list(one.si("radius_ref", "slope").values()) for one in self.systematic]).reshape(
+                -1, 2
+            ),
             systematic_dof=np.array([np.inf if one.dof is None else one.dof.value for one in self.systematic]),
         )
 

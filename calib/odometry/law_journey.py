@@ -27,7 +27,7 @@ BANDS: Final = ("mean", "prediction")
 class TableRow:
     """Radii at one load (Table 1), with the 95 % half-widths of the mean and of a single run (Fig. 15).
 
-    `extrapolated_left`, `extrapolated_right`: the load lies outside those that the wheel was measured under.
+    `extrapolated_left`, `extrapolated_right`: the load lies outside those for which the wheel's law holds.
     """
 
     load_N: float

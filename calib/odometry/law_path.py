@@ -31,6 +31,7 @@ from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 NORMAL_95: Final = 1.959963984540054  #: quantile of the normal distribution, 97.5 %
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
     """Wheel loads along a route: each pair holds from its distance on until the next one."""
@@ -298,9 +299,7 @@ def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float])
     return halves
 
 
-def _ratio_interval(
-    without: Driven, corrected: Driven, draws: int, rng: np.random.Generator
-) -> tuple[float, float]:
+def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.random.Generator) -> tuple[float, float]:
     """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
     more = np.stack([d / rng.chisquare(d, draws) for d in corrected.dof]) - 1.0
     square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]

@@ -254,7 +254,7 @@ class LawJourneys:
 
     axle: AxleLaw  #: the law, and the track that it is driven with
     loads_N: Sequence[tuple[float, float]] = ()  #: loads (left, right) of the journeys, in place of the study's own
-    #: loads whose radii the uncorrected odometry uses; None: each law's reference load, or the nearest that it holds for
+    #: loads whose radii the uncorrected odometry uses; None: the reference load, or the nearest valid one
     reference_N: tuple[float, float] | None = None
     loading: Loading | None = None  #: loads that change on the way; None: the first of `loads_N` all along
     draws: int = 20_000  #: draws of the Monte Carlo

@@ -58,7 +58,7 @@ class WheelLaw:
     dof: float
     #: standard deviation of a single run, in a session of its own, about the law
     residual_std_m: float
-    #: loads that were measured; outside them the law extrapolates
+    #: loads that were measured, of a coefficient file its valid range; outside them the law extrapolates
     load_min_N: float
     load_max_N: float
     #: runs behind it
@@ -73,9 +73,12 @@ class WheelLaw:
 
     def mean_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
-        offset = floats(load_N) - self.reference_load_N
-        variance = self.covariance[0, 0] + 2 * offset * self.covariance[0, 1] + offset**2 * self.covariance[1, 1]
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return self.std_of(self.contrast(load_N))
+
+    def std_of(self, contrast: ArrayLike) -> FloatArray:
+        """Return the standard uncertainty of ``contrast @ (radius_ref, slope)`` (shape (..., 2)), shape (...)."""
+        c = floats(contrast)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", c, self.covariance, c), 0.0)))
 
     def prediction_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""

@@ -16,9 +16,9 @@ from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
-from calib.radius.law import RadiusLaw
-from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
-from calib.types import Row
+from calib.radius.law import LARGEST_DOF, RadiusLaw, WheelLaw
+from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain, t_quantile
+from calib.types import FloatArray, Row
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -269,8 +269,8 @@ class Difference:
     quantity: str
     fitted: float
     model: float
-    #: 95 % interval of the fitted coefficient
-    fitted_ci95: tuple[float, float]
+    #: of the 95 % interval of the difference
+    half_width: float
 
     @property
     def difference(self) -> float:
@@ -279,13 +279,13 @@ class Difference:
 
     @property
     def ci95(self) -> tuple[float, float]:
-        """95 % interval of the difference; the model counts as known."""
-        return self.fitted_ci95[0] - self.model, self.fitted_ci95[1] - self.model
+        """95 % interval of the difference."""
+        return self.difference - self.half_width, self.difference + self.half_width
 
     @property
     def inside(self) -> bool:
-        """Whether the model lies within the fit's 95 % interval."""
-        return self.ci95[0] <= 0.0 <= self.ci95[1]
+        """Whether no difference lies within the interval."""
+        return abs(self.difference) <= self.half_width
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,6 +295,8 @@ class ModelComparison:
     #: load at which the radii are compared
     reference_load_N: float
     differences: tuple[Difference, ...]
+    #: whether the model has no covariance: its values are taken as exact
+    exact: bool = False
 
     @property
     def inside(self) -> bool:
@@ -310,18 +312,37 @@ class ModelComparison:
             values |= {"difference_ci95": list(one.ci95)}
             document = {f"{name}_{unit}": value for name, value in values.items()}
             wheels[one.wheel][one.quantity] = document | {"model_inside": one.inside}
-        return {"reference_load_N": self.reference_load_N, "model_inside": self.inside, "wheels": wheels}
+        verdict = {"model_inside": self.inside, "model_exact": self.exact}
+        return {"reference_load_N": self.reference_load_N, **verdict, "wheels": wheels}
 
 
 def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComparison:
-    """Return the differences of fitted laws from a model, at the fit's reference load.
+    """Return the differences of fitted laws from a model of other runs, at the fit's reference load.
 
-    The intervals are the fit's own: a model of the same runs shares their errors, so it counts as known.
+    The intervals are Welch's, of two estimates with uncertainties of their own.
     """
     differences = []
     for wheel, law in ((left, model.left), (right, model.right)):
-        at_load, own = float(law.radius_m(wheel.reference_load_N)), wheel.law
-        differences.append(Difference(wheel.wheel, "radius_ref", own.radius_ref_m, at_load, wheel.radius_ref_ci95_m))
-        if interval := wheel.slope_ci95_m_per_N:
-            differences.append(Difference(wheel.wheel, "slope", own.slope_m_per_N, law.slope_m_per_N, interval))
-    return ModelComparison(left.reference_load_N, tuple(differences))
+        own, load = wheel.law, wheel.reference_load_N
+        quantities = {"radius_ref": (own.contrast(load), law.contrast(load))}
+        if wheel.model == "line":
+            quantities["slope"] = (np.array([0.0, 1.0]),) * 2
+        for quantity, contrasts in quantities.items():
+            fitted, believed = (
+                float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in zip((own, law), contrasts, strict=True)
+            )
+            half = _welch_half_width((own, law), contrasts)
+            differences.append(Difference(wheel.wheel, quantity, fitted, believed, half))
+    exact = not any(one.covariance.any() for one in (model.left, model.right))
+    return ModelComparison(left.reference_load_N, tuple(differences), exact)
+
+
+def _welch_half_width(laws: tuple[WheelLaw, WheelLaw], contrasts: tuple[FloatArray, FloatArray]) -> float:
+    """Return the half width of the 95 % interval of a difference (Welch, Biometrika 34 (1947) 28)."""
+    pairs = list(zip(laws, contrasts, strict=True))
+    variance = np.array([float(law.std_of(c)) ** 2 for law, c in pairs])
+    dof = np.array([float(law.dof_of(c)) for law, c in pairs])
+    total = variance.sum()
+    # without degrees of freedom: not estimated, but stated
+    spread = np.sum(variance[dof > 0] ** 2 / dof[dof > 0])
+    return float(np.sqrt(total) * t_quantile(total**2 / spread if spread > 0 else LARGEST_DOF))

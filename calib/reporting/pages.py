@@ -226,10 +226,10 @@ def _sweep_files(simulation: Simulation) -> tuple[dict[str, Figure], dict[str, S
 
 def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
     law, path = part.law, part.path
-    measured = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
+    valid = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
     title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
     figures = {
-        "fig15": motion.ratio_figure(part.table, measured=measured),
+        "fig15": motion.ratio_figure(part.table, valid=valid),
         "band": motion.law_path_figure(path, title=title),
         "errors": motion.law_errors_figure(path, title=title),
     }

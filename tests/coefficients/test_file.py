@@ -19,7 +19,7 @@ from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import LoadPair
 from calib.coefficients.sections import EffectSection, first_fault
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
-from calib.radius.law import RadiusLaw
+from calib.radius.law import LineEstimate, RadiusLaw
 from calib.vehicle import Vehicle
 
 
@@ -181,6 +181,17 @@ def test_a_change_makes_a_valid_file_of_another_checksum(file: CoefficientFile, 
     assert changed.checksum != file.checksum
     with pytest.raises(CalibError, match="created"):
         file.changed(created="31.3.2025")
+
+
+def test_strata_that_are_no_parts_of_the_covariance_make_no_file(law: RadiusLaw) -> None:
+    half = 0.5 * law.left.covariance
+    strata = LineEstimate(np.zeros(2), 50.0, 3.0, 3e-10, 1e-10, half, half, None, hc3=False, design="crossed")
+    head = (Vehicle(), Encoder(), Header("corridor", True))
+    made = from_law(replace(law, left=replace(law.left, strata=strata)), *head)
+    assert made.law.left.dof_of([1.0, 0.0]) == pytest.approx(strata.dof([1.0, 0.0]))
+    assert "strata" not in made.to_dict()["wheels"]["right"]  # type: ignore[index]
+    with pytest.raises(BadInputError, match="strata"):
+        from_law(replace(law, left=replace(law.left, strata=replace(strata, cov_within=2 * half))), *head)
 
 
 def test_impossible_coefficients_make_no_file(law: RadiusLaw) -> None:

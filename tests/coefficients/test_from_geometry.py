@@ -47,6 +47,10 @@ def test_without_loads_the_slope_is_zero_with_its_standard_deviation(made: Campa
     assert far == pytest.approx(np.hypot(near, 0.01 * law.radius_ref_m), rel=1e-6)
 
 
+def test_what_the_geometry_measured_is_not_assumed(made: Campaign, geometry: Geometry) -> None:
+    assert from_geometry(geometry, made).assumed == []
+
+
 def test_it_reads_back_as_it_was_written(made: Campaign, geometry: Geometry, tmp_path: Path) -> None:
     file = from_geometry(geometry, made)
     path = tmp_path / "coefficients.json"

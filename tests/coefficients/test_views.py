@@ -63,6 +63,18 @@ def test_every_view_names_checksum_and_simulated_data(file: CoefficientFile, to:
         assert "SIMULATED DATA" not in real and "true,sha256" not in real
 
 
+def test_constants_of_the_program_are_marked_as_assumed(file: CoefficientFile) -> None:
+    """The random walk and the track's uncertainty, which no corridor tells, in file, view and note."""
+    assert file.assumed == ["vehicle.track_std", "noise.along", "noise.heading"]
+    for to in ("json", "c", "ros2"):
+        made = export(file, to)
+        assert any("noise.along 0.0005 m/m^0.5" in note for note in made[0].notes)
+        assert "noise.along" in made[0].data.decode()
+    measured = file.changed(assumed=[])
+    assert "assumed" not in measured.to_dict()
+    assert not any("assumed, not" in export(measured, to)[0].data.decode() for to in ("json", "c", "ros2"))
+
+
 #: half a unit of the last digit that is written, and rounding beside it
 TEN_DIGITS, SIX_DIGITS = 5.1e-10, 5.1e-6
 

@@ -20,7 +20,8 @@ from calib.reporting.content import Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics import PAGES
 from calib.reporting.topics.conditions import MOST_NOTES
-from calib.reporting.topics.fit import usable_notice
+from calib.reporting.topics.fit import result_section, usable_notice
+from calib.reporting.topics.law import coefficients_section
 from calib.vehicle import Drive
 
 
@@ -114,6 +115,21 @@ def test_coefficients_are_those_of_the_fit_with_k_from_students_t(report: Report
             np.testing.assert_allclose(shown[1], std, rtol=0.051)  # two significant digits
             np.testing.assert_allclose(shown[3], t.ppf(0.975, dof), rtol=0, atol=0.0051)  # two decimals
             np.testing.assert_allclose(shown[4], t.ppf(0.975, dof) * std, rtol=0.051)  # two significant digits
+
+
+def test_each_range_of_loads_is_said_for_what_it_is(source: Source) -> None:
+    """Loads measured of each wheel; the valid range as the attached file has it."""
+    left, right = source.fit.left, source.fit.right
+    on = right.load_N < 950.0
+    runs = {name: getattr(right, name)[on] for name in ("load_N", "radius_m", "residual_m", "leverage", "cook")}
+    uneven = replace(source, fit=replace(source.fit, right=replace(right, **runs)))
+    result = words(result_section(uneven))
+    assert f"{left.load_N.min():.0f} to {left.load_N.max():.0f} N (left wheel)" in result
+    assert f"{runs['load_N'].min():.0f} to {runs['load_N'].max():.0f} N (right wheel)" in result
+    coefficients = words(coefficients_section(source))
+    valid = source.coefficients.wheels.left.valid_load
+    assert f"{valid.min.value:.1f} to {valid.max.value:.1f} N (left)" in coefficients
+    assert f"measured at {left.load_N.min():.1f} to {left.load_N.max():.1f} N" in coefficients
 
 
 def decimals(text: str) -> int:

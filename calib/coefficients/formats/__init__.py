@@ -30,6 +30,8 @@ FORMATS: Final = {
     "urdf": "simulator_models.urdf",
     "sdf": "simulator_models.sdf",
 }
+#: formats that state the track's uncertainty and the random walk
+WITH_NOISE: Final = frozenset({"json", "ros2", "c"})
 #: formats that change a copy of the user's model, and those that know two wheels on one axle alone
 PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
 AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
@@ -153,7 +155,19 @@ def ascii_line(text: str) -> str:
 def left_out_lines(file: CoefficientFile, what: str) -> list[str]:
     """Return what `what`, the file or header that is written, leaves out, and the findings that the user accepted."""
     lines = [f"NOT in this {what}: effect {ascii_line(part.effect)} of the simulator's model" for part in file.effects]
-    return [*lines, *accepted_lines(file)]
+    return [*lines, *assumed_note(file), *accepted_lines(file)]
+
+
+def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
+    """Return which numbers of the file were neither measured nor stated, as one sentence; nothing without any."""
+    values = []
+    for place in file.assumed:
+        section, _, name = place.partition(".")
+        quantity = getattr(getattr(file, section), name)
+        values.append(f"{place} {quantity.value:g} {quantity.unit}")
+    if not values:
+        return ()
+    return (f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them",)
 
 
 def accepted_lines(file: CoefficientFile) -> list[str]:

@@ -99,19 +99,19 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
 
 
 @styled
-def ratio_figure(rows: Sequence[TableRow], *, measured: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
-    """Return the ratio of the 95 % bands' limits to the mean radius over load, with the ranges measured (Fig. 15)."""
+def ratio_figure(rows: Sequence[TableRow], *, valid: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
+    """Return the ratio of the 95 % bands' limits to the mean radius over load, with the valid ranges (Fig. 15)."""
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])
     first, second = figure.subplots(1, 2, sharey=True)
-    for axes, side, loads_measured in zip((first, second), ("left", "right"), measured, strict=True):
+    for axes, side, loads_valid in zip((first, second), ("left", "right"), valid, strict=True):
         radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
         for band, tint in (("prediction", SKY), ("mean", BLUE)):
             half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
             name = "of a single run" if band == "prediction" else "of the mean"
             axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
             axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
-        axes.axvspan(*loads_measured, color=INK, alpha=0.05, label="loads measured")
+        axes.axvspan(*loads_valid, color=INK, alpha=0.05, label="valid loads")
         axes.set(xlabel="wheel load (N)", title=f"{side.capitalize()} wheel")
         axes.tick_params(labelleft=True)
     first.set_ylabel("radius over the law's mean radius")

@@ -11,7 +11,7 @@ from calib.radius.regression import Check
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
-from calib.reporting.formatting import fixed, places, plural, probability, prose
+from calib.reporting.formatting import fixed, places, plural, probability, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics import law
 from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
@@ -47,7 +47,8 @@ def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple
     rows = [_row(one, *kinds[one.quantity]) for one in compared.differences]
     interval = ("95 % interval | from", "95 % interval | to")
     heads = ("<Quantity", "<Unit", "Fitted", "Model", "Difference", *interval, "<Model lies")
-    caption = "Fitted law against the model's; the interval is that of the difference."
+    exact = "; the model states no uncertainty, its values are taken as exact" if compared.exact else ""
+    caption = f"Fitted law against the model's; the interval is that of the difference{exact}."
     return (table(caption, heads, rows), *items(map(prose, notes)))
 
 
@@ -63,11 +64,11 @@ def result_section(source: Source) -> Section:
     """Return the laws in one table and the verdict of the checks in one sentence."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
-    low, high = max(one.load_min_N for one in laws), min(one.load_max_N for one in laws)
-    loads = f"a wheel load of {low:.0f} N" if high - low < 1.0 else f"wheel loads from {low:.0f} to {high:.0f} N"
+    ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
+    loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
     holds = Text(
-        f"The law holds for {loads}. It comes from {len(fit.radii)} runs along a straight corridor. The same law, with "
-        "its covariance, is attached to this PDF as coefficients.json."
+        f"The law was measured at wheel loads of {loads}. It comes from {len(fit.radii)} runs along a straight "
+        "corridor. The same law, with its covariance, is attached to this PDF as coefficients.json."
     )
     assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))

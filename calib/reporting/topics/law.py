@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.checks.design import SIDES
 from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
@@ -111,7 +112,7 @@ def regression_section(source: Source) -> Section:
         ),
         regressions_picture(fit),
         table(
-            "The law at loads of the valid range, with the half widths of both bands.",
+            "The law at measured loads, with the half widths of both bands.",
             ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands)),
             aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6),
         ),
@@ -157,9 +158,14 @@ def coefficients_section(source: Source) -> Section:
         blocks += [Text(text), Equation("law_uncertainty")]
     ends = "clamps loads outside the valid range to its ends"
     outside = "refuses loads outside the valid range" if source.coefficients.outside == "refuse" else ends
+    wheels = source.coefficients.law.left, source.coefficients.law.right
+    valid = [
+        f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for one, side in zip(wheels, SIDES, strict=True)
+    ]
     attached = (
         f"The attached coefficients.json ({source.coefficients.checksum[:19]}…) carries law, covariance and valid "
-        f"range for the vehicle; by it the vehicle {outside}."
+        f"range for the vehicle: the loads measured and a margin for the scatter of weighing, {' and '.join(valid)}; "
+        f"by it the vehicle {outside}."
     )
     blocks += [Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())), Text(attached)]
     return Section("Coefficients", tuple(blocks))
@@ -172,7 +178,7 @@ def _correlation(wheel: WheelFit) -> str:
         return f"{wheel.wheel.capitalize()} wheel: constant, measured at {valid}."
     norm = float(np.sqrt(covariance[0, 0] * covariance[1, 1]))
     correlation = fixed(float(covariance[0, 1]) / norm if norm > 0 else 0.0, 2)
-    return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, valid from {valid}."
+    return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, measured at {valid}."
 
 
 def regressions_picture(fit: Fit) -> Picture:

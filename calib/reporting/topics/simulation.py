@@ -68,7 +68,7 @@ def _law(part: LawPart) -> list[Table]:
         right = (row.radius_right_m, row.mean_right_m, row.prediction_right_m)
         outside = "*" if row.extrapolated_left or row.extrapolated_right else ""
         rows.append((f"{row.load_N:g}{outside}", *(fixed(1e3 * size, 4) for size in (*left, *right))))
-    starred = " * outside the loads that were measured." if any(row[0].endswith("*") for row in rows) else ""
+    starred = " * outside the loads for which the law holds." if any(row[0].endswith("*") for row in rows) else ""
     sizes = ("radius", "± mean", "± run")
     table_1 = table(
         "Table 1: effective radii by the law; ± is the half width of the 95 % interval, of the mean and of a single "

@@ -74,6 +74,18 @@ def test_numbers_are_those_of_the_fit(campaign: Path) -> None:
         ]
         assert values[1] == pytest.approx(wheel.law.radius_m(values[0]).tolist(), rel=1e-11)
         assert min(values[0]) >= wheel.law.load_min_N - 1 and max(values[0]) <= wheel.law.load_max_N + 1
+        # Student's t times u at each load; at the reference load the U of the coefficient
+        halves, factors = (
+            [float(value.text or "") for value in radii.findall(f".//si:expandedUnc/si:{name}", NAMES)]
+            for name in ("uncertainty", "coverageFactor")
+        )
+        std = [half / k for half, k in zip(halves, factors, strict=True)]
+        assert std == pytest.approx(wheel.law.mean_std_m(values[0]).tolist(), rel=WRITTEN)
+        at_reference = reals["radius_at_reference_load"].findtext("si:expandedUnc/si:uncertainty", "", NAMES)
+        lowest = values[0].index(min(values[0]))
+        assert values[0][lowest] == pytest.approx(wheel.reference_load_N, abs=1.0)
+        # the lowest load is within a newton of the reference load
+        assert halves[lowest] == pytest.approx(float(at_reference), rel=0.01)
         covariances = [float(value.text or "") for value in result.findall(".//si:covariance/si:value", NAMES)]
         assert covariances == pytest.approx(wheel.law.covariance.ravel().tolist(), rel=1e-11)
 
