@@ -123,7 +123,6 @@ def _rename(temporary: Path, path: Path, *, force: bool) -> None:
 
 
 def _is_stream(path: Path) -> bool:
-    """Return whether a path is a device, a FIFO, or an open stream of this process."""
     if str(path) in _STANDARD_STREAMS or path.parent == Path("/dev/fd"):
         return True
     try:
@@ -364,7 +363,6 @@ def sweep(path: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or folder; what cannot be removed stays for the next time."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -373,7 +371,6 @@ def _remove(path: Path) -> None:
 
 
 def _is_dead(path: Path) -> bool:
-    """Return whether the process that made a temporary file or folder has ended."""
     try:
         os.kill(int(path.name.split("-")[3]), 0)
     except ProcessLookupError:

@@ -252,7 +252,6 @@ def diagnose(
 def _diagnose_simulator(
     campaign: Campaign, simulator: Path, beside: Path | str | None, exclude: Sequence[str], seed: int, workers: int
 ) -> Diagnosis:
-    """Diagnose the user's own simulator; options of calib's own model are refused beside it."""
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.settings import read_settings
 

@@ -183,7 +183,6 @@ def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
 
 
 def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) -> list[ReadLog]:
-    """Return some logs, from the cache where it has them; `together`: parse small logs as one."""
     states = [_state(path) for _, _, path, _ in files]
     hashes = [_sha256(path) for _, _, path, _ in files]
     places: list[Path | None] = [None] * len(files)

@@ -251,7 +251,7 @@ def law_path(
     real = radii_under_load(law, *loads)
     kept = radii_under_load(law, *reference_N)
     spread = law.covariance(axle.track_std_m, single_run=True)
-    half = 0.5 * axle.track_m * fine.turn_rad
+    half, frame = 0.5 * axle.track_m * fine.turn_rad, _frame(reference.theta_rad)
     driven = []
     for believed in (kept, real):
         left, right = real[0] / believed[0] * (fine.length_m - half), real[1] / believed[1] * (fine.length_m + half)
@@ -261,8 +261,9 @@ def law_path(
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
         random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
         poses = path.poses.from_origin()
-        std = _std(systematic + random, reference)
-        by_wheel = _by_wheel(law, slopes[-1], spread, float(reference.theta_rad[-1]))
+        squares = np.einsum("nci,nij,ncj->cn", frame, systematic + random, frame)
+        std = dict(zip(COMPONENTS, np.sqrt(np.maximum(squares, 0.0)), strict=True))
+        by_wheel = _by_wheel(law, frame[-1] @ slopes[-1], spread)
         widths = _half_widths(by_wheel, {name: float(part[-1]) for name, part in std.items()})
         variance, dof = by_wheel[0][3:], by_wheel[1][3:]
         # of the larger of x and y
@@ -273,18 +274,14 @@ def law_path(
     return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
 
 
-def _by_wheel(
-    law: RadiusLaw, slopes: FloatArray, spread: FloatArray, heading_rad: float
-) -> tuple[FloatArray, FloatArray]:
+def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what each wheel's law adds to the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
 
-    `slopes` (3, 5): change of the end pose by `spread`'s parameters, a single run's.
+    `slopes` (5, 5): change of these by the parameters whose covariance is `spread`, a single run's.
     """
-    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
-    frame = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     variance, dof = [], []
     for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
-        contrast = frame @ slopes[:, part]
+        contrast = slopes[:, part]
         variance.append(np.einsum("ni,ij,nj->n", contrast, spread[part, part], contrast))
         dof.append(wheel.dof_of(contrast, single_run=True))
     return np.column_stack(variance), np.column_stack(dof)
@@ -307,13 +304,14 @@ def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.rand
     return float(low), float(high)
 
 
-def _std(covariance: FloatArray, reference: Poses) -> dict[str, FloatArray]:
-    cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
-    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    along = cosine * cosine * xx + 2 * cosine * sine * xy + sine * sine * yy
-    across = sine * sine * xx - 2 * cosine * sine * xy + cosine * cosine * yy
-    squares = (along, across, covariance[:, 2, 2], xx, yy)
-    return {name: np.sqrt(np.maximum(part, 0.0)) for name, part in zip(COMPONENTS, squares, strict=True)}
+def _frame(heading_rad: FloatArray) -> FloatArray:
+    """Return what each of `COMPONENTS` takes of x, y and theta at headings (n,), shape (n, 5, 3)."""
+    rows = np.zeros((len(heading_rad), len(COMPONENTS), 3))
+    rows[:, 0, 0] = rows[:, 1, 1] = np.cos(heading_rad)
+    rows[:, 0, 1] = np.sin(heading_rad)
+    rows[:, 1, 0] = -rows[:, 0, 1]
+    rows[:, [2, 3, 4], [2, 0, 1]] = 1.0
+    return rows
 
 
 def _from_start(values: FloatArray) -> FloatArray:

@@ -211,7 +211,6 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
 
 
 def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
-    """Return whether both loads were measured; a newton beyond the range counts as inside."""
     inside = np.ones(len(load_left_N), dtype=np.bool_)
     for wheel, load in ((law.left, load_left_N), (law.right, load_right_N)):
         inside &= (load >= wheel.load_min_N - 1.0) & (load <= wheel.load_max_N + 1.0)

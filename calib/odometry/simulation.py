@@ -339,7 +339,6 @@ def simulate(
 
 
 def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
-    """Refuse loads so far from those measured that the law's radius is none of this wheel any more."""
     for pair in loads_N:
         for side, wheel, load in zip(SIDES, (law.left, law.right), pair, strict=True):
             radius = float(wheel.radius_m(load))

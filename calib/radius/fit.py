@@ -109,7 +109,6 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
 
 
 def _without_loads(wheel: WheelFit) -> WheelFit:
-    """Return a fit that says that no load was given, doubtful where runs scatter beyond the instruments."""
     words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
     for check in wheel.checks:
         if check.name == "design":
@@ -121,7 +120,6 @@ def _without_loads(wheel: WheelFit) -> WheelFit:
 
 
 def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
-    """Refuse a reference load so far from the loads driven that the radius has no digits there."""
     loads = np.append(radii.load_left_N, radii.load_right_N)
     largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
     if reference_load_N > MAX_REFERENCE_RATIO * largest:

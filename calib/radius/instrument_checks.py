@@ -83,7 +83,6 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
 
 
 def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
-    """Hold the scatter of runs, with so many degrees of freedom, against what the instruments say."""
     stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return

@@ -66,7 +66,6 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 
 def _script(name: str) -> str:
-    """Return a script of ``panels.js``, where each begins below a line of its name."""
     scripts = (files("calib.reporting") / "panels.js").read_text(encoding="utf-8")
     return scripts.partition(f"//: {name}\n")[2].partition("//: ")[0]
 
@@ -142,7 +141,6 @@ def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
 
 
 def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
-    """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
     for which, (dash, mark, name) in PATH_STYLES.items():

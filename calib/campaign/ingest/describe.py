@@ -166,7 +166,6 @@ def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | No
 
 
 def _has_clock(file: FileContents) -> bool:
-    """Return whether a column of a table rises as a log's clock does; one that counts the rows is none."""
     return any(
         (column.even and not (column.whole and column.step == 1.0 and guessed_log_column(column.name) != "t_s"))
         or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
@@ -175,7 +174,6 @@ def _has_clock(file: FileContents) -> bool:
 
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines of the mapping; `table`: the run table, where there is one."""
     named_by = Path((table or logs[0]).name)
     # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem

@@ -101,7 +101,6 @@ def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnC
 
 
 def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
-    """Return the lines for the columns of a log, times first, and calib's columns that were found."""
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
@@ -198,7 +197,6 @@ def _time_unit(column: ColumnContents) -> str:
 def _wheel_lines(
     found: dict[str, ColumnContents], columns: Sequence[ColumnContents], streams: dict[str, StreamContents]
 ) -> list[str]:
-    """Return the lines for the wheels; `found` is changed to what is proposed, both sides or neither."""
     taken = {column.name for name, column in found.items() if not name.startswith("counts_")}
     corners = [name for pair in _CORNERS.values() for name in pair if name in found]
     own = any(recognise(found[name].name, LOG_COLUMNS).name == name for name in corners)

@@ -121,14 +121,12 @@ def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
 
 
 def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str, FloatArray]:
-    """Return the columns of one run; time and counts start where the run does."""
     out = {name: values[part] for name, values in columns.items() if name != CUT_COLUMN}
     out["t_s"] = np.round(out["t_s"] - out["t_s"][0], 9)
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
 
 
 def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, encoder: Encoder, border: Border) -> RunTable:
-    """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
     columns = {"run_id": object_array([with_number(cut.run_id, number) for number in range(1, len(names) + 1)])}
     if "session" not in mapping.table.columns:
         columns["session"] = object_array(names)

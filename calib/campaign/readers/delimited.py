@@ -139,7 +139,6 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
-    """Return the delimiter and how many rows stand before the header."""
     if layout.header_row is None:
         # most logs begin with their header, and a few rows as wide as it and of numbers show it
         lines = _first_lines(data, _FEW_ROWS)

@@ -126,8 +126,6 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @dataclass(slots=True)
 class _Sheet:
-    """A sheet's rows that hold something, their numbers, and which of them is the header."""
-
     name: str = ""
     rows: list[Sequence[Any]] = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
@@ -136,7 +134,6 @@ class _Sheet:
 
 
 def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> _Sheet:
-    """Return the sheet asked for, or the first that holds a table."""
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
@@ -301,7 +298,6 @@ def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int,
 
 
 def _blocks(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the text of a part in blocks, cut where an element begins."""
     held = b""
     with archive.open(entry) as stream:
         while block := stream.read(_BLOCK_BYTES):
@@ -329,7 +325,6 @@ def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
 
 
 def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
-    """Return a column's cells, and the epoch (ns) of one that holds moments."""
     import pyarrow as pa
 
     if column.type in (pa.float64(), pa.int64()) and not column.null_count:

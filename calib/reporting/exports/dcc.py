@@ -242,7 +242,6 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
 
 
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
-    """Return load, radius, half width of its 95 % interval and standard uncertainty, at the loads driven."""
     loads = _loads(wheel, fit)
     law = wheel.law
     columns = (np.array(loads), law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads))
@@ -250,7 +249,6 @@ def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
 
 
 def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
-    """Return the loads that were driven, where the runs repeat a few; else five over their range."""
     side = 0 if wheel.wheel == "left" else 1
     points = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
     loads = sorted({round(pair[side], 3) for pair in points.values()})

@@ -94,7 +94,6 @@ def amcl_components(poses: FloatArray) -> FloatArray:
 
 
 def _ways(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the way of each step of a path (n, 3), and what a metre and a turn there do to its end."""
     middle, end = 0.5 * (poses[:-1] + poses[1:]), poses[-1]
     way = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     return way, _directions(middle[:, 2], end), _levers(middle, end)

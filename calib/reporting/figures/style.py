@@ -120,7 +120,6 @@ class Groups:
 
 
 def _short(name: str, none: str, limit: int) -> str:
-    """Return a label that fits a legend, both its ends kept; a leading underscore would hide it."""
     text = legible(name.strip()) or none
     text = text if len(text) <= limit else f"{text[: limit // 2]}…{text[1 - (limit + 1) // 2 :]}"
     return f"\u200b{text}" if text.startswith("_") else text

@@ -106,7 +106,6 @@ def diagnosis_section(source: Source) -> Section | None:
 
 
 def _gap(source: Source) -> tuple[Notice, ...]:
-    """Return what a diagnosis found, where one was made with this report or lies beside the fit."""
     if source.verdict is None and source.known_verdict is None:
         return ()
     from calib.reporting.topics.diagnosis import TITLES, page_one_notice, with_kind
