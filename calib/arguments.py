@@ -69,7 +69,6 @@ def bind(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str,
 
 
 def _accepted(value: Any, hint: Any) -> Any:
-    """Return a value as the annotation has it; raises TypeError or ValueError where it does not fit."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         # a text stays a text where either is taken
@@ -186,7 +185,6 @@ def _is_data(path: Path, between: list[Path]) -> bool:
 
 
 def _is_linked_from(folder: Path, at: os.stat_result) -> bool:
-    """Return whether a data file of a folder is a hard link to `at`; True where the folder is too large to search."""
     searched = 0
     for place, _, names in os.walk(folder):
         searched += len(names) + 1

@@ -118,7 +118,6 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
 
 
 def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with what its run table lacks: from the logs' last samples, and loads from the payload."""
     runs, logs = campaign.runs, campaign.logs
     numbers = dict(runs.numbers)
 

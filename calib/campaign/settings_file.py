@@ -106,8 +106,6 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
 
 
 class _Sections:
-    """Sections of a document: keys recognised, numbers converted to SI units, what is not known noted and kept."""
-
     def __init__(self, document: Mapping[str, Any], shown: str) -> None:
         self.document, self.shown = document, shown
         self.notes: list[Note] = []

@@ -164,7 +164,6 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
 
 
 def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> StrArray:
-    """Return cells as texts; raises BadFileError where one holds a control character or is beyond all use."""
     texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
     # all at once first: a fleet's run tables are many and small
     if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:

@@ -120,7 +120,6 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 def _motion(
     campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return motion ahead and to the left (m) and turn (rad) since the sample before; None where it is not logged."""
     if not set(WHEEL_COLUMNS[source]) <= log.keys():
         return None
     encoder = campaign.encoder
@@ -261,7 +260,6 @@ def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tupl
 
 
 def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
-    """Return the integral of a rate from the start of each log, shape (n_samples,); NaN where a log lacks the rate."""
     step = np.zeros(len(rate))
     step[1:] = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
     begin = logs.offsets[:-1][logs.lengths > 0]

@@ -307,7 +307,6 @@ def systematic_components(
 
 
 def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
-    """Return the change of the coefficients by one standard uncertainty of a source, shape (2,)."""
     law, std = wheel.law, source.std
     match source.section, source.key:
         case "rangefinder", "scale":

@@ -339,7 +339,6 @@ def _solve(design: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _progress(heading: FloatArray) -> FloatArray:
-    """Return progress along the axis at each step as a share of the path, shape (n, m), by the trapezoidal rule."""
     along = np.cos(heading)
     out = np.zeros_like(heading)
     np.cumsum(0.5 * (along[:, 1:] + along[:, :-1]), axis=1, out=out[:, 1:])

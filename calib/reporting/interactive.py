@@ -181,7 +181,6 @@ def _moment_slider(source: ColumnDataSource) -> Model:
 def _covariate_panel(
     gap: GapArrays, source: ColumnDataSource, after: figure, band: Model
 ) -> tuple[figure, list[Model]]:
-    """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
     first, units = first_channel(gap), channel_units(gap)
     plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
     _points(plot, "x", "y", source)

@@ -123,7 +123,6 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
 
 
 def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str) -> Iterator[Note]:
-    """Yield a note where radii scatter as no wheel's do; logarithms of the good runs' radii, of all runs' distances."""
     spread = design.robust_spread(radius)
     if len(radius) < 3 or spread < 0.01:
         return

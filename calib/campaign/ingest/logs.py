@@ -217,7 +217,6 @@ def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingTy
 
 
 def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[dict[str, FloatArray], int | None]:
-    """Return columns under calib's names in SI units, mapped ones first, then those recognised; the clock's start."""
     columns: dict[str, FloatArray] = {}
     time_column = "t_s"
     for name, line in lines.items():

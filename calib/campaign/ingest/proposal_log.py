@@ -74,7 +74,6 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
 
 
 def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the columns of a run's several files, called ``name:column``, and for the times in each."""
     columns: list[ColumnContents] = []
     streams: list[StreamContents] = []
     clock = None

@@ -131,7 +131,6 @@ def _of_wheel(column: ColumnContents, side: str) -> str | None:
 
 
 def _sided_lines(table: FileContents) -> dict[str, list[str]]:
-    """Return the lines for columns that stand on a sheet for each wheel, by calib's column of the left one."""
     sides = _sheets_of_sides(table)
     runs = next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
     if not sides or runs is None:
@@ -154,7 +153,6 @@ def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
 
 
 def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
-    """Return the lines for columns that hold readings at the start and at the end of each run, by calib's column."""
     found: dict[str, dict[str, ColumnContents]] = {}
     for column in columns:
         reading = guesses.reading_of(column.name)
@@ -203,7 +201,6 @@ def _may_be(target: str, column: ColumnContents) -> bool:
 
 
 def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
-    """Return lines for columns of other sheets whose labels the run table holds, and add their names to `named`."""
     lines = []
     for sheet, columns in table.others.items():
         if sheet in table.alike_sheets:

@@ -279,7 +279,6 @@ def _values(channel: TdmsChannel) -> FloatArray:
 
 
 def _time(channel: TdmsChannel) -> IntArray | None:
-    """Return the times of a waveform channel: start, offset and increment, rounded to the nanosecond once."""
     step = channel.properties.get("wf_increment")
     if not isinstance(step, int | float) or not step > 0:
         return None

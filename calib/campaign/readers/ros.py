@@ -176,7 +176,6 @@ def _twist(twist: Any) -> tuple[float, ...]:
 
 @lru_cache(maxsize=256)
 def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
-    """Return the columns of a JointState of such names and lengths, and which of its three fields they are of."""
     names = names or tuple(str(index) for index in range(max(lengths)))
     given = tuple(length == len(names) for length in lengths)
     fields = compress(("position", "velocity", "effort"), given)
@@ -201,7 +200,6 @@ def _transforms(message: Any) -> list[Part]:
 
 
 def _laser_scan(message: Any) -> list[Part]:
-    """One beam is its range; of more beams the one nearest to straight ahead."""
     beams, ahead = len(message.ranges), 0
     if beams > 1 and message.angle_increment:
         ahead = min(max(round(-message.angle_min / message.angle_increment), 0), beams - 1)

@@ -262,7 +262,6 @@ def numbers(
 
 
 def _without_marks(text: str, marks: set[str]) -> str | None:
-    """Return a number without the marks between its thousands, or one of base 16 in base 10; None for any other."""
     if "x" in marks and _HEX.fullmatch(text):
         return str(int(text, 16))
     parts = _GROUPED.fullmatch(text)

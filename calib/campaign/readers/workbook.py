@@ -205,7 +205,6 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
 def _beside(
     rows: Sequence[Sequence[Any]], lines: Sequence[int], width: int, shown: str, layout: Layout, header_row: int
 ) -> list[Note]:
-    """Refuse cells beside the table; in a laboratory's file they are noted and omitted."""
     notes = []
     for number, cells in zip(lines, rows, strict=True):
         extra = [cell for cell in cells[width:] if cell is not None]

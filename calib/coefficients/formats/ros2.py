@@ -203,7 +203,6 @@ def _diagonals(
 def _known(
     file: CoefficientFile, names: tuple[str, ...], assumed_std: tuple[float, ...]
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the covariance of geometry parameters, assumed where not determined, and the names of those assumed."""
     covariance = np.diag(np.square(assumed_std))
     together = file.joint_geometry
     entries = [] if together is None else [e for e in together.covariance if e.first in names and e.second in names]
