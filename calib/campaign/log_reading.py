@@ -52,7 +52,6 @@ class ReadLog:
 
 
 def _kept(path: Path, sha256: str) -> ReadLog | None:
-    """Return the log kept at `path`; None where there is none, or none whole: a damaged one is as good as none."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             columns = dict(zip(map(str, stored["names"]), stored["values"], strict=True))
@@ -103,7 +102,6 @@ def cache_folder(name: str) -> Path | None:
 
 @lru_cache(maxsize=1)
 def _read_by() -> str:
-    """Return a digest of the code by which logs are read, the parser's version included."""
     from importlib.metadata import version
 
     here = Path(__file__).parent

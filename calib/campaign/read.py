@@ -259,7 +259,6 @@ def bias_of(campaign: Campaign, run: int) -> Bias | None:
 
 
 def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[float, float]:
-    """Return the turn of a run and its standard uncertainty: of the samples' noise, and of the bias over the run."""
     t_s, rate = log["t_s"], log[GYRO] - bias.radps
     duration = t_s[-1] - t_s[0]
     noise = bias.sample_std_radps * np.linalg.norm(np.diff(t_s))
@@ -268,7 +267,6 @@ def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[fl
 
 
 def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign in which closed loops end at (0, 0) and whole turns, where the table has no end pose."""
     runs = campaign.runs
     if campaign.reference.frame == "map":
         text = 'found closed loops with [reference] frame = "map"; expected "start", in which they end at 0; not used'

@@ -335,7 +335,6 @@ def written_settings(campaign: Campaign) -> dict[str, object]:
 
 
 def _plain(section: Any) -> dict[str, float | str]:
-    """Return the keys of a section that have a value; those that were added with a default only where they differ."""
     values = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
     return {
         name: value if isinstance(value, str) else float(value)

@@ -263,7 +263,6 @@ class Replay:
 
 
 def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
-    """Drive the logged counts through a world; return every unit at its end, and its signed path in m."""
     route, n_units = replay.route, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)

@@ -22,9 +22,8 @@ from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coeff
 from calib.coefficients.formats import WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
-from calib.radius.law import LineEstimate, RadiusLaw, WheelLaw
+from calib.radius.law import RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
-from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
@@ -186,32 +185,13 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
     margin = max(LOAD_MARGIN * span, MIN_LOAD_MARGIN_N) if load_margin_N is None else load_margin_N
     return WheelSection.of(
         law,
-        **_variances(law.covariance),
-        strata=None if law.strata is None else _strata(law.strata),
+        **sections.variances(law.covariance),
+        strata=None if law.strata is None else sections.StrataSection.of_estimate(law.strata),
         # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
         valid_load=sections.LoadRange.of(
             min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
             max=math.ceil((law.load_max_N + margin) * 1e3) / 1e3,
         ),
-    )
-
-
-def _variances(covariance: FloatArray) -> dict[str, float]:
-    names = ("variance_radius_ref", "covariance_radius_ref_slope", "variance_slope")
-    return dict(zip(names, (covariance[0, 0], covariance[0, 1], covariance[1, 1]), strict=True))
-
-
-def _strata(estimate: LineEstimate) -> sections.StrataSection:
-    def stratum(covariance: FloatArray, dof: float, variance: float) -> sections.StratumSection:
-        return sections.StratumSection.of(**_variances(covariance), dof=dof, scatter=math.sqrt(variance))
-
-    return sections.StrataSection.of(
-        within=stratum(estimate.cov_within, estimate.dof_within, estimate.run_variance),
-        between=stratum(estimate.cov_between, estimate.dof_between, estimate.session_variance),
-        systematic=[
-            sections.SystematicSection.of(radius_ref=radius, slope=slope, dof=dof if math.isfinite(dof) else None)
-            for (radius, slope), dof in zip(estimate.systematic, estimate.systematic_dof, strict=True)
-        ],
     )
 
 

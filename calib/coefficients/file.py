@@ -17,7 +17,8 @@ from pydantic import Field, ValidationError, model_validator
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
 from calib.campaign.wheels import STEERED
 from calib.coefficients import sections
-from calib.coefficients.sections import Section, VehicleSection, WheelSection, WheelsSection, first_fault, validated
+from calib.coefficients.quantities import Section, first_fault, validated
+from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw

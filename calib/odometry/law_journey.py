@@ -115,17 +115,15 @@ def law_journey(
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
-    wheels = (law.left, law.right)
     single = band == "prediction"
-    at = [wheel.contrast(load) for wheel, load in zip(wheels, loads_N, strict=True)]
-    dof = [float(wheel.dof_of(c, single_run=single)) for wheel, c in zip(wheels, at, strict=True)]
-    mean = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, loads_N, strict=True)]
-    spreads = [wheel.prediction_std_m if single else wheel.mean_std_m for wheel in wheels]
-    std = np.array([spread(load) for spread, load in zip(spreads, loads_N, strict=True)])
+    pairs = [(wheel, wheel.contrast(load)) for wheel, load in zip((law.left, law.right), loads_N, strict=True)]
+    dof = [float(wheel.dof_of(at, single_run=single)) for wheel, at in pairs]
+    mean = [float(wheel.radius_m(load)) for (wheel, _), load in zip(pairs, loads_N, strict=True)]
+    std = np.array([math.hypot(wheel.std_of(at), single * wheel.residual_std_m) for wheel, at in pairs])
     # a radius whose standard uncertainty was itself estimated follows Student's t
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
-    reference = [float(wheel.radius_m(load)) for wheel, load in zip(wheels, reference_N, strict=True)]
+    reference = [float(wheel.radius_m(load)) for (wheel, _), load in zip(pairs, reference_N, strict=True)]
     end = route.poses()[-1]
     distance: dict[str, FloatArray] = {}
     square: dict[str, FloatArray] = {}

@@ -71,7 +71,6 @@ def _script(name: str) -> str:
 
 
 def _packed(script: str) -> str:
-    """Return a script as text that the browser unpacks, so that a page can be sent by mail; the same for the same."""
     data = base64.b64encode(gzip.compress(script.encode("utf-8"), 9, mtime=0)).decode("ascii")
     return f'<script type="application/gzip">{data}</script>'
 

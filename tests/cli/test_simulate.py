@@ -68,7 +68,7 @@ def test_table_1_and_fig_15_come_from_coefficients_or_campaign_alike(
     by_file = document(capsys)
     assert by_campaign["law"]["table"] == by_file["law"]["table"]
     assert by_campaign["law"]["journeys"] == by_file["law"]["journeys"]
-    assert [row["load_N"] for row in by_file["law"]["table"]] == [100.0 * k for k in range(3, 11)]
+    assert [row["load_N"] for row in by_file["law"]["table"]] == [100.0 * k for k in range(3, 12)]
     made = {path.name for path in tmp_path.iterdir()}
     assert {"table1.csv", "fig15.png", "fig15.svg", "fig15.pdf", "fig13.pdf", "fig14.svg"} <= made
     assert {"band.png", "band.csv", "errors.png", "errors.csv", "fig13_errors.csv", "fig14_errors.pdf"} <= made

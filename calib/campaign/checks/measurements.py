@@ -217,7 +217,6 @@ def _slopes(payload: FloatArray, total: FloatArray) -> FloatArray:
 
 
 def _unit_of_shares(shares: FloatArray) -> str:
-    """Return the unit in which most loads are shares of a weight that two wheels carry; empty where none is or N is."""
     low, high = _REAR_SHARE
     for factor in (1.0 / GRAVITY_MPS2, GRAVITY_MPS2) if len(shares) else ():
         if np.mean(np.abs(shares / factor - 0.5 * (low + high)) <= 0.5 * (high - low)) > design.MOST_OF_THE_RUNS:

@@ -137,7 +137,6 @@ def _bows(campaign: Campaign) -> _Bows:
 
 
 def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
-    """Return the bow of one run by its log, its wheels as large as the distance says."""
     log = campaign.logs.of(run)
     left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in design.SIDES)
     along = (left + right) / 2
@@ -323,7 +322,6 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
 
 
 def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    """Return x and y of each run's end as seen from its start; NaN on a map where no log has the pose at the start."""
     runs, logs = campaign.runs, campaign.logs
     x, y = runs.number("ref_x_m"), runs.number("ref_y_m")
     if campaign.reference.frame != "map":

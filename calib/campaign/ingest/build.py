@@ -287,7 +287,6 @@ def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
 
 
 def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Encoder:
-    """Return the encoder with the counter's width where overflows show it, so that the vehicle's runtime has it too."""
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
         return encoder

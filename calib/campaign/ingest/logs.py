@@ -185,7 +185,6 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
 
 
 def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
-    """Return the columns of a file with the reference's heading, maybe of a quaternion, going on beyond a turn."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     for name, cells in columns.items():
         mapped = name == line.column

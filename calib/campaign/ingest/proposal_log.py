@@ -184,7 +184,6 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
 
 
 def _time_unit(column: ColumnContents) -> str:
-    """Return the unit of times that name none, by their size where they count from 1970, else by their steps."""
     low, high = column.low or 0.0, column.high or 0.0
     if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
         return "day"
@@ -264,7 +263,6 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
 
 
 def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[str, str]:
-    """Return a wheel's unit where its name does not say it, empty for counts, and a remark on it."""
     if _RATE in column.name:
         return "rad/s", "   # a rate, in rad/s where the driver keeps ROS's units"
     if stream is not None and stream.kind.endswith("JointState"):

@@ -171,7 +171,6 @@ def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
 
 
 def _column_line(column: ColumnContents, name: str, further: dict[str, object] | None = None) -> str:
-    """Return the line for a column, with `further` keys; empty where its name alone is recognised."""
     further = dict(further or {})
     remark = ""
     if name == "direction" and set(column.texts) - {"out", "back"}:

@@ -210,7 +210,6 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple[list[str], Note]:
-    """Return names with their units in brackets, and a note that says which of these are not known."""
     out, unknown = [], []
     for at, name in enumerate(names):
         unit = bare(units[at]) if at < len(units) else ""
@@ -344,7 +343,6 @@ def _without_unit(cell: Any, unit: str) -> Any:
 
 
 def _unit_of_cells(cells: Iterable[Any]) -> str:
-    """Return the one known unit that follows the number in each filled cell; empty where there is none."""
     unit = ""
     for cell in filter(is_filled, cells):
         match = _WITH_UNIT.fullmatch(str(cell).strip())

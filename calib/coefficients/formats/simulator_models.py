@@ -236,7 +236,6 @@ def _body(model: ModelFile, name: str, option: str) -> Node:
 
 
 def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:
-    """Return the size of a round geom, its own or that of its default class; None of another geom."""
     if _inherited(model, geom, "type") not in ROUND:
         return None
     size = _inherited(model, geom, "size")
