@@ -108,7 +108,8 @@ def regression_section(source: Source) -> Section:
         Text(
             "The band of the mean holds the law itself: it answers how well the mean radius at a load is known. The "
             "prediction band holds the radius of one further run, driven in a session of its own: it answers how far "
-            "off the next journey can be. Both have a coverage of 95 % at each load."
+            "off the next journey can be. Both have a coverage of 95 % at each load; from two sessions, of "
+            "95 % and more."
         ),
         regressions_picture(fit),
         table(

@@ -130,6 +130,7 @@ def test_the_file_is_read_by_a_yaml_library_and_says_what_was_observed(capsys: p
     assert amcl["robot_model_type"] == "nav2_amcl::DifferentialMotionModel"
     diagonal = document["diff_drive_controller"]["ros__parameters"]["twist_covariance_diagonal"]
     assert len(diagonal) == 6 and min(diagonal) > 0.0
+    assert "--to ros2 states it over 0.1 s, from an assumed random walk" in text
     # observed over predicted spread, each half of the runs predicted by the other
     line = text.split("with 95 % interval:\n")[1].splitlines()[0]
     found = np.array(re.findall(r"(?:along|lateral|heading) ([\d.]+) \(([\d.]+) to ([\d.]+)\)", line), dtype=float)
