@@ -8,7 +8,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -82,6 +82,9 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
     if head.format is None:
         part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
     vehicle: Vehicle = part.checked("vehicle")
+    if vehicle.cog_x_m > vehicle.wheelbase_m and "vehicle.cog_x_m" in not_stated(document):
+        # the default one is that of a longer vehicle
+        vehicle = replace(vehicle, cog_x_m=vehicle.cog_x_m * vehicle.wheelbase_m)
     encoder = part.checked("encoder", _counts(part, vehicle))
     radii = dict.fromkeys(("radius_left_m", "radius_right_m"), vehicle.wheel_radius_m)
     nominal = {**radii, "track_m": vehicle.track_m, "reference_load_N": vehicle.unladen_load_N}

@@ -132,7 +132,7 @@ def geometry(
     document = estimated.to_dict()
     terminal.save(result, document)
     if figures is not None:
-        from calib.kinematics.estimate import traces_of
+        from calib.kinematics.traces import traces_of
         from calib.reporting.figures.calibration import draw_paths
 
         paths = traces_of(read, estimated)

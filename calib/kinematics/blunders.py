@@ -35,6 +35,8 @@ OR_MIRRORED: Final = (
 )
 #: column of the yaw rate that, with v_mps, stands for two wheels
 TWIST: Final = "omega_radps"
+#: displacements within 60 degrees of the wheels' way, or of its opposite, tell its sense
+ALONG: Final = 0.5
 Between = Callable[[FloatArray], FloatArray]
 
 
@@ -55,12 +57,12 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
     """
     twist = TWIST in recording.speeds
     turned = segments.between(recording.steps.turned_rad)
-    good, seen = segments.seen[:, 2], segments.seen[:, 0]
+    good = segments.seen[:, 2]
     slopes = _regression(turned[:, good], segments.measured[good, 2])
     if slopes is None or slopes[0] < 0.0 < slopes[1]:
         return recording, ()
     left, right = recording.steps.turned_rad
-    forward = float(np.sum(turned.sum(axis=0)[seen] * segments.measured[seen, 0]))
+    forward = sense(segments, slopes @ recording.steps.turned_rad, left + right)
     if min(slopes) > 0.0:
         code, text = "reversed_left", "the left counter runs backwards; correct its sign or its wiring"
         corrected = (-left, right)
@@ -80,7 +82,25 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
 
-def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float] | None:
+def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float:
+    """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1, along a way of any shape.
+
+    Parameters
+    ----------
+    segments : Segments
+        Stretches whose displacement was measured.
+    turn_rad, rolled : array of float, shape (n_steps,)
+        Turn in each step, as the measured headings tell it, and the wheels' own way.
+    """
+    heading = np.cumsum(turn_rad)
+    steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
+    seen = segments.seen[:, :2].all(axis=1)
+    told = (segments.between(steps) * np.exp(-1j * heading[segments.first]))[seen]
+    measured = segments.measured[seen, 0] + 1j * segments.measured[seen, 1]
+    return float(np.vdot(told, measured).real / max(float(np.sum(np.abs(told) * np.abs(measured))), 1e-12))
+
+
+def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
     """Return the change of the heading with the turn of each wheel; None where a sign does not stand out."""
     normal = turned @ turned.T
     if len(heading) < 4 or np.linalg.cond(normal) > 1e10:
@@ -92,7 +112,7 @@ def _regression(turned: FloatArray, heading: FloatArray) -> tuple[float, float] 
         spread = 1.483 * float(np.median(np.abs(residuals))) + 1e-9
         weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    return (float(slope[0]), float(slope[1])) if np.all(np.abs(slope) > CLEAR * std) else None
+    return np.asarray(slope) if np.all(np.abs(slope) > CLEAR * std) else None
 
 
 def front_faults(
@@ -108,8 +128,9 @@ def front_faults(
     steer = recording.steps.steer_rad
     if steer is None:
         return recording, ()
-    seen = segments.seen.all(axis=1)
     headed = segments.seen[:, 2]
+    if not headed.any():
+        return recording, ()
     longest = headed & (segments.level == 0)
     ways = segments.between(recording.steps.turned_rad[0])[longest]
     still = still_steering(steer, ways, segments.measured[longest, 2], segments.run[longest])
@@ -123,12 +144,14 @@ def front_faults(
         faults.append(Fault("steering_offset", text))
         steer = np.angle(np.exp(1j * (steer - straight_rad)))
         recording = recording.with_steering(steer)
-    ahead = segments.between(recording.steps.turned_rad[0] * (1.0 if by_shaft else np.cos(steer)))
-    if float(np.sum(ahead[seen] * _chord_sense(segments.measured[seen]))) < 0.0:
+    ways = rolled * np.stack([np.sin(steer), np.cos(steer)])
+    sums = np.stack([segments.between(way)[headed] for way in ways])
+    turning, *_ = np.linalg.lstsq(sums.T, turned, rcond=None)
+    backwards = sense(segments, turning @ ways, rolled if by_shaft else ways[1]) < -ALONG
+    if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
         recording = recording.with_turned(-recording.steps.turned_rad)
-    aside = segments.between(recording.steps.turned_rad[0] * np.sin(steer))
-    if float(np.sum(aside[seen] * segments.measured[seen, 2])) < 0.0:
+    if (turning[0] < 0.0) != backwards:
         text = f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"
         faults.append(Fault("reversed_steering", text))
         recording = recording.with_steering(-steer)
@@ -188,10 +211,6 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
         return 0.0
     found_rad = float(np.angle(straight))
     return found_rad if abs(found_rad) > FARTHEST_ZERO_RAD else 0.0
-
-
-def _chord_sense(measured: FloatArray) -> FloatArray:
-    return np.where(np.abs(measured[:, 2]) < 1.5, measured[:, 0], 0.0)
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:

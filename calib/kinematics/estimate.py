@@ -1,13 +1,10 @@
-"""Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, held-out runs, and residuals.
-
-The residuals are those of each run: aligned paths of the reference sensor, and their differences in time.
-"""
+"""Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, and held-out runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal, cast
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -17,7 +14,7 @@ from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure, score
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.drives import SENSOR, nominal_turn, parameters_of
+from calib.kinematics.drives import nominal_turn
 from calib.kinematics.joint_fit import (
     Delay,
     Fitted,
@@ -30,10 +27,10 @@ from calib.kinematics.joint_fit import (
 )
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.result import Geometry, RunTrace, Transfer
+from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.sessions import left_within
 from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import FloatArray, IntArray, Progress, in_frame, silent, stepped
+from calib.types import FloatArray, Progress, silent, stepped
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -71,8 +68,9 @@ def estimate_geometry(
     campaign
         Runs with logs of the wheels, and end poses or poses along the path.
     using : {"end_poses", "windows"}, optional
-        Whole runs, or windows of several lengths. None: end poses where eight runs or more have one, since they ask
-        nothing of clocks; else windows where the reference follows the vehicle along the path.
+        Whole runs, or windows of several lengths. None: windows where the reference follows the vehicle along the path,
+        which tell lengths ten times better and more; end poses where it does not, and where eight runs or more have one
+        and windows do not fit: end poses ask nothing of clocks.
     kinds
         Kinds of routes to use; none: all.
     sensor
@@ -87,14 +85,51 @@ def estimate_geometry(
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
     recording.refuse_constant_heading(_nominal_turn(campaign, source, recording))
-    way = using or _way(recording)
-    task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
+    geometry = _best(campaign, source, recording, using, sensor, progress)
+    if leave_out is not None:
+        estimated = (geometry.using == "windows") if sensor is None else sensor
+        geometry = replace(geometry, transfer=_transfer(campaign, geometry, estimated, leave_out, progress))
+    return geometry
+
+
+def _best(
+    campaign: Campaign,
+    source: str,
+    recording: Recording,
+    using: Using | None,
+    sensor: bool | None,
+    progress: Progress,
+) -> Geometry:
+    """Return the geometry by the way asked for; by default by windows, or by end poses alone where these are no fit."""
+
+    def estimated(way: Using) -> Geometry:
+        task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
+        return _estimated(task, recording, asked=sensor is not None or using is not None)
+
+    if using or not recording.continuous:
+        return estimated(using or "end_poses")
+    if np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum() < ENOUGH_RUNS:
+        return estimated("windows")
+    try:
+        by_windows = estimated("windows")
+    except RefusedError:
+        return estimated("end_poses")
+    if by_windows.passed:
+        return by_windows
+    try:
+        return estimated("end_poses")
+    except RefusedError:
+        return by_windows
+
+
+def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
+    """Return the geometry by one way; `asked`: that and the sensor are not to be changed."""
     try:
         fit = _fitted(task, recording)
     except np.linalg.LinAlgError as error:
         if not recording.lengths_alone:
             raise
-        raise RefusedError(f"geometry of {campaign.name!r}: found {LENGTHS_ALONE}") from error
+        raise RefusedError(f"geometry of {task.campaign.name!r}: found {LENGTHS_ALONE}") from error
     except RefusedError:
         corrected = _without_blunder(task, recording)
         if corrected is None:
@@ -102,18 +137,15 @@ def estimate_geometry(
         return corrected.geometry
     # of lengths alone a bend makes up for any reading, and for any place of a sensor
     if recording.lengths_alone:
-        sensor = False
+        asked = True
     elif fit.geometry.misfit:
         fit = _without_blunder(task, recording) or fit
     geometry, judgement = fit.geometry, fit.geometry.judgement
-    asked = sensor is not None or using or task.sensor
+    asked = asked or task.sensor
     # the place of a sensor explains nothing that differs between sessions
     if not (asked or judgement.position.apart or judgement.heading.apart or geometry.passed or geometry.faults):
         fit = _with_sensor(task, recording, fit) or fit
-    geometry = fit.geometry if fit.geometry.faults else _without_departure(fit)
-    if leave_out is not None:
-        geometry = replace(geometry, transfer=_transfer(campaign, geometry, task.sensor, leave_out, progress))
-    return geometry
+    return fit.geometry if fit.geometry.faults else _without_departure(fit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,8 +178,8 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
             f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; correct it"
         )
         found = (*found, Fault("heading_turn", text))
-    divisions = _divisions(recording, way)
-    coarse = next(divisions)
+    finer = divisions(recording, way)
+    coarse = next(finer)
     recording, faults = corrected(recording, coarse, source, drive_of(campaign, source, recording))
     if faults:
         recording, _ = _with_whole_turns(campaign, source, replace(recording, end_pose=as_read))
@@ -155,7 +187,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     task.progress(0, 0, "fits")
     chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
     many = len(recording) >= ENOUGH_RUNS
-    for number, segments in enumerate(divisions, start=1):
+    for number, segments in enumerate(finer, start=1):
         if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
@@ -198,7 +230,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
-        return next(_divisions(_with_whole_turns(campaign, task.source, other)[0], task.way))
+        return next(divisions(_with_whole_turns(campaign, task.source, other)[0], task.way))
 
     found = find_blunder(task.campaign, recording, task.source, divided)
     if found is None:
@@ -268,23 +300,21 @@ def _with_own_zeros(campaign: Campaign, fitted: Fitted, task: _Task) -> Fitted:
     return own if loosest(again.uncertainty.std, again.parameters) else again
 
 
-def _way(recording: Recording) -> Using:
-    ends = int(np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum())
-    return "windows" if recording.continuous and ends < ENOUGH_RUNS else "end_poses"
-
-
 def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
     """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
     turn = _nominal_turn(campaign, source, recording)
-    return recording.with_whole_turns(np.add.reduceat(turn, recording.offsets[:-1]))
+    return recording.with_whole_turns(turn)
 
 
 def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
     return nominal_turn(drive_of(campaign, source, recording), recording.steps)
 
 
-def _divisions(recording: Recording, using: Using) -> Iterator[Segments]:
-    """Yield stretches: whole runs, or windows in ever finer divisions, of many runs a block each first."""
+def divisions(recording: Recording, using: str) -> Iterator[Segments]:
+    """Yield stretches: whole runs (``end_poses``), or windows in ever finer divisions, of many runs a block each first.
+
+    `using`: as in `estimate_geometry`.
+    """
     if using == "end_poses":
         yield end_pose_segments(recording)
         return
@@ -309,90 +339,9 @@ def _transfer(
         away = labels == label
         rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
         drive = drive_of(campaign, source, rest)
-        fitted = fit_parameters(campaign, drive, rest, next(_divisions(rest, cast(Using, whole.using))), sensor)
+        fitted = fit_parameters(campaign, drive, rest, next(divisions(rest, whole.using)), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         vehicles = (fitted.parameters.nominal, fitted.solution.values)
         before, after = (rms(model.predict(values).residuals[:, :2]) for values in vehicles)
         rows.append(Transfer(str(label), len(tried), before, after))
     return tuple(rows)
-
-
-def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
-    """Return paths and residuals of the runs of a campaign by the nominal and by the calibrated vehicle.
-
-    `campaign`: the one that was calibrated.
-    """
-    source, recording = geometry.source, recording_of(campaign, geometry.source)
-    coarse = next(_divisions(recording, _way(recording)))
-    recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
-    drive = drive_of(campaign, source, recording)
-    items = parameters_of(drive, campaign.reference)
-    nominal = np.array([item.nominal for item in items])
-    calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
-    own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
-    labels = zip(recording.run_id, recording.session, strict=True)
-    added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
-    before = _sensor_paths(Model(drive, recording, _from_starts(recording)), nominal)
-    after = _sensor_paths(Model(drive, replace(recording, own_delay_s=added), _from_starts(recording)), calibrated)
-    return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
-
-
-def _from_starts(recording: Recording) -> Segments:
-    n = len(recording.t_s)
-    whole = np.zeros(n, dtype=np.bool_)
-    number = np.arange(n, dtype=np.int64)
-    run = recording.run
-    return Segments(run, recording.offsets[run], number, np.zeros((n, 3)), ~np.zeros((n, 3), bool), run, 0 * run, whole)
-
-
-def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
-    """Return the sensor's poses at the samples, each run in the frame of its first, shape (3, n_samples)."""
-    values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
-    return -model.predict(values).residuals.T
-
-
-def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
-    """Return a run's trace from the sensor's paths before and after, each (3, n_samples of all runs)."""
-    part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
-    reference = recording.reference[:, part]
-    seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
-    before, after = paths = [path[:, part] for path in paths]
-    if len(seen) > 1:
-        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
-        every = np.arange(len(seen))
-        measured = _aligned(reference[:, seen], after[:, seen], every)
-        aligned = [_aligned(before, measured, seen), after]
-    else:
-        seen = np.array([reference.shape[1] - 1], dtype=np.int64)
-        measured, aligned = recording.end_pose[run][:, None], paths
-    residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
-    return RunTrace(
-        run_id=str(recording.run_id[run]),
-        kind=str(recording.kind[run]),
-        before_m=aligned[0][:2].T,
-        after_m=aligned[1][:2].T,
-        seen=seen,
-        t_s=recording.t_s[part][seen],
-        reference_m=measured[:2].T,
-        residual_before=residuals[0],
-        residual_after=residuals[1],
-    )
-
-
-def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
-    """Return a path turned and shifted as a whole so that its samples `seen` lie nearest to those of `onto`, (3, n)."""
-    good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
-    if good.sum() < 2:
-        turn = float(np.nanmean(onto[2] - path[2, seen]))
-        return np.asarray(path + np.array([0.0, 0.0, turn])[:, None])
-    own, other = path[:2, seen][:, good], onto[:2, good]
-    own_mean, other_mean = own.mean(axis=1), other.mean(axis=1)
-    a, b = own - own_mean[:, None], other - other_mean[:, None]
-    turn = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
-    apart = onto[2] - path[2, seen]
-    if np.isfinite(apart).any():
-        turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
-    cosine, sine = np.cos(turn), np.sin(turn)
-    rotate = np.array([[cosine, -sine], [sine, cosine]])
-    place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
-    return np.concatenate([place, path[2:] + turn])

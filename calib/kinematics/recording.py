@@ -102,9 +102,10 @@ class Recording:
     def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
         """Return the recording with end headings corrected by whole turns, and the few runs that alone were off.
 
-        Headings that are all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_runs,)).
+        Headings that are all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)),
+        or of a reference that was followed along the path.
         """
-        end_pose = self.end_pose.copy()
+        end_pose, turn_rad = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
         known = np.isfinite(heading)
         half = (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any()
@@ -117,6 +118,16 @@ class Recording:
             off[:] = False
         heading[off] += 2.0 * np.pi * np.rint(turns[off])
         return replace(self, end_pose=end_pose), self.run_id[off].tolist()
+
+    def _turns_followed(self, turn_rad: FloatArray) -> FloatArray:
+        """Return the turn of each run by the reference where it was followed, else by the wheels, shape (n_runs,)."""
+        turned = np.add.reduceat(turn_rad, self.offsets[:-1])
+        total = np.cumsum(turn_rad)
+        for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
+            known = first + np.flatnonzero(np.isfinite(self.reference[2, first:last]))
+            if len(known) >= MANY_POSES and np.abs(np.diff(total[[first, *known, last - 1]])).max() < FOLLOWED_RAD:
+                turned[run] = self.reference[2, known[-1]] - self.reference[2, known[0]]
+        return turned
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
         """Raise RefusedError where every heading is the same number, although the wheels turn the vehicle.
@@ -159,6 +170,8 @@ FEW_OFF: Final = 0.25
 WHOLE_TURN: Final = 0.1
 #: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
 MOST_TURNS_RAD: Final = 10.0 * np.pi
+#: a heading that the vehicle turns by less between two samples of the reference, twice what its wheels say, is followed
+FOLLOWED_RAD: Final = 1.0
 #: poses of a run that make a reference a continuous one
 MANY_POSES: Final = 20
 

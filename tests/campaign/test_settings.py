@@ -92,3 +92,11 @@ def test_a_key_that_is_not_known_is_said(tmp_path: Path) -> None:
     assert settings.odometry.source == "rear"
     assert [note.where for note in settings.notes if note.code == "key"] == ["campaign.toml, odometry.rate_Hz"]
     assert settings.extra == {"odometry": {"rate_Hz": 50}}
+
+
+def test_a_short_vehicle_without_a_centre_of_mass_is_read() -> None:
+    """The default stands where it does on a longer one; what is stated is refused beyond the front wheel."""
+    assert parsed(vehicle={"wheelbase_m": 0.3}).vehicle.cog_x_m == pytest.approx(0.388 * 0.3, rel=ROUNDING)
+    assert parsed(vehicle={"wheelbase_mm": 450}).vehicle.cog_x_m == 0.388
+    with pytest.raises(BadFileError, match=r"column vehicle.cog_x_m: found 0\.35"):
+        parsed(vehicle={"wheelbase_m": 0.3, "cog_x_m": 0.35})

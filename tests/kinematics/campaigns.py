@@ -162,14 +162,23 @@ def mixed(n: int) -> list[tuple[str, list[Leg]]]:
     return [*both_ways(n), *arcs, *([("line", [(4.0, 0.0)])] * n)]
 
 
-def tricycle(rng: np.random.Generator, *, sign_front: float = 1.0, sign_steer: float = 1.0) -> Campaign:
-    """A steered front wheel of radius 0.102 m, wheelbase 1.03 m, zero 0.012 rad: lines, arcs both ways, weaves."""
+def tricycle(
+    rng: np.random.Generator, *, sign_front: float = 1.0, sign_steer: float = 1.0, hooks: bool = False
+) -> Campaign:
+    """A steered front wheel of radius 0.102 m, wheelbase 1.03 m, zero 0.012 rad: lines, arcs both ways, weaves.
+
+    `hooks`: instead of arcs and weaves, two opposite bends about a straight: they end behind the start.
+    """
     radius, wheelbase, zero, per_rev = 0.102, 1.03, 0.012, 4096.0
     logs, ends = [], []
     kinds = [("line", 0.0), ("left", 0.5), ("right", -0.5), ("weave", 0.3)] * 3
+    if hooks:
+        kinds = [("line", 0.0), *([("hook", 0.9), ("hook", -0.9)] * 2)] * 2
     for kind, angle in kinds:
-        phi = np.full(FINE, 6.0 / radius / FINE)
-        angles = angle * (np.sin(np.linspace(0.0, 4 * np.pi, FINE)) if kind == "weave" else np.ones(FINE))
+        phi = np.full(FINE, (14.0 if kind == "hook" else 6.0) / radius / FINE)
+        bends = np.linspace(0.0, np.pi, FINE)
+        shape = {"weave": np.sin(4.0 * bends), "hook": np.clip(1.5 * np.cos(bends), -1.0, 1.0) + 0.15}
+        angles = angle * shape.get(kind, np.ones(FINE))
         pose = path(radius * phi * np.cos(angles), radius * phi * np.sin(angles) / wheelbase)
         at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)
         counts = np.rint(np.concatenate(([0.0], np.cumsum(phi))) / (2 * np.pi) * per_rev)

@@ -182,7 +182,8 @@ def test_headings_of_another_scale_than_the_path_are_named(since_start: bool, sc
 def test_an_axis_of_the_map_that_is_too_long_is_named(runs: int, longer: float) -> None:
     """By windows of few recordings and by the ends of many: residuals depend on the direction of travel in the map."""
     found = estimate_geometry(in_map(runs, lambda log: log | {"ref_x_m": longer * log["ref_x_m"]}, samples=1200))
-    assert found.using == ("windows" if runs == 4 else "end_poses")
+    # where windows do not fit, ends are tried
+    assert found.using == ("end_poses" if runs == 10 and longer > 1.0 else "windows")
     assert found.passed is (longer == 1.0)
     assert set(named(found)) == ({"axis_scale"} if longer > 1.0 else set())
     assert right(found, "radius_left_m", "radius_right_m", "track_m")

@@ -74,7 +74,7 @@ def differential(shared_data: Path) -> Campaign:
 
 @pytest.fixture(scope="module")
 def everything(differential: Campaign) -> Geometry:
-    return estimate_geometry(differential, leave_out="session")
+    return estimate_geometry(differential, using="end_poses", leave_out="session")
 
 
 def test_optiodom_joint_estimate_of_all_routes(everything: Geometry) -> None:

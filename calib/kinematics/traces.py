@@ -1,0 +1,101 @@
+"""Residuals of each run: aligned paths of the reference sensor, and their differences in time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.kinematics.blunders import corrected
+from calib.kinematics.drives import SENSOR, parameters_of
+from calib.kinematics.estimate import divisions
+from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.model import Model, Segments
+from calib.kinematics.recording import Recording, recording_of
+from calib.kinematics.result import Geometry, RunTrace
+from calib.types import FloatArray, IntArray, in_frame
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
+
+
+def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
+    """Return paths and residuals of the runs of a campaign by the nominal and by the calibrated vehicle.
+
+    `campaign`: the one that was calibrated.
+    """
+    source, recording = geometry.source, recording_of(campaign, geometry.source)
+    coarse = next(divisions(recording, geometry.using))
+    recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
+    drive = drive_of(campaign, source, recording)
+    items = parameters_of(drive, campaign.reference)
+    nominal = np.array([item.nominal for item in items])
+    calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
+    own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
+    labels = zip(recording.run_id, recording.session, strict=True)
+    added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
+    before = _sensor_paths(Model(drive, recording, _from_starts(recording)), nominal)
+    after = _sensor_paths(Model(drive, replace(recording, own_delay_s=added), _from_starts(recording)), calibrated)
+    return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
+
+
+def _from_starts(recording: Recording) -> Segments:
+    n = len(recording.t_s)
+    whole = np.zeros(n, dtype=np.bool_)
+    number = np.arange(n, dtype=np.int64)
+    run = recording.run
+    return Segments(run, recording.offsets[run], number, np.zeros((n, 3)), ~np.zeros((n, 3), bool), run, 0 * run, whole)
+
+
+def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
+    """Return the sensor's poses at the samples, each run in the frame of its first, shape (3, n_samples)."""
+    values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
+    return -model.predict(values).residuals.T
+
+
+def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
+    """Return a run's trace from the sensor's paths before and after, each (3, n_samples of all runs)."""
+    part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
+    reference = recording.reference[:, part]
+    seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
+    before, after = paths = [path[:, part] for path in paths]
+    if len(seen) > 1:
+        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
+        every = np.arange(len(seen))
+        measured = _aligned(reference[:, seen], after[:, seen], every)
+        aligned = [_aligned(before, measured, seen), after]
+    else:
+        seen = np.array([reference.shape[1] - 1], dtype=np.int64)
+        measured, aligned = recording.end_pose[run][:, None], paths
+    residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
+    return RunTrace(
+        run_id=str(recording.run_id[run]),
+        kind=str(recording.kind[run]),
+        before_m=aligned[0][:2].T,
+        after_m=aligned[1][:2].T,
+        seen=seen,
+        t_s=recording.t_s[part][seen],
+        reference_m=measured[:2].T,
+        residual_before=residuals[0],
+        residual_after=residuals[1],
+    )
+
+
+def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
+    """Return a path turned and shifted as a whole so that its samples `seen` lie nearest to those of `onto`, (3, n)."""
+    good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
+    if good.sum() < 2:
+        turn = float(np.nanmean(onto[2] - path[2, seen]))
+        return np.asarray(path + np.array([0.0, 0.0, turn])[:, None])
+    own, other = path[:2, seen][:, good], onto[:2, good]
+    own_mean, other_mean = own.mean(axis=1), other.mean(axis=1)
+    a, b = own - own_mean[:, None], other - other_mean[:, None]
+    turn = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
+    apart = onto[2] - path[2, seen]
+    if np.isfinite(apart).any():
+        turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    rotate = np.array([[cosine, -sine], [sine, cosine]])
+    place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
+    return np.concatenate([place, path[2:] + turn])
