@@ -222,25 +222,26 @@ def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps)
     Over a delay of 0.3 s in a turn the arc differs from its tangent by centimetres.
     """
     place = reading[:, Channel.ALONG] + 1j * reading[:, Channel.LATERAL]
-    if perturbation.end_arc is not None or perturbation.delay_s is not None:
-        way_m, turn = _end_arc(perturbation, steps)
+    end_arc, start_arc = perturbation.end_arc, perturbation.start_arc
+    if perturbation.delay_s is not None:
+        late = -np.stack(steps.motion_before_end(perturbation.delay_s), axis=1)
+        start_arc = _late_start(start_arc, late, steps.s.follows)
+        end_arc = late if end_arc is None else end_arc + late
+    if end_arc is not None:
+        way_m, turn = end_arc.T
         place = place + way_m * np.sinc(0.5 * turn / np.pi) * np.exp(1j * (reading[:, Channel.HEADING] + 0.5 * turn))
         reading[:, Channel.HEADING] += turn
-    if perturbation.start_arc is not None:
-        way_m, turn = perturbation.start_arc.T
+    if start_arc is not None:
+        way_m, turn = start_arc.T
         start = way_m * np.sinc(0.5 * turn / np.pi) * np.exp(0.5j * turn)
         place = (place - start) * np.exp(-1j * turn)
         reading[:, Channel.HEADING] -= turn
     reading[:, Channel.ALONG], reading[:, Channel.LATERAL] = place.real, place.imag
 
 
-def _end_arc(perturbation: Perturbation, steps: Steps) -> tuple[FloatArray, FloatArray]:
-    """Return way along and turn from the end to the pose that was read, each shape (n_obs,)."""
-    way_m, turn = np.zeros((2, len(steps.s))) if perturbation.end_arc is None else perturbation.end_arc.T
-    if perturbation.delay_s is not None:
-        late = steps.motion_before_end(perturbation.delay_s)
-        way_m, turn = way_m - late[0], turn - late[1]
-    return way_m, turn
+def _late_start(start_arc: FloatArray | None, late: FloatArray, follows: BoolArray) -> FloatArray | None:
+    """Return the arcs from the starts (n_obs, 2): those at the end before, shape (n_obs, 2), where windows `follow`."""
+    return None if start_arc is None else np.where(follows[:, None], np.roll(late, 1, axis=0), start_arc)
 
 
 def _turn(readings: FloatArray, angle_rad: FloatArray) -> None:
@@ -278,8 +279,8 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
     return change
 
 
-def _delay_rates(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Return way along and turn per second of a delay, over `DELAY_STEP_S` beyond the path's own, shape (n_obs,)."""
+def _delay_rates(path: Path) -> FloatArray:
+    """Return way along and turn per second of a delay, over `DELAY_STEP_S` beyond the path's own, shape (n_obs, 2)."""
 
     def rates(part: Path) -> FloatArray:
         own = part.perturbation.delay_s
@@ -288,8 +289,7 @@ def _delay_rates(path: Path) -> tuple[FloatArray, FloatArray]:
         now, later = (np.stack(motion, axis=1) for motion in motions)
         return np.asarray((now - later) / DELAY_STEP_S)
 
-    way_m, turn = path.of_parts(rates).T
-    return way_m, turn
+    return path.of_parts(rates)
 
 
 def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> None:
@@ -299,16 +299,17 @@ def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> No
     place = path.reading[:, Channel.ALONG] + 1j * path.reading[:, Channel.LATERAL]
     if perturbation.turned_rad is not None:
         moved += 1j * perturbation.turned_rad * place
-    if perturbation.end_arc is not None:
-        change[:, Channel.ALONG] += perturbation.end_arc[:, 0]
-        change[:, Channel.HEADING] += perturbation.end_arc[:, 1]
+    start_arc, ends = perturbation.start_arc, [perturbation.end_arc]
     if perturbation.delay_s is not None:
-        way_m, turn = _delay_rates(path)
-        change[:, Channel.ALONG] += perturbation.delay_s * way_m
-        change[:, Channel.HEADING] += perturbation.delay_s * turn
-    if perturbation.start_arc is not None:
-        moved -= perturbation.start_arc[:, 0] + 1j * perturbation.start_arc[:, 1] * place
-        change[:, Channel.HEADING] -= perturbation.start_arc[:, 1]
+        late = perturbation.delay_s[:, None] * _delay_rates(path)
+        start_arc = _late_start(start_arc, late, path.s.follows)
+        ends.append(late)
+    for arc in ends:
+        if arc is not None:
+            change[:, [Channel.ALONG, Channel.HEADING]] += arc
+    if start_arc is not None:
+        moved -= start_arc[:, 0] + 1j * start_arc[:, 1] * place
+        change[:, Channel.HEADING] -= start_arc[:, 1]
     change[:, Channel.ALONG] += c * moved.real + sn * moved.imag
     change[:, Channel.LATERAL] += c * moved.imag - sn * moved.real
 

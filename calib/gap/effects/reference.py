@@ -135,9 +135,7 @@ class ReferenceLeverArm(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            c, sn = path.frame_turned
-            moved = [start_to_end_frame(path, *axis) for axis in ((c - 1.0, sn), (-sn, c - 1.0))]
-            return [Perturbation.on_readings(observations, along=along, lateral=lateral) for along, lateral in moved]
+            return [_read_at(path, place) for place in (1.0, 1j)]
 
         scale = reach(observations)
         # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
@@ -147,8 +145,16 @@ class ReferenceLeverArm(Effect):
         return [Form(self.id, "", parameters, perturbations)]
 
 
+def _read_at(path: Path, place_m: complex) -> Perturbation:
+    """Return what is read of a place on the vehicle (x + i y) beside the motion of its origin."""
+    c, sn = path.frame_turned
+    moved = (c - 1.0 + 1j * sn) * place_m
+    along, lateral = start_to_end_frame(path, moved.real, moved.imag)
+    return Perturbation.on_readings(path.s, along=along, lateral=lateral)
+
+
 class ReferenceYaw(Effect):
-    """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0."""
+    """e_n = alpha_0 S on straight runs: the end pose is read in axes turned by alpha_0, a stated lever too."""
 
     id = "reference_yaw"
     title = "reference axes turned against the start heading"
@@ -165,13 +171,17 @@ class ReferenceYaw(Effect):
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
-        position = Perturbation(turned_rad=np.ones(len(observations)))
-        both = replace(position, reading=Perturbation.on_readings(observations, heading=1.0).reading)
         # a window begins in the same axes: what it turns by is not touched
-        shapes = {self.OF_POSITION: position} | ({} if observations.windowed else {"position and heading": both})
+        shapes = {self.OF_POSITION: 0.0} | ({} if observations.windowed else {"position and heading": 1.0})
 
-        def form(label: str, perturbation: Perturbation) -> Form:
-            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(shapes))
+        def form(label: str, heading: float) -> Form:
+            def turned(path: Path) -> list[Perturbation]:
+                reading = _read_at(path, 1j * complex(*observations.sensor_m)).reading
+                assert reading is not None
+                reading[:, Channel.HEADING] = heading
+                return [Perturbation(turned_rad=np.ones(len(path.s)), reading=reading)]
+
+            return Form(self.id, label, (parameter,), turned, tries=len(shapes))
 
         return [form(*shape) for shape in shapes.items()]
 
@@ -227,8 +237,9 @@ class ReferenceLatency(Effect):
     family = Family.REFERENCE
     needs = "readings taken while it rolls"
     separates = "readings after the stop beside readings on the move"
-    #: label of the form of end poses alone
+    #: label of the form of end poses alone, and of that whose delay grows
     OF_POSE: ClassVar[str] = "end pose"
+    OF_CLOCK: ClassVar[str] = "a clock at another rate"
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
@@ -249,10 +260,17 @@ class ReferenceLatency(Effect):
         late = {self.OF_POSE: pose} if has_pose else {}
         late |= {"laser": laser} if has_laser else {}
         late |= {"end pose and laser": replace(pose, reading=laser.reading)} if has_pose and has_laser else {}
-        parameter = Parameter("latency", "s", typical=5e-2, largest=5e-1)
+        parameters = dict.fromkeys(late, Parameter("latency", "s", typical=5e-2, largest=5e-1))
+        if has_pose and observations.windowed:
+            # of a clock at another rate the delay grows with the time since the run's start
+            first, last = observations.starts[:-1], observations.starts[1:] - 1
+            begin_s = np.where(logged, observations.time_s[first] - observations.duration_s[first], 0.0)
+            end_s = np.where(logged, observations.time_s[last], 0.0)
+            late[self.OF_CLOCK] = Perturbation(start_arc=start * begin_s[:, None], delay_s=end_s)
+            parameters[self.OF_CLOCK] = Parameter("rate", "1", typical=5e-4, largest=1e-2)
 
         def form(label: str, perturbation: Perturbation) -> Form:
-            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(late))
+            return Form(self.id, label, (parameters[label],), lambda _: [perturbation], tries=len(late))
 
         return [form(*each) for each in late.items()]
 

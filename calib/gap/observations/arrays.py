@@ -54,6 +54,8 @@ STEPS_AT_ONCE: Final = 2**16
 #: what follows from the counts alone is kept up to so many steps: some ten values a step, of all and of parts
 KEPT_STEPS: Final = 2**20
 
+#: a window that starts within this after the end of another follows it: rounding of a log's times
+SAME_TIME_S: Final = 1e-6
 #: standard uncertainty of a curvature from whole counts, over that of a turn about one track's length: an effect that
 #: grows with the curvature is then good to a fiftieth in the tightest turns
 CURVATURE_ERROR_PER_TRACK: Final = 0.02
@@ -145,6 +147,7 @@ class Observations:
     common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
     by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured
+    sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle
     sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
     #: whether the front wheel alone, or the way of the rear axle and the steering, drive the odometry: the two wheels
@@ -160,6 +163,14 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.starts) - 1
+
+    @cached_property
+    def follows(self) -> BoolArray:
+        """Whether each observation starts where the one before it ended, as windows of a recording do, (n_obs,)."""
+        first, last = self.starts[:-1], self.starts[1:] - 1
+        start_s = self.time_s[first] - self.duration_s[first]
+        same = (self.run[1:] == self.run[:-1]) & self.from_log[1:] & self.from_log[:-1]
+        return np.append(False, same & (np.abs(start_s[1:] - self.time_s[last[:-1]]) < SAME_TIME_S))
 
     @cached_property
     def unit(self) -> IntArray:

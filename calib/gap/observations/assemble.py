@@ -81,6 +81,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         start_pose=_each(units, "start_pose"),
         sigma_start_rad=_each(units, "sigma_start_rad"),
         by_gyro=_each(units, "by_gyro"),
+        sensor_m=(campaign.reference.sensor_x_m, campaign.reference.sensor_y_m),
         measured=measured,
         simulated=simulated,
         usable=usable,
