@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 from warnings import catch_warnings
 
@@ -195,7 +195,7 @@ class Outlier:
     def why(self) -> str:
         """What a person reads."""
         name, scale, unit = shown_quantity(self.quantity)
-        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet"
+        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet's mean"
         return f"{name}: {away} ({abs(self.z):.1f} standard deviations)"
 
     def to_dict(self) -> dict[str, object]:
@@ -262,7 +262,10 @@ def quantities_of(
         known = usual & np.isfinite(column)
         if found := population(column[known], std[name][known]):
             populations[name] = found
-    return Quantities(populations, tuple(one for one in apart if one.vehicle not in drifting), common)
+    means = {name: fleet.mean for name, fleet in populations.items()}
+    middle = {one.quantity: means.get(one.quantity, float(np.nanmean(own[one.quantity]))) for one in apart}
+    stay = (one for one in apart if one.vehicle not in drifting)
+    return Quantities(populations, tuple(replace(one, fleet=one.fleet + middle[one.quantity]) for one in stay), common)
 
 
 def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) -> BoolArray:
@@ -286,6 +289,7 @@ def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tu
 
 
 def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
+    """Return the vehicles that stand apart; `Outlier.fleet` holds what their labels shift, without the mean."""
     names = list(own)
     z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
     for k, name in enumerate(names):
@@ -296,7 +300,7 @@ def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns)
         k = int(np.argmax(np.abs(z[row])))
         name = names[k]
         value, shift = float(values[name][row]), float(values[name][row] - own[name][row])
-        outliers.append(Outlier(vehicles[row], name, value, float(np.nanmedian(own[name])) + shift, float(z[row, k])))
+        outliers.append(Outlier(vehicles[row], name, value, shift, float(z[row, k])))
     return tuple(sorted(outliers, key=lambda one: (-abs(one.z), one.vehicle)))
 
 

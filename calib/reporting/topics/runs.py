@@ -324,8 +324,9 @@ def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     """Return what wheels of different radii do on a straight line."""
     longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
     text = (
-        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal: over {arc['distance_m']:g} m a turn of "
-        f"{arc['turn_rad']:+.4f} rad and {arc['offset_m']:+.3f} m beside the line; the path is longer by {longer}."
+        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal drive an arc: where its chord is "
+        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside the "
+        f"line of its first heading; the path is longer than the chord by {longer}."
     )
     return (Text(text),)
 
