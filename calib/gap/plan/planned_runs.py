@@ -200,6 +200,8 @@ def drive(
     for name in ("payload_x_m", "payload_y_m"):
         numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
+    place = (numbers[name] for name in ("payload_kg", "payload_x_m", "payload_y_m"))
+    numbers |= zip(("load_left_N", "load_right_N"), wheel_loads_N(campaign.vehicle, *place)[1:], strict=True)
     by_length = corridor & np.array([run.tape or measured.distance for run in runs])
     if by_length.any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
