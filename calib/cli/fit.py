@@ -204,7 +204,9 @@ def deviation(
             "passed": judged.passed,
         }
     terminal.answer(document, content)
-    terminal.then("deviation CAMPAIGN" if campaign else "deviation", c=campaign or "")
+    unknown = judged is not None and "unknown" in judged.verdict
+    step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
+    terminal.then(step, c=campaign or "")
     return 0 if judged is None or judged.passed else 1
 
 
@@ -253,7 +255,7 @@ def loads(
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
         document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
         terminal.answer(document, weighed_content(known, known=sigma > 0))
-        terminal.then("loads")
+        terminal.then("loads --weighed")
         return
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
         near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)

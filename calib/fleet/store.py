@@ -71,8 +71,8 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
             if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
                 continue
         except OSError as error:
-            why = f"{path.name}: found {error.strerror}; expected a folder that can be read; allow it, or take it away"
-            members.append(Member(path.name, (Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=why),)))
+            part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))
+            members.append(Member(path.name, (part,)))
             continue
         tables = (path / f"runs{suffix}" for suffix in READERS)
         table = next((one for one in tables if one.exists()), path / "runs.csv")
@@ -155,7 +155,11 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
 
 def one_line(error: Exception) -> str:
     """Return what an error says on one line."""
-    return " ".join(str(error).split())
+    text = str(error)
+    if isinstance(error, OSError):
+        why = str(error.strerror).lower()
+        text = f"{error.filename}: found {why}; expected a file that can be read; add or allow it, or take it away"
+    return " ".join(text.split())
 
 
 SUMS: Final = "sums.jsonl"

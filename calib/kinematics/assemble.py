@@ -262,7 +262,6 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
 
 
-
 #: how far from a side's direction a piece of the way may point and still belong to it
 SIDE_RAD: Final = 0.35
 #: share of the way that belongs to sides, and of the shortest side beside the mean one

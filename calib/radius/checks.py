@@ -265,9 +265,15 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
             "at random; to split the two, drive at least two loads in every session."
         )
     else:
-        crossed = "crossed" if fit.design == "crossed" else "partly crossed"
-        level = NOTE if few else OK
+        several = [name for at, name in enumerate(groups.names) if distinct_loads(fit.load_N[groups.index == at]) > 1]
+        crossed = "crossed" if fit.design == "crossed" and len(several) == len(groups) else "partly crossed"
+        level = NOTE if few or len(several) == 1 else OK
         sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
+        if len(several) == 1:
+            sentence = (
+                f"Session {several[0]} alone has more than one load: the slope is that of this day, the others show "
+                "how far the radius shifts only; drive two loads or more in another session."
+            )
     if len(groups) == 1:
         level = FAILED
         one_session = (

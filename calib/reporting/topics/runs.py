@@ -325,8 +325,8 @@ def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
     text = (
         f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal drive an arc: where its chord is "
-        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside the "
-        f"line of its first heading; the path is longer than the chord by {longer}."
+        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside "
+        f"the line of its first heading; the path is longer than the chord by {longer}."
     )
     return (Text(text),)
 
