@@ -173,6 +173,8 @@ def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.Cap
         (["route", "--ratio", "1", "--wheel", "front"], "which wheel"),
         (["route", "--ratio", "x"], "--ratio"),
         (["route", "--believed", "0.1,0.1"], "--real"),
+        (["route", "--real", "0.1,0.1", "--wheel", "left"], "--wheel: found without --ratio"),
+        (["study", "symmetric", "--draws", "5"], "--draws: found without --law"),
         (["route", "--real", "0.1,-0.1"], "radius of 0 or below"),
         (["study", "symmetric", "--route", "spiral"], "figure8"),
         (["study", "symmetric", "--load", "300,300"], "--law"),
