@@ -105,7 +105,6 @@ def _plain(value: Any, hint: Any) -> Any:
 
 
 def _words(hint: Any) -> str:
-    """Return in words what an annotation takes."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(_words(part) for part in inner))

@@ -252,7 +252,6 @@ def diagnose(
 def _diagnose_simulator(
     campaign: Campaign, simulator: Path, beside: Path | str | None, exclude: Sequence[str], seed: int, workers: int
 ) -> Diagnosis:
-    """Diagnose the user's own simulator; options of calib's own model are refused beside it."""
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.settings import read_settings
 
@@ -307,7 +306,6 @@ def proposed(
 
 
 def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
-    """Return the campaign whose model has the radii, track and slopes of a geometry."""
     names = {field.name for field in fields(campaign.model)}
     known = {one.name: one.value for one in found.estimates if one.name in names}
     return replace(campaign, model=replace(campaign.model, **known))

@@ -68,7 +68,6 @@ def _unit_hint(value: float, usual: Usual, unit: str) -> str:
 
 
 def _against_vehicle(model: OdometryModel, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
-    """Return what the simulator believes and the nominal value of the lengths that both have."""
     return {
         "radius_left_m": (model.radius_left_m, vehicle.wheel_radius_m),
         "radius_right_m": (model.radius_right_m, vehicle.wheel_radius_m),

@@ -108,7 +108,6 @@ def _runs_path(folder: Path) -> tuple[str, Path]:
 
 
 def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
-    """Name what could be meant for the files that are read, and is not read: another case, another format."""
     tables = {f"runs{suffix}" for suffix in READERS}
     for name in sorted(entry.name for entry in folder.iterdir()):
         meant = shown if name.casefold() in tables else SETTINGS if name.casefold() == SETTINGS else ""
@@ -118,7 +117,6 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
 
 
 def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with what its run table lacks: from the logs' last samples, and loads from the payload."""
     runs, logs = campaign.runs, campaign.logs
     numbers = dict(runs.numbers)
 
@@ -174,7 +172,6 @@ def log_totals(logs: Logs, name: str) -> FloatArray:
 
 
 def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
-    """Return one sample of a log column for each run, shape (n_runs,); NaN where there is none."""
     values = np.full(len(logs.lengths), np.nan)
     if name in logs.columns and logs.present.any():
         values[logs.present] = logs.columns[name][at[logs.present]]
@@ -209,7 +206,6 @@ def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
 
 def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with the column `GYRO_TURN` and its uncertainty, where the table lacks them."""
     runs, logs = campaign.runs, campaign.logs
     turn, sigma = runs.number(GYRO_TURN).copy(), runs.number(GYRO_SIGMA).copy()
     own = {int(run): bias_of(campaign, int(run)) for run in np.flatnonzero(logs.present)}
@@ -296,7 +292,6 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
 
 
 def _turn_by_wheels(campaign: Campaign) -> FloatArray:
-    """Return the turn of each run by the nominal vehicle, shape (n_runs,); NaN without counts."""
     try:
         axle = on_one_axle(campaign)
     except CalibError:

@@ -55,8 +55,6 @@ STATED: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 class _Heading(BaseModel):
-    """The keys above the sections."""
-
     format: Literal["calib-campaign/1"] | None = None
     name: Annotated[str, Field(max_length=errors.LABEL_CHARACTERS)]
     simulated: StrictBool = False
@@ -198,7 +196,6 @@ def _refused(
 
 
 def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
-    """Return the keys of ``[encoder]``, ``counts_per_rev`` as those of both wheels."""
     values = part.keys("encoder")
     both = values.pop("counts_per_rev", None)
     if both is None and values.get("kind") == "speed":
@@ -350,7 +347,6 @@ def _plain(section: Any) -> dict[str, float | str]:
 
 
 def _encoder_keys(encoder: Encoder) -> dict[str, float | str]:
-    """Return the keys of an encoder, whole numbers as such, one key for both wheels where they count alike."""
     given = _plain(encoder)
     values = {key: int(x) if isinstance(x, float) and x.is_integer() else x for key, x in given.items()}
     if values["counts_per_rev_left"] == values["counts_per_rev_right"]:

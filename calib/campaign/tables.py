@@ -85,7 +85,6 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
 
 
 def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
-    """Return session labels in which those that differ by case, width, form or as numbers alone are one."""
     plain: dict[str, str] = {}
     written: dict[str, set[str]] = {}
     for label in dict.fromkeys(map(str, session)):
@@ -166,7 +165,6 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
 
 
 def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> StrArray:
-    """Return cells as texts; raises BadFileError where one holds a control character or is beyond all use."""
     texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
     # all at once first: a fleet's run tables are many and small
     if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:

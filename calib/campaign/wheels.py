@@ -252,7 +252,6 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
 
 
 def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tuple[str, FloatArray]]:
-    """Return the column of counts and the speed, shape (n_samples,), of each wheel."""
     wheels: list[tuple[str, FloatArray]] = []
     if {"v_mps", "omega_radps"} <= columns.keys():
         half = 0.5 * vehicle.track_m * columns["omega_radps"]

@@ -38,7 +38,6 @@ _SIZES: Final = {
 
 
 def _expected(truth: Truth, cause: Cause) -> dict[str, float]:
-    """Return the true values of a cause's parameters; none of other forms than the library's."""
     size = cause.size
     if cause.form != "plain":
         return {}

@@ -186,8 +186,6 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bench:
-    """What every planted campaign has in common."""
-
     campaign: Campaign
     observations: Observations
     readings: FloatArray
@@ -250,7 +248,6 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
 
 
 def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
-    """Return the campaign without its gap: what the model alone, or the outside simulator, predicts of each unit."""
     observations = diagnosis.observations
     simulated = observations.simulated
     readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)

@@ -189,7 +189,6 @@ def run(
 
 
 def _some(given: int | None, usual: int, most: int, name: str) -> int:
-    """Return how many vehicles are meant, never more than there are."""
     if given is not None:
         refuse_more(f"--{name}", given, most, "give fewer, or more --vehicles")
     return min(usual if given is None else given, most)

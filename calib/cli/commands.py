@@ -67,7 +67,6 @@ class Guarded(TyperCommand):
 
 
 def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
-    """Refuse an empty path, which `Path` would read as the working folder."""
     paths: set[str] = set()
     others: set[str] = set()
     for parameter in parameters:
@@ -82,7 +81,6 @@ def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
 
 
 def _refuse_dash(ctx: Any) -> None:
-    """Refuse ``-`` where it would become a folder or a file of that name."""
     takes = {"json", "json_target"} | ({"output"} if ctx.info_name == "export" else set())
     for parameter in ctx.command.params:
         if parameter.name in OUTPUTS - takes and str(ctx.params.get(parameter.name)) == "-":

@@ -199,7 +199,6 @@ def _tell(report: Report, target: Path, html: Path | None, drawn: str) -> None:
 
 
 def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> None:
-    """Refuse existing targets before the work, as far as their names are known before it."""
     from calib.campaign.settings_file import read_settings
     from calib.reporting.content import place_of
 

@@ -251,7 +251,6 @@ def _heed_date() -> None:
 
 
 def _reopen() -> None:
-    """Replace streams that were closed at the start by the null device."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             # open for as long as the program runs

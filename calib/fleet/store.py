@@ -228,7 +228,6 @@ def renewed(
 
 
 def _read(path: Path) -> dict[str, Kept]:
-    """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -207,7 +207,6 @@ class WheelSums:
 
 
 def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the terms of `WheelSums.order` of each run and the next, shape (n_runs - 1, 6)."""
     x0, x1, y0, y1 = x[:-1], x[1:], y[:-1], y[1:]
     return np.stack([np.ones_like(x0), x0 * x1, 0.5 * (x0 * y1 + y0 * x1), y0 * y1, x0 + x1, y0 + y1], axis=1)
 

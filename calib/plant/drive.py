@@ -124,8 +124,6 @@ class _PastAngles:
 
 
 class _Runs:
-    """All runs at one moment of the drive, each array (n_runs,) where nothing else is said."""
-
     def __init__(self, world: World, noise: NoiseDraw, quantise: bool, step_s: float) -> None:
         design, model = world.design, world.model
         n_runs = len(design)

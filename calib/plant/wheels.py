@@ -205,7 +205,6 @@ def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) 
 
 
 def _lever(world: World) -> FloatArray:
-    """Return the load that an acceleration of 1 m/s2 across moves from one wheel to the other."""
     vehicle = world.design.vehicle
     return world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
 

@@ -31,8 +31,6 @@ SHAPIRO_RUNS: Final = (8, 5000)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Residuals:
-    """Input of the checks: centred loads, residuals about line and session means, and labels."""
-
     fit: WheelFit
     groups: Groups
     x: FloatArray

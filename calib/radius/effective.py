@@ -154,7 +154,6 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
 
 
 def _refuse_without_rear_wheels(campaign: Campaign) -> None:
-    """Refuse odometry from other wheels than two on an axle; say what a law of the load needs."""
     if not without_rear_wheels(campaign):
         return
     wheels = SOURCE_NAMES[odometry_source(campaign)]

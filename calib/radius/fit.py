@@ -121,7 +121,6 @@ def _without_loads(wheel: WheelFit) -> WheelFit:
 
 
 def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
-    """Refuse a reference load so far from the loads driven that the radius has no digits there."""
     loads = np.append(radii.load_left_N, radii.load_right_N)
     largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
     if reference_load_N > MAX_REFERENCE_RATIO * largest:
@@ -309,7 +308,6 @@ def systematic_components(
 
 
 def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
-    """Return the change of the coefficients by one standard uncertainty of a source, shape (2,)."""
     law, std = wheel.law, source.std
     match source.section, source.key:
         case "rangefinder", "scale":

@@ -142,7 +142,6 @@ def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
 
 
 def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
-    """Draw the paths from a common start and, at each end, the gap as an arrow, enlarged by the slider."""
     plot = _figure("Floor plan: paths, and the gap at each end", "x (m)", "y (m)", match_aspect=True)
     data = source.data
     for which, (dash, mark, name) in PATH_STYLES.items():

@@ -193,7 +193,6 @@ def _template() -> Template:
 
 
 def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
-    """Return the common titles of neighbouring columns with the number of columns of each."""
     keys = ((column["group"] or number, column["group"]) for number, column in enumerate(columns))
     return [(run[0][1], len(run)) for run in (list(group) for _, group in groupby(keys, key=lambda key: key[0]))]
 

@@ -341,7 +341,6 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
 
 
 def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray) -> Iterator[Note]:
-    """Hold the loads of the empty vehicle, else the least, which a payload only raises, against what its mass asks."""
     vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
@@ -387,7 +386,6 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
 
 
 def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
-    """Hold the side that carries more against the side on which the payload lies."""
     found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
     good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
     opposite = found[good] / expected[good] < -0.5

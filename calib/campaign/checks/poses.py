@@ -137,7 +137,6 @@ def _bows(campaign: Campaign) -> _Bows:
 
 
 def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
-    """Return the bow of one run by its log, its wheels as large as the distance says."""
     log = campaign.logs.of(run)
     left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in design.SIDES)
     along = (left + right) / 2

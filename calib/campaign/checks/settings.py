@@ -65,7 +65,6 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
-    """Return the nominal radius over the one that the model has under the load of each run."""
     model, load = campaign.model, campaign.runs.number(f"load_{side}_N")
     slope = model.slope_left_m_per_N if side == "left" else model.slope_right_m_per_N
     radius = model.radius_left_m if side == "left" else model.radius_right_m

@@ -62,8 +62,6 @@ class Ingested:
 
 @dataclass(slots=True)
 class _Ingestion:
-    """What an ingestion reads and collects."""
-
     mapping: Mapping
     settings: Campaign
     border: Border
@@ -250,7 +248,6 @@ def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
 
 
 def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:
-    """Note the runs whose log is missing; one without counts in the table is excluded."""
     counted = np.isfinite(runs.number("counts_left") + runs.number("counts_right"))
     excluded = runs.excluded.copy()
     reasons = runs.label("exclusion_reason").astype(object)

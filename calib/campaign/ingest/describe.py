@@ -175,7 +175,6 @@ def _has_clock(file: FileContents) -> bool:
 
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines of the mapping; `table`: the run table, where there is one."""
     named_by = Path((table or logs[0]).name)
     # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem

@@ -325,7 +325,6 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
 
 
 def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
-    """Return the distance travelled through positions of shape (n_samples, 1 or 2), at every sample."""
     stride = max(1, round(_POSE_SPACING_S * stream.contents().rate_Hz))
     index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
     steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)

@@ -141,7 +141,6 @@ def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> R
 
 
 def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Mapping, row: int | None = None) -> None:
-    """Refuse a file without a column that the mapping names, listing those it has."""
     known = list(names)
     for name, line in lines.items():
         for column in (source for source in line.sources if source not in known):
@@ -162,7 +161,6 @@ def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> R
 
 
 def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
-    """Return the stream whose times the log takes: the wheels'."""
     for name in LOG_COLUMNS:
         if name.startswith("counts_") and name in lines:
             stream = recording.stream_of(lines[name].column)
@@ -205,7 +203,6 @@ def _heading_of(z: FloatArray, w: FloatArray) -> FloatArray:
 
 
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
-    """Return the mapped columns at the wheels' times, their lags taken off."""
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
         found = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"
@@ -239,7 +236,6 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
 
 
 def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -> None:
-    """Turn angles, rates and increments of the wheels into counts, in place."""
     time = columns["t_s"]
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         kind, turns = COUNT_UNITS[lines[name].wheel_unit]

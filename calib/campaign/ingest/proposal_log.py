@@ -101,7 +101,6 @@ def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnC
 
 
 def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
-    """Return the lines for the columns of a log, times first, and calib's columns that were found."""
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
@@ -158,7 +157,6 @@ def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> st
 def _may_be(
     target: str, column: ColumnContents, stream: StreamContents | None, reference: StreamContents | None
 ) -> bool:
-    """Return whether a column is what its name makes it look like, by its cells and by the kind of its stream."""
     joint = stream is not None and stream.kind.endswith("JointState")
     is_wheel = target.startswith("counts_")
     if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
@@ -198,7 +196,6 @@ def _time_unit(column: ColumnContents) -> str:
 def _wheel_lines(
     found: dict[str, ColumnContents], columns: Sequence[ColumnContents], streams: dict[str, StreamContents]
 ) -> list[str]:
-    """Return the lines for the wheels; `found` is changed to what is proposed, both sides or neither."""
     taken = {column.name for name, column in found.items() if not name.startswith("counts_")}
     corners = [name for pair in _CORNERS.values() for name in pair if name in found]
     own = any(recognise(found[name].name, LOG_COLUMNS).name == name for name in corners)
@@ -285,7 +282,6 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
 
 
 def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
-    """Return remarks on what every log needs and no column looks like: wheels, and a clock."""
     named = {line.partition(" ")[0] for line in lines} | set(found)
     named |= {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
     out = []

@@ -131,7 +131,6 @@ def _of_wheel(column: ColumnContents, side: str) -> str | None:
 
 
 def _sided_lines(table: FileContents) -> dict[str, list[str]]:
-    """Return the lines for columns that stand on a sheet for each wheel, by calib's column of the left one."""
     sides = _sheets_of_sides(table)
     runs = next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
     if not sides or runs is None:
@@ -173,7 +172,6 @@ def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
 
 
 def _column_line(column: ColumnContents, name: str, further: dict[str, object] | None = None) -> str:
-    """Return the line for a column, with `further` keys; empty where its name alone is recognised."""
     further = dict(further or {})
     remark = ""
     if name == "direction" and set(column.texts) - {"out", "back"}:

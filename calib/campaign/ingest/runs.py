@@ -78,8 +78,6 @@ def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) ->
 
 
 def _looked_up(raw: RawTable, sheet: RawTable, line: MappedColumn, shown: str, where: str) -> npt.NDArray[Any]:
-    """Return the sheet's cell for each row of the run table, by the text of the column that the line names."""
-
     def refused(column: str, found: str, expected: str) -> BadFileError:
         return BadFileError(shown, found, expected, f"correct {where}, or complete the sheet", column=column)
 
@@ -182,7 +180,6 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
 
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
-    """Return the source's cells: texts translated, readings subtracted, where the mapping does so."""
     for column in line.sources:
         if column not in raw.columns:
             raise BadFileError(
@@ -215,7 +212,6 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
 
 
 def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: Mapping) -> float:
-    """Return the counts in a unit of a wheel's column, which holds what the wheel turned in the whole run."""
     kind, turns = COUNT_UNITS[line.wheel_unit]
     if kind not in {"counts", "angle"}:
         raise bad_line(mapping.shown, "table", f"{name}.unit", line.wheel_unit, "counts, turns, rad or deg of a run")

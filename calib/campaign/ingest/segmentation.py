@@ -121,7 +121,6 @@ def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
 
 
 def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str, FloatArray]:
-    """Return the columns of one run; time and counts start where the run does."""
     out = {name: values[part] for name, values in columns.items() if name != CUT_COLUMN}
     out["t_s"] = np.round(out["t_s"] - out["t_s"][0], 9)
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}

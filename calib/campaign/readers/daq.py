@@ -129,7 +129,6 @@ def check_elements(data: bytes) -> None:
 
 
 def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memoryview]]:
-    """Return type and content of the elements of one level, all below them checked."""
     if depth > _MAX_DEPTH:
         raise ValueError(f"arrays more than {_MAX_DEPTH} deep in one another")
     elements, position = [], 0
@@ -228,7 +227,6 @@ def record_tdms(path: Path, shown: str, wanted: Callable[[str], bool] | None) ->
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the library from writing warnings to standard error beside the one line of an error."""
     logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.partition(".")[0] == "nptdms"]
     levels = [log.level for log in logs]
     try:
@@ -252,7 +250,6 @@ def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
-    """Gather channels of one group that share length and time track."""
     together: dict[tuple[str | int, ...], dict[str, TdmsChannel]] = {}
     for name, channel in channels.items():
         track = tuple(str(channel.properties.get(key)) for key in ("wf_start_time", "wf_increment", "wf_start_offset"))

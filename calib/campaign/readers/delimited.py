@@ -129,7 +129,6 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
 
 
 def _check_names(names: list[str], shown: str, row: int) -> None:
-    """Refuse a header that names a column twice, or is a row of numbers: a file without names."""
     filled = [name for name in names if name]
     if len(filled) > 1 and all(is_number(name) for name in filled):
         found = f"numbers alone ({', '.join(filled[:4])})"
@@ -139,7 +138,6 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
-    """Return the delimiter and how many rows stand before the header."""
     if layout.header_row is None:
         # most logs begin with their header, and a few rows as wide as it and of numbers show it
         lines = _first_lines(data, _FEW_ROWS)
@@ -276,7 +274,6 @@ def _read_cells(
     layout: Layout,
     above: Sequence[str],
 ) -> RawTable:
-    """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     try:
         numbered = [(row, reader.line_num + skipped) for row in reader]

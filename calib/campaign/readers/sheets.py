@@ -163,7 +163,6 @@ def _texts(row: Sequence[Any]) -> list[str]:
 
 
 def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
-    """Return how many rows from the first are header: texts over columns of numbers, or units."""
     body = list(rows[_HEADER_ROWS - 1 : LOOKED_AT]) or list(rows[1:])
     width = max(map(len, rows))
     numeric = []
@@ -360,7 +359,6 @@ def _shape(text: str) -> str:
 
 
 def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
-    """Return how the cells of each column are written, of rows with more than one cell."""
     out: dict[int, set[str]] = {}
     for row in rows:
         if len(filled_cells(row)) > 1:

@@ -136,7 +136,6 @@ class _Sheet:
 
 
 def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> _Sheet:
-    """Return the sheet asked for, or the first that holds a table."""
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
@@ -301,7 +300,6 @@ def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int,
 
 
 def _blocks(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    """Yield the text of a part in blocks, cut where an element begins."""
     held = b""
     with archive.open(entry) as stream:
         while block := stream.read(_BLOCK_BYTES):

@@ -286,7 +286,6 @@ def _rear(
 def _steered(
     campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel, source: str
 ) -> dict[str, FloatArray]:
-    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle."""
     ahead, turn = np.diff(distance_m), np.diff(heading_rad)
     if source == "shaft":
         name, per_rev, rolled_m = "counts_rear", counts_per_rev(campaign.encoder, "shaft")[0], distance_m
@@ -374,7 +373,6 @@ def demonstration() -> Campaign:
 
 
 def _demonstrated(number: int) -> PlannedRun:
-    """Return a run of the demonstration: neighbours differ in every condition."""
     lap, (kind, direction) = number // len(ROUTES), ROUTES[number % len(ROUTES)]
     # a second, shorter lane on every other lap
     kind += "_short" if kind == "corridor" and lap % 2 else ""

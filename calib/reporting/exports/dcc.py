@@ -242,7 +242,6 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
 
 
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
-    """Return load, radius, half width of its 95 % interval and standard uncertainty, at the loads driven."""
     loads = _loads(wheel, fit)
     low, high = wheel.mean_band_m(loads)
     columns = (np.array(loads), wheel.law.radius_m(loads), 0.5 * (high - low), wheel.law.mean_std_m(loads))

@@ -309,7 +309,6 @@ def _error_mm(trace: RunTrace) -> FloatArray:
 
 
 def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> LineCollection | None:
-    """Draw the calibrated path in the colours of its error; in one colour where only its end was measured."""
     error_mm = np.nan_to_num(_error_mm(trace))
     if len(trace.seen) < 2:
         axes.plot(*trace.after_m.T, color=BLUE, lw=1.0)

@@ -63,7 +63,6 @@ def runs_table(fit: Fit) -> Table:
 
 
 def _counts(fit: Fit, encoder: Encoder) -> dict[str, FloatArray]:
-    """Return the counts of either wheel, from the radii: r = S (1 + e) / (2 pi n)."""
     radii = fit.radii
     wheels = {
         "left": (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
