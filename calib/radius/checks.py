@@ -259,7 +259,7 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     elif fit.design == "confounded":
         sentence = (
             f"Each session has a load of its own: a drift from session to session looks like load. The intervals rest "
-            f"on the {len(groups)} session means ({fit.law.dof:.3g} degrees of freedom) and hold if sessions scatter "
+            f"on the {len(groups)} session means (degrees of freedom: {fit.law.dof:.3g}) and hold if sessions scatter "
             "at random; to split the two, drive at least two loads in every session."
         )
     else:

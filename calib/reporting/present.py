@@ -194,11 +194,18 @@ STEPS: Final = {
 }
 
 
+def _quoted(word: str) -> str:
+    """Return a word for a shell inside a command that stands in single quotes."""
+    plain = shlex.quote(word) == word or set(word) & set('"$`\\!')
+    return shlex.quote(word) if plain else f'"{word}"'
+
+
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     """Return the line after a step of `STEPS`; ``runs`` is the campaign `c`, where that has runs to diagnose."""
     campaign = Path(str(names.get("c", "")))
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
-    quoted = {name: shlex.join(map(str, [one] if isinstance(one, str | Path) else one)) for name, one in names.items()}
+    words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}
+    quoted = {name: " ".join(map(_quoted, map(str, several))) for name, several in words.items()}
     return "Next: " + STEPS[step].format(**quoted)
 
 

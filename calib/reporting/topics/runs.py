@@ -303,12 +303,12 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
         "Error of the radius | left (%)": ("radius_error_left", 4),
         "Error of the radius | right (%)": ("radius_error_right", 4),
     }
-    sizes = [[f"{row['amplitude_m']:g}", f"{row['wavelength_m']:g}"] for row in rows]
+    sizes = [[f"{row['amplitude_m']:g} / {row['wavelength_m']:g}"] for row in rows]
     shares = [[fixed(100 * row[key], places) for key, places in heads.values()] for row in rows]
     excess = table(
         f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
         "does to a radius.",
-        ("A (m)", "λ (m)", *heads),
+        ("A / λ (m)", *heads),
         [size + share for size, share in zip(sizes, shares, strict=True)],
     )
     sentences = (
