@@ -238,7 +238,6 @@ _MOST_LISTED: Final = 3
 
 
 def _together(notes: list[Note]) -> list[Note]:
-    """Return one note for all that say the same of several runs."""
     same: dict[str, list[Note]] = {}
     for note in notes:
         same.setdefault(note.text, []).append(note)

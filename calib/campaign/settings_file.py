@@ -211,7 +211,6 @@ def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
 
 
 def _check_together(settings: Campaign, shown: str) -> None:
-    """Refuse an odometry that the vehicle's drive cannot have, and a centre of mass beyond the wheels."""
     vehicle, source = settings.vehicle, settings.odometry.source
     drive = {"front": "tricycle", "wheels": "mecanum", "shaft": "ackermann"}.get(source or "", vehicle.drive)
     if vehicle.drive != drive:
@@ -337,7 +336,6 @@ def written_settings(campaign: Campaign) -> dict[str, object]:
 
 
 def _plain(section: Any) -> dict[str, float | str]:
-    """Return the keys of a section that have a value; those that were added with a default only where they differ."""
     values = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
     return {
         name: value if isinstance(value, str) else float(value)

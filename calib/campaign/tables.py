@@ -102,7 +102,6 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
 
 
 def _summaries(run_id: StrArray, columns: Mapping[str, FloatArray], used: BoolArray) -> BoolArray:
-    """Return which rows are means or sums of the others, by their name or by what they hold, shape (n_runs,)."""
     named = used & np.isin(np.char.lower(run_id), _SUMMARY_NAMES)
     counted = [columns[name] for name in _COUNTED if name in columns and np.isfinite(columns[name]).all()]
     if len(counted) < _LEAST_COUNTED or used.sum() < _LEAST_ROWS:

@@ -261,7 +261,6 @@ def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tupl
 
 
 def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
-    """Return the integral of a rate from the start of each log, shape (n_samples,); NaN where a log lacks the rate."""
     step = np.zeros(len(rate))
     step[1:] = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
     begin = logs.offsets[:-1][logs.lengths > 0]

@@ -81,7 +81,6 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
 
 
 def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> Part:
-    """Return a file of journeys; one that leads out of the fleet says so, and leaves the others alone."""
     try:
         return Part(name, inside(folder, name, named_in=folder), settings, day)
     except CalibError as error:

@@ -378,7 +378,6 @@ def line_from_sums(sums: SessionSums) -> LineEstimate | None:
 
 
 def _plain(sums: SessionSums) -> LineEstimate | None:
-    """Return the least-squares line, every run counted as independent; None with a single load."""
     n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0)
     info = xx - x * x / n
     if n < 3 or not info > ROUNDING * max(xx, 1.0):

@@ -58,7 +58,6 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
 
 
 def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
-    """Return the residual sum of squares and the rank of a design, whose columns may be collinear to rounding."""
     coefficients, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-10)
     residual = y - design @ coefficients
     return float(residual @ residual), int(rank)

@@ -109,7 +109,6 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
 
 
 def _without_loads(wheel: WheelFit) -> WheelFit:
-    """Return a fit that says that no load was given, doubtful where runs scatter beyond the instruments."""
     words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
     for check in wheel.checks:
         if check.name == "design":

@@ -66,7 +66,6 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 
 def _script(name: str) -> str:
-    """Return a script of ``panels.js``, where each begins below a line of its name."""
     scripts = (files("calib.reporting") / "panels.js").read_text(encoding="utf-8")
     return scripts.partition(f"//: {name}\n")[2].partition("//: ")[0]
 
@@ -182,7 +181,6 @@ def _moment_slider(source: ColumnDataSource) -> Model:
 def _covariate_panel(
     gap: GapArrays, source: ColumnDataSource, after: figure, band: Model
 ) -> tuple[figure, list[Model]]:
-    """Draw one channel's gap against one covariate; both can be chosen, the channel for the panel `after`, too."""
     first, units = first_channel(gap), channel_units(gap)
     plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
     _points(plot, "x", "y", source)

@@ -134,7 +134,6 @@ def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Pa
 
 
 def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
-    """Return verdict and sentence of the diagnosis of the same campaign that lies in the folder, if there is one."""
     file = (path if path.is_dir() else path.parent) / "diagnosis.json"
     if not file.is_file():
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 
 from calib.cli.export import _next_step
 from calib.cli.main import run
-from calib.reporting.present import after_geometry
+from calib.reporting.present import after_geometry, next_step
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources
@@ -130,3 +131,17 @@ def test_a_table_a_vehicle_is_not_sent_to_a_diagnosis(
     for more in ("outliers", "drifting", "common"):
         assert run(["fleet", "simulate", "--into", "new", "--vehicles", "3", f"--{more}", "5"]) == 2
         assert f"--{more}: found 5" in capsys.readouterr().err
+
+
+def test_a_folder_with_blanks_can_be_copied_out_of_the_quotes() -> None:
+    """The shell reads the command between the single quotes as it stands."""
+    line = next_step("fit lacks runs", c=Path("c/Hölle Süd 3"))
+    command = line.split("'")[1]
+    assert shlex.split(command) == ["calib", "plan", "c/Hölle Süd 3"]
+    assert next_step("fit lacks runs", c=Path("c/A")).startswith("Next: 'calib plan c/A' names")
+
+
+@pytest.mark.parametrize("word", ["a b", "it's", "$HOME x", 'a "b"', "a`b`", "back\\ slash", "plain"])
+def test_every_name_is_quoted_for_a_shell(word: str) -> None:
+    line = next_step("check wrong", c=word).removeprefix("Next: correct what is wrong above, then '").removesuffix("'.")
+    assert shlex.split(line) == ["calib", "check", word]

@@ -227,7 +227,6 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
-    """Hold the rise of the load with the payload, wherever that lies, against the weight of a kilogram."""
     known = np.isfinite(payload + total)
     slopes = _slopes(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
@@ -367,7 +366,6 @@ def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
 
 
 def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) -> Iterator[Note]:
-    """Hold what the payload adds against what the scales say it adds, apart from the vehicle's own weight."""
     x, y = expected[good], total[good]
     if np.ptp(x) < 0.2 * np.median(x):
         return

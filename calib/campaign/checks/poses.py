@@ -201,7 +201,6 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
 
 
 def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
-    """Return whether values scatter beyond doubt by more than their standard uncertainty, single ones left aside."""
     apart = values - np.median(values)
     squares = (apart[np.abs(apart) <= _OUTLIER_SPREADS * scatter] / sigma) ** 2
     excess = (squares.mean() - 1.0) / math.sqrt(2.0 / len(squares)) if len(squares) else 0.0
@@ -322,7 +321,6 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
 
 
 def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    """Return x and y of each run's end as seen from its start; NaN on a map where no log has the pose at the start."""
     runs, logs = campaign.runs, campaign.logs
     x, y = runs.number("ref_x_m"), runs.number("ref_y_m")
     if campaign.reference.frame != "map":

@@ -275,7 +275,6 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
 
 
 def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
-    """Fill distances and end poses that the table lacks from logs whose range and poses count from their start."""
     numbers = dict(runs.numbers)
     ends = {index: end_values(log.columns) for index, log in logs.items() if log.from_start}
     for name in dict.fromkeys(name for values in ends.values() for name in values):
@@ -288,7 +287,6 @@ def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
 
 
 def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Encoder:
-    """Return the encoder with the counter's width where overflows show it, so that the vehicle's runtime has it too."""
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
         return encoder

@@ -185,7 +185,6 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
 
 
 def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
-    """Return the columns of a file with the reference's heading, maybe of a quaternion, going on beyond a turn."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     for name, cells in columns.items():
         mapped = name == line.column
@@ -216,7 +215,6 @@ def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingTy
 
 
 def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[dict[str, FloatArray], int | None]:
-    """Return columns under calib's names in SI units, mapped ones first, then those recognised; the clock's start."""
     columns: dict[str, FloatArray] = {}
     time_column = "t_s"
     for name, line in lines.items():
@@ -251,7 +249,6 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:
-    """Return columns with the last sample of each time stamp that comes again at once; counts lose nothing by it."""
     again = np.append(np.diff(columns["t_s"]) == 0, False)
     if not again.any():
         return columns

@@ -74,7 +74,6 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
 
 
 def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the columns of a run's several files, called ``name:column``, and for the times in each."""
     columns: list[ColumnContents] = []
     streams: list[StreamContents] = []
     clock = None
@@ -264,7 +263,6 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
 
 
 def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[str, str]:
-    """Return a wheel's unit where its name does not say it, empty for counts, and a remark on it."""
     if _RATE in column.name:
         return "rad/s", "   # a rate, in rad/s where the driver keeps ROS's units"
     if stream is not None and stream.kind.endswith("JointState"):
@@ -299,7 +297,6 @@ def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Seque
 
 
 def _kinds(logs: Sequence[FileContents]) -> list[str]:
-    """Return remarks on logs of other columns than the one mapped: a run's log is one file."""
     kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
     if len(kinds) < 2:
         return []

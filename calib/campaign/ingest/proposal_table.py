@@ -153,7 +153,6 @@ def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
 
 
 def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
-    """Return the lines for columns that hold readings at the start and at the end of each run, by calib's column."""
     found: dict[str, dict[str, ColumnContents]] = {}
     for column in columns:
         reading = guesses.reading_of(column.name)
@@ -201,7 +200,6 @@ def _may_be(target: str, column: ColumnContents) -> bool:
 
 
 def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
-    """Return lines for columns of other sheets whose labels the run table holds, and add their names to `named`."""
     lines = []
     for sheet, columns in table.others.items():
         if sheet in table.alike_sheets:

@@ -219,7 +219,6 @@ def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: M
 
 
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
-    """Return a column of one value for all runs, of one a run, or of names with their numbers (``r{n:03}``)."""
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
     if name == "run_id" and isinstance(value, str) and "{n" in value:
         return object_array([with_number(value, number) for number in range(1, n_runs + 1)])

@@ -111,7 +111,6 @@ def segment_recordings(
 
 
 def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
-    """Undo overflows over the whole recording, before a cut hides them."""
     columns = dict(log.columns)
     found = log.wrap_bits if bits is None else bits
     for name in [name for name in columns if name.startswith("counts_")]:
@@ -127,7 +126,6 @@ def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str,
 
 
 def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, encoder: Encoder, border: Border) -> RunTable:
-    """Return a table of numbered runs, a session a recording unless the mapping says otherwise."""
     columns = {"run_id": object_array([with_number(cut.run_id, number) for number in range(1, len(names) + 1)])}
     if "session" not in mapping.table.columns:
         columns["session"] = object_array(names)

@@ -82,7 +82,6 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
 
 
 def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: list[Note]) -> dict[str, object]:
-    """Return the numeric variables and structures by name; `notes` takes one on each other variable."""
     import scipy.io
 
     remedy = "save it again with: save('file.mat', '-v7')"
@@ -155,7 +154,6 @@ def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memor
 
 
 def _array(content: memoryview, order: str, depth: int) -> None:
-    """Check an array: its flags, its dimensions, and what it holds; nothing at all is an empty one."""
     if not len(content):
         return
     parts = _elements(content, order, depth + 1)
@@ -279,7 +277,6 @@ def _values(channel: TdmsChannel) -> FloatArray:
 
 
 def _time(channel: TdmsChannel) -> IntArray | None:
-    """Return the times of a waveform channel: start, offset and increment, rounded to the nanosecond once."""
     step = channel.properties.get("wf_increment")
     if not isinstance(step, int | float) or not step > 0:
         return None

@@ -102,7 +102,6 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
 
 
 def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
-    """Return header and rows of a file with commas between plain cells, as many in each row as in the header."""
     if path.suffix.lower() != ".csv":
         return None
     try:

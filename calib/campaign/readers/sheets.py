@@ -188,7 +188,6 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
 
 
 def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
-    """Return names, those that are empty, there twice or a side only with the group above them."""
     spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
@@ -210,7 +209,6 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple[list[str], Note]:
-    """Return names with their units in brackets, and a note that says which of these are not known."""
     out, unknown = [], []
     for at, name in enumerate(names):
         unit = bare(units[at]) if at < len(units) else ""

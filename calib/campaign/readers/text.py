@@ -107,7 +107,6 @@ def _names(remark: str, below: str) -> bool:
 
 
 def _by_blanks(data: bytes) -> bool:
-    """Return whether nothing but blanks separates the cells: numbers, as many in every line."""
     lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
     if len(data) > _HEAD_BYTES:
         lines.pop()

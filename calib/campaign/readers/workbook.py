@@ -126,8 +126,6 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @dataclass(slots=True)
 class _Sheet:
-    """A sheet's rows that hold something, their numbers, and which of them is the header."""
-
     name: str = ""
     rows: list[Sequence[Any]] = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
