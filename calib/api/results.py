@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from calib import __version__
 from calib.arguments import checked
@@ -307,7 +307,7 @@ def proposed(
 
 def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
     names = {field.name for field in fields(campaign.model)}
-    known = {one.name: one.value for one in found.estimates if one.name in names}
+    known: dict[str, Any] = {one.name: one.value for one in found.estimates if one.name in names}
     return replace(campaign, model=replace(campaign.model, **known))
 
 
