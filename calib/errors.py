@@ -48,6 +48,11 @@ class BadFileError(BadInputError):
         self.path, self.row, self.column = str(path), row, column
         self.found, self.expected, self.remedy = found, expected, remedy
 
+    def below(self, folder: Path) -> BadFileError:
+        """Return the same error with the file named by its folder, too."""
+        path, of = folder / self.path, {"row": self.row, "column": self.column}
+        return BadFileError(path, self.found, self.expected, self.remedy, **of)  # type: ignore[arg-type]
+
 
 class RefusedError(CalibError):
     """The question cannot be answered from these data; the text says why and what would answer it."""

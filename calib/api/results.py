@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from calib import __version__
 from calib.arguments import checked
@@ -21,7 +21,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.kinematics.result import Geometry
 from calib.radius.result import Fit, provenance
-from calib.types import Progress, silent
+from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise
@@ -295,14 +295,27 @@ def proposed(
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
     ties = [group.effects for group in full.groups]
     runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
-    now = promised(campaign.included(), campaign)
-    return Plan(campaign, full, tuple(runs), now, promised(with_next(campaign, runs), campaign) if runs else None)
+    with suppress(CalibError):
+        from calib.kinematics.assemble import Promise
+        from calib.kinematics.estimate import estimate_geometry
+
+        found = estimate_geometry(campaign, progress=progress)
+        now = Promise.of(found)
+        then = promised(with_next(_as_found(campaign, found), runs), now.scales) if runs else None
+        return Plan(campaign, full, tuple(runs), now, then)
+    return Plan(campaign, full, tuple(runs))
 
 
-def promised(campaign: Campaign, driven: Campaign | None = None) -> Promise | None:
-    """Return the intervals that the end poses of runs promise; None where they determine nothing."""
+def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
+    names = {field.name for field in fields(campaign.model)}
+    known: dict[str, Any] = {one.name: one.value for one in found.estimates if one.name in names}
+    return replace(campaign, model=replace(campaign.model, **known))
+
+
+def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | None:
+    """Return the intervals that the end poses of planned runs promise; None where they determine nothing."""
     from calib.kinematics import assemble
 
     with suppress(CalibError):
-        return assemble.promised(campaign, driven=driven)
+        return assemble.promised(campaign, scales)
     return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, get_type_hints
 
 import numpy as np
@@ -68,7 +68,6 @@ def _unit_hint(value: float, usual: Usual, unit: str) -> str:
 
 
 def _against_vehicle(model: OdometryModel, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
-    """Return what the simulator believes and the nominal value of the lengths that both have."""
     return {
         "radius_left_m": (model.radius_left_m, vehicle.wheel_radius_m),
         "radius_right_m": (model.radius_right_m, vehicle.wheel_radius_m),
@@ -238,6 +237,17 @@ _NOT_OF_RESULTS: Final = frozenset(
 _MOST_LISTED: Final = 3
 
 
+def _together(notes: list[Note]) -> list[Note]:
+    same: dict[str, list[Note]] = {}
+    for note in notes:
+        same.setdefault(note.text, []).append(note)
+    merged = []
+    for of in same.values():
+        names = list(dict.fromkeys(one.run_id or one.where for one in of))
+        merged.append(replace(of[0], where=f"runs {design.listed(names)}") if len(names) > 1 else of[0])
+    return merged
+
+
 def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
     kept = campaign.included()
@@ -245,7 +255,8 @@ def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
     lists += [list(check(kept)) for check in (*checks, settings.odd_lengths)]
     said = []
-    for notes in lists:
+    for several in lists:
+        notes = _together(several)
         said += [note.sentence for note in notes[:_MOST_LISTED]]
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")

@@ -66,11 +66,14 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     border.notes.extend(settings.notes)
 
     shown, path = _runs_path(folder)
-    raw = read_table(path, shown)
+    try:
+        raw = read_table(path, shown)
+        border.notes.extend(raw.notes)
+        _say_look_alikes(folder, shown, border)
+        runs = run_table(raw, shown, border)
+    except BadFileError as error:
+        raise error.below(folder) from error
     hashes[shown] = sha256_file(path)
-    border.notes.extend(raw.notes)
-    _say_look_alikes(folder, shown, border)
-    runs = run_table(raw, shown, border)
     found_logs = Logs.empty(len(runs))
     if logs:
         files = log_files(folder, runs, shown, border)
@@ -108,7 +111,6 @@ def _runs_path(folder: Path) -> tuple[str, Path]:
 
 
 def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
-    """Name what could be meant for the files that are read, and is not read: another case, another format."""
     tables = {f"runs{suffix}" for suffix in READERS}
     for name in sorted(entry.name for entry in folder.iterdir()):
         meant = shown if name.casefold() in tables else SETTINGS if name.casefold() == SETTINGS else ""

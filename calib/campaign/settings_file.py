@@ -212,7 +212,6 @@ def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
 
 
 def _check_together(settings: Campaign, shown: str) -> None:
-    """Refuse an odometry that the vehicle's drive cannot have, and a centre of mass beyond the wheels."""
     vehicle, source = settings.vehicle, settings.odometry.source
     drive = {"front": "tricycle", "wheels": "mecanum", "shaft": "ackermann"}.get(source or "", vehicle.drive)
     if vehicle.drive != drive:

@@ -313,7 +313,6 @@ def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple
 
 
 def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) -> FloatArray:
-    """Return what rangefinder, pose reference and front wheel make of where the units are, shape (n_units, 6)."""
     x, y, theta = end.x_m, end.y_m, end.theta_rad
     axis = replay.observations.axis
     line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(path_m)))

@@ -186,8 +186,6 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bench:
-    """What every planted campaign has in common."""
-
     campaign: Campaign
     observations: Observations
     readings: FloatArray
@@ -196,8 +194,6 @@ class _Bench:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """One campaign to plant and to diagnose; `plant` is -1 for an empty one."""
-
     plant: int
     effect: str
     family: str

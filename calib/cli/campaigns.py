@@ -121,6 +121,7 @@ def check(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
+    from calib.reporting.present import after_check
     from calib.reporting.topics.runs import check_content
 
     with terminal.progress("checking") as tick:
@@ -136,9 +137,7 @@ def check(
     }
     terminal.answer(document, check_content(report))
     named = {*read.logs.columns, *read.runs.labels, *read.runs.numbers}
-    measured = "check" if named & {"ref_x_m", "ref_theta_rad", "gyro_z_radps", "loop"} else "check lengths"
-    measured = measured if report.found.distance_m is not None else "check without distances"
-    terminal.then("check wrong" if report.verdict == "wrong" else measured, c=campaign)
+    terminal.then(after_check(report, named), c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
 
 
@@ -185,12 +184,11 @@ def run(
         "fleet vehicle failed" if campaigns else "fleet file failed" if failed else "fleet" if posed else "fleet table"
     )
     other = "diagnose" if what in {"fit", "geometry"} else "fit"
-    terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1])
+    terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1], into=into)
     return int(bool(failed))
 
 
 def _some(given: int | None, usual: int, most: int, name: str) -> int:
-    """Return how many vehicles are meant, never more than there are."""
     if given is not None:
         refuse_more(f"--{name}", given, most, "give fewer, or more --vehicles")
     return min(usual if given is None else given, most)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Texts, arg, opt
-from calib.coefficients.formats import FORMATS, Artifact, ExportOptions, parse_loads, place, refuse_loads
+from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY, export_from
 from calib.reporting.exports import FORMATS as OTHER_FORMATS
@@ -74,6 +74,11 @@ def export(
         known = (*FORMATS, *OTHER_FORMATS)
         raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}{terminal.nearest(to, known)}")
     refuse_loads(load, to)
+    unused: dict[str, object] = {} if to in PATCHING else {"--into": model, "--left": left, "--right": right}
+    if to in OTHER_FORMATS:
+        unused |= {"--date": date, "--outside": outside, "--controller": controller}
+        unused |= {"--velocity-feedback": velocity_feedback, "--open-loop": open_loop}
+    terminal.refuse_options(f"with --to {to}", unused)
     if to in OTHER_FORMATS:
         artifacts = _of_other_format(source, to, output, accept)
     else:

@@ -204,7 +204,9 @@ def deviation(
             "passed": judged.passed,
         }
     terminal.answer(document, content)
-    terminal.then("deviation CAMPAIGN" if campaign else "deviation", c=campaign or "")
+    unknown = judged is not None and "unknown" in judged.verdict
+    step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
+    terminal.then(step, c=campaign or "")
     return 0 if judged is None or judged.passed else 1
 
 
@@ -214,17 +216,17 @@ STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
 
 
 def loads(
-    payload: Annotated[float, opt("KG", "Mass of the payload.")] = 0.0,
-    x: Annotated[float, opt("M", "Its centre of mass ahead of the rear axle.")] = 0.0,
-    y: Annotated[float, opt("M", "Its centre of mass left of the centre line.")] = 0.0,
+    payload: Annotated[Number, opt("KG", "Mass of the payload (0).")] = None,
+    x: Annotated[Number, opt("M", "Its centre of mass ahead of the rear axle (0).")] = None,
+    y: Annotated[Number, opt("M", "Its centre of mass left of the centre line (0).")] = None,
     sweep: Annotated[str | None, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
     first: Annotated[Number, opt(None, "First value of the sweep.", "--from")] = None,
     last: Annotated[Number, opt(None, "Last value of the sweep.", "--to")] = None,
-    steps: Annotated[int, opt(None, "Values of the sweep.")] = 21,
+    steps: Annotated[int | None, opt(None, "Values of the sweep (21).")] = None,
     weighed: Annotated[
         str | None, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
     ] = None,
-    sigma: Annotated[float, opt("N", "Standard uncertainty of each weighing.")] = 0.0,
+    sigma: Annotated[Number, opt("N", "Standard uncertainty of each weighing (0).")] = None,
     vehicle: Annotated[Place, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
     mass: Annotated[Number, opt("KG", "Mass of the vehicle.")] = None,
     cog_x: Annotated[Number, opt("M", "Its centre of mass, ahead of the axle.")] = None,
@@ -248,20 +250,29 @@ def loads(
 
     lengths = {"cog_x_m": cog_x, "cog_y_m": cog_y, "track_m": track, "wheelbase_m": wheelbase}
     meant = vehicle_of(vehicle, mass_kg=mass, max_wheel_load_N=max_load, **lengths)
+    at = {"--payload": payload, "--x": x, "--y": y}
+    swept_by = {"--from": first, "--to": last, "--steps": steps}
     if weighed is not None:
+        terminal.refuse_options("with --weighed", {**at, "--sweep": sweep, **swept_by, "--figures": figures})
         front, left, right = terminal.numbers(weighed, 3, "--weighed")
-        known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma)
-        document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma}
-        terminal.answer(document, weighed_content(known, known=sigma > 0))
-        terminal.then("loads")
+        known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma or 0.0)
+        document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma or 0.0}
+        terminal.answer(document, weighed_content(known, known=bool(sigma)))
+        terminal.then("loads --weighed")
         return
+    terminal.refuse_options("without --weighed", {"--sigma": sigma})
+    if sweep is None:
+        terminal.refuse_options("without --sweep", swept_by)
+    elif sweep in COLUMNS:
+        terminal.refuse_options(f"with --sweep {sweep}", {f"--{sweep}": at[f"--{sweep}"]})
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
         near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
         raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
     stem = STEMS.get(sweep or "", "loads")
     terminal.refuse_outputs(*terminal.figure_files(figures, [stem]))
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
-    swept = sweep_loads(meant, payload, x, y, swept=swept_column, span=span, steps=steps)
+    placed = (value or 0.0 for value in at.values())
+    swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
     written: list[Path] = []
     if figures is not None:
         from calib.reporting.figures.motion import load_figure

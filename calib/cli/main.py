@@ -241,7 +241,6 @@ def run(
 
 
 def _heed_date() -> None:
-    """Leave out a SOURCE_DATE_EPOCH that is no time, which the drawing library would stumble over, with a note."""
     given = os.environ.get("SOURCE_DATE_EPOCH")
     if given is None or (_SECONDS.fullmatch(given) and int(given) < LATEST_S):
         return
@@ -251,7 +250,6 @@ def _heed_date() -> None:
 
 
 def _reopen() -> None:
-    """Replace streams that were closed at the start by the null device."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             # open for as long as the program runs

@@ -79,7 +79,9 @@ def route(
     real: Annotated[str | None, opt("L,R", "Real radii, m.")] = None,
     believed: Annotated[str | None, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
     ratio: Annotated[str | None, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
-    which: Annotated[str, opt(None, "Which wheel --ratio sets off: right, left, both, equal.", "--wheel")] = "right",
+    which: Annotated[
+        str, opt(None, "Wheel that --ratio sets off: right (the usual), left, both, equal.", "--wheel")
+    ] = "",
     track: Track = None,
     real_track: Annotated[Number, opt("M", "Real track, if another.")] = None,
     output: Output = None,
@@ -99,7 +101,9 @@ def route(
 
     targets = Targets(output, tum, speed)
     vehicle = Vehicle()
-    cases = [Case.off(which, value) for value in (terminal.numbers(ratio, None, "--ratio") if ratio else ())]
+    if not ratio:
+        terminal.refuse_options("without --ratio", {"--wheel": which})
+    cases = [Case.off(which or "right", value) for value in (terminal.numbers(ratio, None, "--ratio") if ratio else ())]
     if real is not None:
         left, right = terminal.numbers(real, 2, "--real")
         base = terminal.numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
@@ -188,7 +192,7 @@ def study(
     load: Annotated[Texts, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
     route: Annotated[Texts, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
-    draws: Draws = DRAWS,
+    draws: Annotated[int | None, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
     seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
@@ -213,8 +217,8 @@ def study(
             f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + terminal.nearest(name, STUDIES)
         )
     loads_N = terminal.pairs(load, "--load")
-    if loads_N and law is None:
-        raise BadInputError("--load: found no law; expected --law PATH beside it; loads mean nothing without one")
+    if law is None:
+        terminal.refuse_options("without --law", {"--load": load, "--draws": draws})
     if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
@@ -224,7 +228,7 @@ def study(
             name,
             routes=route or (),
             track_m=vehicle.track_m if track is None else track,
-            under=None if source is None else LawJourneys(source, loads_N, draws=draws),
+            under=None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws),
             rng=np.random.default_rng(seed),
         )
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes, law=law)

@@ -72,6 +72,15 @@ def heed() -> None:
         raise KeyboardInterrupt
 
 
+def refuse_options(how: str, options: Mapping[str, object]) -> None:
+    """Refuse options that were given though nothing would use them; `how`: ``without --sweep``, or ``with``."""
+    for name, value in options.items():
+        if value is not None and value is not False and value != "":
+            word, _, other = how.partition(" ")
+            expected = f"{other} beside it" if word == "without" else "none, since it has no effect there"
+            raise BadInputError(f"{name}: found {how}; expected {expected}; leave it out")
+
+
 def refuse_outputs(*targets: Path | None) -> None:
     """Refuse output files, that of ``--json`` too, before the work; see `calib.io.refuse_existing`."""
     refuse_existing([JSON_TARGET.get(), *targets], force=forced())

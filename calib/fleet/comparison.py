@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 from warnings import catch_warnings
 
@@ -195,7 +195,7 @@ class Outlier:
     def why(self) -> str:
         """What a person reads."""
         name, scale, unit = shown_quantity(self.quantity)
-        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet"
+        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet's mean"
         return f"{name}: {away} ({abs(self.z):.1f} standard deviations)"
 
     def to_dict(self) -> dict[str, object]:
@@ -262,7 +262,11 @@ def quantities_of(
         known = usual & np.isfinite(column)
         if found := population(column[known], std[name][known]):
             populations[name] = found
-    return Quantities(populations, tuple(one for one in apart if one.vehicle not in drifting), common)
+    middle = {
+        name: populations[name].mean if name in populations else float(np.nanmean(own[name])) for name in compared
+    }
+    stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
+    return Quantities(populations, tuple(stay), common)
 
 
 def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) -> BoolArray:
@@ -280,12 +284,13 @@ def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tu
                 if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
                     difference = difference_of(column[known], inside)
                     candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
-    stands = any_false(np.array([candidate.difference.p_value for candidate in candidates]))
-    kept = [candidate for candidate, stand in zip(candidates, stands, strict=True) if stand]
+    stands = any_false(np.array([one.difference.p_value for one in candidates]))
+    kept = [one for one, stand in zip(candidates, stands, strict=True) if stand]
     return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
 
 
 def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
+    # `Outlier.fleet` holds what labels shift, without the mean
     names = list(own)
     z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
     for k, name in enumerate(names):
@@ -293,10 +298,9 @@ def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns)
         z[known, k], p_value[known, k] = outlying(own[name][known], std[name][known])
     outliers = []
     for row in map(int, np.flatnonzero(false_discovery(p_value).any(axis=1))):
-        k = int(np.argmax(np.abs(z[row])))
-        name = names[k]
-        value, shift = float(values[name][row]), float(values[name][row] - own[name][row])
-        outliers.append(Outlier(vehicles[row], name, value, float(np.nanmedian(own[name])) + shift, float(z[row, k])))
+        name = names[k := int(np.argmax(np.abs(z[row])))]
+        value = float(values[name][row])
+        outliers.append(Outlier(vehicles[row], name, value, value - float(own[name][row]), float(z[row, k])))
     return tuple(sorted(outliers, key=lambda one: (-abs(one.z), one.vehicle)))
 
 
@@ -354,14 +358,11 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
     places = _places(records)
     findings = []
     for record in records:
-        values = record.values
-        found = {str(code) for level in ("wrong", "suspicious") for code in values.get(level, ())}
-        for cause in values.get("causes", ()):
+        found = {str(code) for level in ("wrong", "suspicious") for code in record.values.get(level, ())}
+        for cause in record.values.get("causes", ()):
             effect = str(cause["effect"])
-            near = (
-                x_m for x_m in places.get(effect, ()) if "x_m" in cause and abs(cause["x_m"] - x_m) <= cause["size_m"]
-            )
-            x_m = next(near, None)
+            at, size = cause.get("x_m", np.inf), cause.get("size_m", 0.0)
+            x_m = next((x_m for x_m in places.get(effect, ()) if abs(at - x_m) <= size), None)
             found.add(effect if x_m is None else f"{effect.replace('_', ' ')} at x = {x_m:g} m")
         findings.append(found)
     return findings

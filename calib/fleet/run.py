@@ -33,6 +33,7 @@ from calib.fleet.store import SUMS, Kept, Keys, Member, Part, labels_of, members
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
 from calib.fleet.workers import engine
 from calib.radius.effective import effective_radii
+from calib.radius.fit import fit_law
 from calib.types import FloatArray, Progress, StrArray, silent
 
 #: column of the run table that gives the day of a run, from any origin
@@ -62,7 +63,9 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     session = np.where(radii.session == "", part.name, radii.session)
     left = WheelSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
     right = WheelSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
-    return PartSums(part.name, key, reference, nominal, left, right)
+    # the runs of a campaign folder are all of a vehicle's, so that the checks of a law can be made of them
+    doubtful = part.path.parent == part.settings and fit_law(radii, reference_load_N=reference).failed
+    return PartSums(part.name, key, reference, nominal, left, right, doubtful=doubtful or ())
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:

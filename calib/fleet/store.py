@@ -71,8 +71,8 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
             if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
                 continue
         except OSError as error:
-            why = f"{path.name}: found {error.strerror}; expected a folder that can be read; allow it, or take it away"
-            members.append(Member(path.name, (Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=why),)))
+            part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))
+            members.append(Member(path.name, (part,)))
             continue
         tables = (path / f"runs{suffix}" for suffix in READERS)
         table = next((one for one in tables if one.exists()), path / "runs.csv")
@@ -81,7 +81,6 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
 
 
 def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> Part:
-    """Return a file of journeys; one that leads out of the fleet says so, and leaves the others alone."""
     try:
         return Part(name, inside(folder, name, named_in=folder), settings, day)
     except CalibError as error:
@@ -155,7 +154,11 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
 
 def one_line(error: Exception) -> str:
     """Return what an error says on one line."""
-    return " ".join(str(error).split())
+    text = str(error)
+    if isinstance(error, OSError):
+        why = str(error.strerror).lower()
+        text = f"{error.filename}: found {why}; expected a file that can be read; add or allow it, or take it away"
+    return " ".join(text.split())
 
 
 SUMS: Final = "sums.jsonl"
@@ -224,7 +227,6 @@ def renewed(
 
 
 def _read(path: Path) -> dict[str, Kept]:
-    """Return what is kept, by name; a line cut short by an interruption, or changed since, is dropped."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

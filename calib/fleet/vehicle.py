@@ -34,6 +34,7 @@ class PartSums:
     left: WheelSums | None
     right: WheelSums | None
     why: str = ""
+    doubtful: Sequence[str] = ()  #: checks of the law that failed, where it is that of these runs alone
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
@@ -76,6 +77,7 @@ class VehicleRecord:
     left: WheelLine | None
     right: WheelLine | None
     why: str = ""
+    doubtful: tuple[str, ...] = ()  #: checks of its law that failed
 
     @property
     def status(self) -> str:
@@ -85,6 +87,7 @@ class VehicleRecord:
     def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
         values: dict[str, object] = {"id": self.vehicle, "status": self.status, "n_runs": self.n_runs, "why": self.why}
+        values["failed_checks"] = list(self.doubtful)
         for side, line in zip(WHEELS, (self.left, self.right), strict=True):
             if line is None:
                 continue
@@ -117,7 +120,8 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     if left is None or right is None:
         why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
         return VehicleRecord(vehicle, n_runs, reference, None, None, why)
-    return VehicleRecord(vehicle, n_runs, reference, left, right)
+    doubtful = tuple(check for part in parts for check in part.doubtful)
+    return VehicleRecord(vehicle, n_runs, reference, left, right, doubtful=doubtful)
 
 
 def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
@@ -203,7 +207,6 @@ class WheelSums:
 
 
 def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the terms of `WheelSums.order` of each run and the next, shape (n_runs - 1, 6)."""
     x0, x1, y0, y1 = x[:-1], x[1:], y[:-1], y[1:]
     return np.stack([np.ones_like(x0), x0 * x1, 0.5 * (x0 * y1 + y0 * x1), y0 * y1, x0 + x1, y0 + y1], axis=1)
 
@@ -375,7 +378,6 @@ def line_from_sums(sums: SessionSums) -> LineEstimate | None:
 
 
 def _plain(sums: SessionSums) -> LineEstimate | None:
-    """Return the least-squares line, every run counted as independent; None with a single load."""
     n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0)
     info = xx - x * x / n
     if n < 3 or not info > ROUNDING * max(xx, 1.0):

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.read import GYRO_SIGMA
+from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
-from calib.kinematics.adequacy import judged
+from calib.kinematics.adequacy import LENGTHS_ALONE, judged
 from calib.kinematics.blunders import Fault, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
 from calib.kinematics.factors import factor_faults
@@ -220,11 +221,19 @@ def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Promise:
-    """What `calib geometry` will state of some runs, if the noise is as assumed: the information of their design."""
+    """What `calib geometry` states of some runs, or will if the noise is as assumed, by the information they hold."""
 
-    estimates: tuple[Estimate, ...]  #: at the nominal values
+    estimates: tuple[Estimate, ...]  #: of planned runs at the nominal values
     undetermined: tuple[str, ...]  #: parameters that the runs leave open
     scales: FloatArray  #: variances of the noise's components, shape (4,)
+
+    @classmethod
+    def of(cls, geometry: Geometry) -> Promise:
+        """Return what the runs of a geometry gave; noise that they do not show is assumed, as of runs not driven."""
+        scales = np.square([geometry.noise[name] for name in COMPONENTS])
+        if any(LENGTHS_ALONE in why for why in geometry.why):
+            scales[1:3] = first_scales(Reference())[1:3]
+        return cls(geometry.estimates, geometry.undetermined, scales)
 
     def to_dict(self) -> dict[str, Any]:
         """Return standard deviation and half width of the 95 % interval of each parameter, as plain JSON values."""
@@ -232,11 +241,11 @@ class Promise:
         return {"parameters": parameters, "undetermined": list(self.undetermined)}
 
 
-def promised(campaign: Campaign, scales: FloatArray | None = None, driven: Campaign | None = None) -> Promise:
+def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
-    The runs are driven as the model says; driven ones may be among them. `scales`, shape (4,), are variances of the
-    components of the noise: by default the stated sigmas and small random walks. Runs of `driven` show the random
+    The runs are driven as the model says; driven ones may be among them, where the model is the one found by them.
+    `scales`, shape (4,), are variances of the components of the noise: by default the stated sigmas and small random
     walks.
 
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
@@ -246,17 +255,11 @@ def promised(campaign: Campaign, scales: FloatArray | None = None, driven: Campa
         sigma = campaign.runs.number(GYRO_SIGMA)
         if np.isfinite(sigma).any():
             scales[1] = np.nanmedian(sigma) ** 2
-        if driven is not None:
-            scales[2:] = _of_end_poses(driven).solution.scales[2:]
-    fitted = _of_end_poses(campaign, scales)
-    return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
-
-
-def _of_end_poses(campaign: Campaign, known: FloatArray | None = None) -> Fitted:
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
     drive, segments = drive_of(campaign, source, recording), end_pose_segments(recording)
-    return fit_parameters(campaign, drive, recording, segments, sensor=False, known=known)
+    fitted = fit_parameters(campaign, drive, recording, segments, sensor=False, known=scales)
+    return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
 
 
 #: how far from a side's direction a piece of the way may point and still belong to it

@@ -201,17 +201,17 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
-    """Return the vehicle of a campaign folder or coefficient file (None: the nominal one), with the changes given."""
+    """Return the vehicle of a campaign, a fit or a coefficient file (None: the nominal one), with the changes given."""
     vehicle = Vehicle()
     if source is not None:
-        if source.is_dir():
+        if (source / "campaign.toml").is_file():
             from calib.campaign.read import read_campaign
 
             vehicle = read_campaign(source, logs=False).vehicle
         else:
-            from calib.coefficients.file import load_coefficients
+            from calib.coefficients.build import coefficients_of
 
-            vehicle = load_coefficients(source).geometry
+            vehicle = coefficients_of(source).file.geometry
     given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
     for name, value in given.items():
         if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):
@@ -269,7 +269,7 @@ def sweep_loads(
         columns[swept] = np.linspace(span[0], span[1], steps)
     mass, x, y = columns.values()
     if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
-        raise BadInputError("payload: found a negative or infinite value; expected a mass from 0 kg and a place in m")
+        raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
     loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
     # name the first payload that cannot be carried, not the extremes of all of them
     bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)

@@ -124,8 +124,6 @@ class _PastAngles:
 
 
 class _Runs:
-    """All runs at one moment of the drive, each array (n_runs,) where nothing else is said."""
-
     def __init__(self, world: World, noise: NoiseDraw, quantise: bool, step_s: float) -> None:
         design, model = world.design, world.model
         n_runs = len(design)
@@ -287,7 +285,6 @@ def _within(values: FloatArray, most: float) -> FloatArray:
 
 
 def _stops(world: World, tables: RouteTables) -> FloatArray:
-    """Return where the runs stop, (n_stops, n_runs): on the way, evenly spread, and at the end but for a flying run."""
     design = world.design
     order = np.arange(1, int(design.stops.max(initial=0)) + 2)[:, None]
     stop_m = np.where(order <= design.stops, tables.end_m * order / (design.stops + 1), np.inf)

@@ -212,7 +212,6 @@ def strengths(
 
 
 def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
-    """Return the signal of one cause; one that a recalibration takes up whole on this design counts as part of it."""
     whole, left = strength(change, cov, None), strength(change, cov, absorbed)
     return left if left > _ABSORBED * whole else whole
 

@@ -97,7 +97,6 @@ def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 @while_driving
 def _eccentric(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Both wheels sit off their axles by `size` metres, and start each run at the same mark."""
     share = size / world.design.vehicle.wheel_radius_m
     left, right = now.angle_left_rad + knobs["left_rad"], now.angle_right_rad + knobs["right_rad"]
     now.roll_more(share * np.cos(left), share * np.cos(right))
@@ -205,7 +204,6 @@ def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) 
 
 
 def _lever(world: World) -> FloatArray:
-    """Return the load that an acceleration of 1 m/s2 across moves from one wheel to the other."""
     vehicle = world.design.vehicle
     return world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
 
@@ -261,7 +259,6 @@ def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 @while_driving
 def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Slip angle in proportion to the lateral acceleration; outwards in a curve."""
     now.lateral_mps -= size * now.v_mps**3 * now.curvature_per_m
 
 

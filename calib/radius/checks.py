@@ -258,13 +258,19 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     elif fit.design == "confounded":
         sentence = (
             f"Each session has a load of its own: a drift from session to session looks like load. The intervals rest "
-            f"on the {len(groups)} session means ({fit.law.dof:.3g} degrees of freedom) and hold if sessions scatter "
+            f"on the {len(groups)} session means (degrees of freedom: {fit.law.dof:.3g}) and hold if sessions scatter "
             "at random; to split the two, drive at least two loads in every session."
         )
     else:
-        crossed = "crossed" if fit.design == "crossed" else "partly crossed"
-        level = NOTE if few else OK
+        several = [name for at, name in enumerate(groups.names) if distinct_loads(fit.load_N[groups.index == at]) > 1]
+        crossed = "crossed" if fit.design == "crossed" and len(several) == len(groups) else "partly crossed"
+        level = NOTE if few or len(several) == 1 else OK
         sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
+        if len(several) == 1:
+            sentence = (
+                f"Session {several[0]} alone has more than one load: the slope is that of this day, the others show "
+                "how far the radius shifts only; drive two loads or more in another session."
+            )
     if len(groups) == 1:
         level = FAILED
         one_session = (

@@ -246,17 +246,25 @@ def table_setting(
 def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str, float]:
     """Return the steady arc of a vehicle that takes wheels of ratio ``r_R / r_L`` (Eq. 15) for equal (Fig. 8a).
 
-    Raises BadInputError where the ratio is not positive.
+    `distance_m`: S_O, the chord from start to end; the offset is that of the end from the line of the first heading.
+    Raises BadInputError where the ratio is not positive, or the arc never gets so far away.
     """
     if not 0 < radius_ratio < np.inf:
         raise BadInputError(f"radius_ratio: found {radius_ratio:g}; expected r_R / r_L above 0; 1 is equal wheels")
-    turn = float(arc_of_radii_rad(distance_m, 1.0, radius_ratio, track_m))
+    # the chord over the diameter of the arc
+    sine = 0.5 * float(arc_of_radii_rad(distance_m, 1.0, radius_ratio, track_m))
+    if abs(sine) > 1.0:
+        raise BadInputError(
+            f"distance: found {distance_m:g} m; expected at most {distance_m / abs(sine):.4g} m, the diameter of the "
+            f"circle on which wheels of ratio {radius_ratio:g} and track {track_m:g} m drive; give a shorter distance"
+        )
+    turn = 2.0 * float(np.arcsin(sine))
     path = arc_excess(turn, distance_m, track_m)
     return {
         "radius_ratio": radius_ratio,
         "distance_m": distance_m,
         "turn_rad": turn,
-        "offset_m": float(0.5 * turn * distance_m),
+        "offset_m": sine * distance_m,
         "excess_centre": float(path.centre),
         "excess_left": float(path.left),
         "excess_right": float(path.right),

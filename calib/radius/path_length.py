@@ -144,7 +144,6 @@ def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> boo
 
 
 def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the arc that the measured final heading adds to the weave, and its reliability, shape (n_runs,) each."""
     heading = campaign.runs.number("ref_theta_rad")
     measured = np.isfinite(heading)
     if not measured.any():

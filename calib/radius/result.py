@@ -87,9 +87,15 @@ class Fit(Result):
         return {"left": self.left, "right": self.right}
 
     @property
+    def failed(self) -> tuple[str, ...]:
+        """The checks that failed, each with its wheel."""
+        checks = ((name, check) for name, wheel in self.wheels.items() for check in wheel.checks)
+        return tuple(f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in checks if not check.passed)
+
+    @property
     def passed(self) -> bool:
         """Whether every check lets the law be used."""
-        return all(check.passed for wheel in (self.left, self.right) for check in wheel.checks)
+        return not self.failed
 
     @property
     def verdict(self) -> str:

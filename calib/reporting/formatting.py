@@ -322,8 +322,11 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
     for column in fitted:
         taken = sum(other.least + GAP for other in part) + column.least
         if part and taken > width and len(part) > (1 if parts else 0):
-            parts.append(part)
-            part = [fitted[0]]
+            # a group stands together, where it is not all that stands there
+            group = [other for other in part[1:] if column.head.group and other.head.group == column.head.group]
+            group = group if len(part) - len(group) > 1 else []
+            parts.append(part[: len(part) - len(group)])
+            part = [fitted[0], *group]
         part.append(column)
     return [*parts, part] if part else parts
 

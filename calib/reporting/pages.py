@@ -167,7 +167,6 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
 
 
 def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> str:
-    """Return a page as markup that fetches nothing; `page`: kind, title, name, simulated, head and footer."""
     pictures = _pictures(block for section in sections for block in section.blocks)
     return _template().render(page=page, sections=plain(sections), panels=panels, pictures=pictures)
 

@@ -17,6 +17,7 @@ from calib.reporting.formatting import to_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from calib.campaign.check import CheckReport
     from calib.gap.decision.diagnosis import Diagnosis, Plan
     from calib.kinematics.result import Geometry
     from calib.odometry.simulation import Simulation
@@ -126,6 +127,8 @@ STEPS: Final = {
     "check wrong": "correct what is wrong above, then 'calib check {c}'.",
     "check": "'calib fit {c}' for the law of the load, 'calib geometry {c}' for the track.",
     "check lengths": "'calib fit {c}' for the law of the load.",
+    "check lacks days": "'calib plan {c}' names runs for another day; 'calib fit {c}' gives the law of this one.",
+    "check lacks runs": "drive the runs that are missing, see above, then 'calib check {c}'.",
     "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
     "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
     "fit failed": "correct or exclude what failed above, with 'calib check {c}', then 'calib fit {c}'.",
@@ -168,7 +171,11 @@ STEPS: Final = {
     "export nav2": "pass it after the navigation's own parameter file (--params-file {file}).",
     "deviation": "'calib deviation CAMPAIGN' judges the paths of runs driven.",
     "deviation CAMPAIGN": "'calib fit {c}' corrects every radius for its path.",
+    "deviation unknown": "add what tells the path, as said above, then 'calib deviation {c}'; 'calib fit {c}' takes "
+    "such runs for straight.",
     "loads": "write them into runs.csv as load_left_N and load_right_N, then 'calib check CAMPAIGN'.",
+    "loads --weighed": "write mass and place into runs.csv as payload_kg, payload_x_m and payload_y_m, then "
+    "'calib check CAMPAIGN'.",
     "simulate": "'calib simulate journey --law CAMPAIGN' drives under a law that was measured.",
     "simulate --law": "'calib export {c} --to json --output coefficients.json' for the vehicle.",
     "simulate replay": "'calib diagnose {c}' for the causes of the errors that remain.",
@@ -176,8 +183,8 @@ STEPS: Final = {
     "effects EFFECT": "'calib diagnose {c}' says whether the runs show it.",
     "fleet": "'calib fleet run {c} --what {other} --into fleet-{other}'.",
     "fleet table": "'calib fleet run FOLDER --what diagnose' takes a campaign folder a vehicle, with logs.",
-    "fleet vehicle failed": "'calib check {first}', then 'calib fleet run {c} --what {what} --into fleet' again.",
-    "fleet file failed": "correct the files named above, then 'calib fleet run {c} --what {what} --into fleet' again.",
+    "fleet vehicle failed": "'calib check {first}', then 'calib fleet run {c} --what {what} --into {into}' again.",
+    "fleet file failed": "correct the files named above, then 'calib fleet run {c} --what {what} --into {into}' again.",
     "fleet simulate": "'calib fleet run {c} --into fleet'.",
     "fleet simulate --poses": "'calib fleet run {c} --what geometry --into fleet'.",
     "challenge make": "'calib challenge run {c}'.",
@@ -187,12 +194,35 @@ STEPS: Final = {
 }
 
 
+def _quoted(word: str) -> str:
+    """Return a word for a shell inside a command that stands in single quotes."""
+    plain = shlex.quote(word) == word or set(word) & set('"$`\\!')
+    return shlex.quote(word) if plain else f'"{word}"'
+
+
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     """Return the line after a step of `STEPS`; ``runs`` is the campaign `c`, where that has runs to diagnose."""
     campaign = Path(str(names.get("c", "")))
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
-    quoted = {name: shlex.join(map(str, [one] if isinstance(one, str | Path) else one)) for name, one in names.items()}
+    words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}
+    quoted = {name: " ".join(map(_quoted, map(str, several))) for name, several in words.items()}
     return "Next: " + STEPS[step].format(**quoted)
+
+
+#: what a check found -> its step, where the law of the load lacks runs
+_LACKING: Final = {"few_runs": "check lacks runs", "one_session": "check lacks days"}
+
+
+def after_check(report: CheckReport, columns: Iterable[str]) -> str:
+    """Return the step that a check was; `columns`: of run table and logs."""
+    if report.verdict == "wrong":
+        return "check wrong"
+    if report.found.distance_m is None:
+        return "check without distances"
+    if {"ref_x_m", "ref_theta_rad", "gyro_z_radps", "loop"}.intersection(columns):
+        return "check"
+    codes = {note.code for note in report.suspicious}
+    return next((step for code, step in _LACKING.items() if code in codes), "check lengths")
 
 
 def after_fit(fit: Fit) -> str:

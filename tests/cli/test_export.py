@@ -102,6 +102,9 @@ def test_the_rule_outside_the_range_can_be_chosen(coefficients: Path, capsys: py
         ["--to", "json", "--date", "31.03.2025"],
         ["--to", "json", "--outside", "extrapolate"],
         ["--to", "ros2", "--load", "heavy"],
+        ["--to", "dcc", "--date", "2025-03-31"],
+        ["--to", "nav2", "--open-loop"],
+        ["--to", "json", "--left", "left"],
         [],
     ],
 )

@@ -39,10 +39,14 @@ def test_figures_are_written_in_three_formats_and_not_overwritten(
         (["--payload", "200", "--x", "0.2", "--y", "0.7"], "right wheel lifts off"),
         (["--payload", "200", "--x", "-0.5"], "front wheel lifts off"),
         (["--payload", "9000", "--x", "0.3"], "overload"),
-        (["--payload", "-1"], "negative"),
+        (["--payload", "-1"], "below 0"),
         (["--payload", "nan"], "payload"),
         (["--sweep", "z", "--from", "0", "--to", "1"], "payload, x or y"),
         (["--sweep", "y"], "--from and --to"),
+        (["--sweep", "payload", "--from", "0", "--to", "9", "--payload", "7"], "--payload: found with --sweep payload"),
+        (["--payload", "9", "--steps", "5"], "--steps: found without --sweep; expected --sweep beside it"),
+        (["--weighed", "300,400,400", "--payload", "5"], "--payload: found with --weighed; expected none"),
+        (["--sigma", "1"], "--sigma: found without --weighed"),
         (["--weighed", "1,2"], "3 numbers"),
         (["--weighed", "300,300,300"], "no payload"),
         (["--track", "0"], "track_m"),
@@ -62,6 +66,17 @@ def test_what_cannot_be_carried_or_read_is_refused_in_one_line(
 def test_a_sweep_names_the_first_payload_that_tips(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["loads", "--payload", "200", "--x", "0.2", "--sweep", "y", "--from", "0", "--to", "1"]) == 2
     assert "payload 200 kg at x 0.2 m, y 0.4 m: the right wheel lifts off" in capsys.readouterr().err
+
+
+def test_the_vehicle_of_a_fit_is_that_of_its_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = Path(__file__).resolve().parents[2] / "sample_runs" / "corridor"
+    assert run(["fit", str(source), "--into", str(tmp_path / "fit")]) == 0
+    capsys.readouterr()
+    rows = []
+    for vehicle in (source, tmp_path / "fit"):
+        assert run(["loads", "--vehicle", str(vehicle), "--payload", "80", "--x", "0.3", "--json", "-"]) == 0
+        rows.append(json.loads(capsys.readouterr().out)["loads"])
+    assert rows[0] == rows[1]
 
 
 def test_weighed_wheels_give_the_payload_back(capsys: pytest.CaptureFixture[str]) -> None:

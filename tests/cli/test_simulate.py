@@ -85,6 +85,13 @@ def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert ends[0] != ends[1]
 
 
+def test_a_law_alone_makes_no_table_of_zeros(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "journey", "straight15", "--law", str(coefficients), "--load", "500,500"]) == 0
+    assert "given radii" not in capsys.readouterr().out
+    assert run(["simulate", "route", "straight15", "--real", "0.1,0.1"]) == 0
+    assert "given radii" in capsys.readouterr().out
+
+
 def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ["simulate", "journey", "--law", str(coefficients), "--draws", "100", "--json", "-"]
     assert run([*common, "--payload", "100,0.5,0.1"]) == 0
@@ -173,6 +180,8 @@ def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.Cap
         (["route", "--ratio", "1", "--wheel", "front"], "which wheel"),
         (["route", "--ratio", "x"], "--ratio"),
         (["route", "--believed", "0.1,0.1"], "--real"),
+        (["route", "--real", "0.1,0.1", "--wheel", "left"], "--wheel: found without --ratio"),
+        (["study", "symmetric", "--draws", "5"], "--draws: found without --law"),
         (["route", "--real", "0.1,-0.1"], "radius of 0 or below"),
         (["study", "symmetric", "--route", "spiral"], "figure8"),
         (["study", "symmetric", "--load", "300,300"], "--law"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.fleet.comparison import any_false, difference_of, false_discovery, outlying, population
+from calib.fleet.comparison import any_false, difference_of, false_discovery, outlying, population, quantities_of
 
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
 CAMPAIGNS = 400
@@ -124,3 +124,15 @@ def test_the_between_variance_is_that_of_statsmodels() -> None:
     assert converged
     # statsmodels stops at 1e-5 of the estimating equation, which has the size of n - 1
     assert fleet.spread**2 == pytest.approx(variance, rel=1e-6)
+
+
+def test_an_outlier_is_as_far_from_the_fleet_as_from_the_mean_that_is_shown() -> None:
+    """A skewed fleet, whose median is no mean, with a label's share taken off."""
+    values = {"radius_left_ref_m": 0.1 + 1e-6 * np.array([*(np.arange(12.0) ** 2), 2000.0])}
+    names = [f"v{number:02d}" for number in range(13)]
+    found = quantities_of(names, values, {"radius_left_ref_m": np.full(13, 1e-6)}, {})
+    (apart,) = found.outliers
+    assert apart.vehicle == "v12"
+    away = apart.value - found.populations["radius_left_ref_m"].mean
+    assert abs(away - (apart.value - float(np.median(values["radius_left_ref_m"])))) > 1e-6
+    assert f"{1e3 * away:+.3g} from the fleet's mean" in apart.why

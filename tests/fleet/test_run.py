@@ -10,16 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.campaign.read import read_campaign
 from calib.documents import to_json
 from calib.fleet import run
 from calib.fleet.run import Fleet, fit_fleet
-from calib.fleet.store import SUMS
+from calib.fleet.store import SUMS, one_line
 from calib.fleet.workers import Engine, engine
 from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
 from calib.radius.fit import fit_campaign
+from calib.reporting.formatting import to_text
+from calib.reporting.topics.fleet import fleet_content
 
 ROOT = Path(__file__).resolve().parents[2]
 #: see tests/radius/test_session_sums.py
@@ -114,6 +117,31 @@ def test_bad_data_of_one_vehicle_stop_nobody(small: tuple[Path, FleetTruth], tmp
     assert set(failed) == {"v00003", "empty"}
     assert "parquet" in failed["v00003"]
     assert fleet.view.n_fitted == len(fleet.records) - 2
+
+
+def test_a_law_that_fit_calls_doubtful_is_named_and_a_file_that_is_not_there(tmp_path: Path) -> None:
+    """The second vehicle's radii bend by 0.2 mm between the smallest and the largest load; a link leads nowhere."""
+    for name in ("sound", "bent", "gone"):
+        shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "fleet" / name)
+    table = tmp_path / "fleet" / "bent" / "runs.csv"
+    runs = pd.read_csv(table)
+    runs["distance_m"] *= 1.0 + 2e-3 * (1.0 - ((runs["load_left_N"] - 700.0) / 400.0) ** 2)
+    runs.drop(columns=["log"]).to_csv(table, index=False)
+    settings = tmp_path / "fleet" / "gone" / "campaign.toml"
+    settings.unlink()
+    settings.symlink_to(tmp_path / "nowhere")
+    fleet = fit_fleet(tmp_path / "fleet", tmp_path / "out")
+    records = {record.vehicle: record for record in fleet.records}
+    assert records["sound"].doubtful == ()
+    assert records["bent"].status == "fitted"
+    assert records["bent"].doubtful == fit_campaign(read_campaign(tmp_path / "fleet" / "bent")).failed
+    assert "left wheel, curvature" in records["bent"].doubtful
+    missing = one_line(FileNotFoundError(2, "No such file or directory", "v1/runs.csv"))
+    assert missing.startswith("v1/runs.csv: found no such file or directory; expected a file that can be read; add")
+    assert "; expected" in records["gone"].why
+    shown = to_text(fleet_content(fleet))
+    assert "Doubtful laws" in shown
+    assert "bent: left wheel" in shown
 
 
 def test_the_result_names_what_was_planted(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:

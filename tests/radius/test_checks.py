@@ -17,6 +17,8 @@ LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
 N = 60
 #: scatter of a radius, and how far it follows the temperature
 SCATTER_M, PER_K = 30e-6, 7e-6
+#: campaigns, and the share of intervals that hold the truth: 95 % less three standard errors of such a share
+HELD, LEAST_HELD = 300, 0.912
 
 
 def wheel_of(
@@ -208,3 +210,27 @@ def test_temperatures_that_differ_between_sessions_alone_are_not_checked() -> No
 def test_runs_whose_temperature_was_not_read_are_left_out(unread: int, checked: bool) -> None:
     check = temperature_check(np.random.default_rng(1), PER_K, unread=unread)
     assert (check is not None and check.level == FAILED) is checked
+
+
+def test_one_load_on_another_day_is_a_remark_and_its_intervals_hold() -> None:
+    """Sessions that shift the radius as much as runs scatter: 300 campaigns of a full day and a day of one load.
+
+    The slope is that of the first day and no shift moves it; the radius is known to the shift of two days, k = 12.7.
+    """
+    rng, load = np.random.default_rng(3), np.append(np.resize(LOADS, 20), np.full(6, 300.0))
+    names = np.repeat(["mon", "tue"], [20, 6])
+    held = np.zeros(2)
+    for _ in range(HELD):
+        shift = rng.normal(0.0, SCATTER_M, 2)[np.repeat([0, 1], [20, 6])]
+        radius = 0.1 + 1.3e-6 * (load - 300.0) + shift + rng.normal(0.0, SCATTER_M, 26)
+        fit = fit_wheel("left", load, radius, names, reference_load_N=300.0)
+        off = np.abs(np.array([fit.law.radius_ref_m - 0.1, fit.law.slope_m_per_N - 1.3e-6]))
+        held += off <= fit.estimate.half_width(np.eye(2), 0.95)
+    assert (held / HELD >= LEAST_HELD).all()
+    checked = with_checks(fit, names, np.resize(["out", "back"], 26), names)
+    design = checked.checks[0]
+    assert (design.name, design.level) == ("design", NOTE)
+    assert "mon alone has more than one load" in design.sentence
+    both = np.where(names == "tue", np.resize([300.0, 1100.0], 26), load)
+    again = fit_wheel("left", both, radius, names, reference_load_N=300.0)
+    assert with_checks(again, names, names, names).checks[0].level == OK

@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
     allowed_amplitude_on_run_m,
     arc_excess,
     arc_of_radii_rad,
+    arc_row,
     excess_of_radius_error,
     radius_error,
     small_amplitude_excess,
@@ -84,3 +86,27 @@ def test_steady_arc_of_unequal_radii_is_the_circle_both_wheels_share() -> None:
     turn = float(arc_of_radii_rad(40.0, 0.1, 0.101, 0.7))
     circle = 40.0 / turn
     assert (circle + 0.35) / (circle - 0.35) == pytest.approx(1.01, rel=1e-12)  # rounding
+
+
+@pytest.mark.parametrize("ratio", [1.05, 0.98, 1.0])
+def test_turn_offset_and_excess_of_an_arc_are_those_of_one_chord(ratio: float) -> None:
+    """The path of both wheels, integrated in small steps until it is a chord of 20 m away from its start."""
+    found = arc_row(ratio, 20.0, 0.7)
+    step = 1e-4  # m of the middle; the chord is met to half of it
+    turn_per_m = (ratio - 1.0) / (ratio + 1.0) * 2.0 / 0.7
+    heading = turn_per_m * step * (np.arange(400_000) + 0.5)
+    x, y = np.cumsum(step * np.cos(heading)), np.cumsum(step * np.sin(heading))
+    last = int(np.argmax(np.hypot(x, y) >= 20.0))
+    path = step * (last + 1)
+    assert found["turn_rad"] == pytest.approx(turn_per_m * path, abs=1e-4)
+    assert found["offset_m"] == pytest.approx(y[last], abs=3e-4)
+    assert found["excess_centre"] == pytest.approx(path / 20.0 - 1.0, abs=1e-5)
+    sides = found["excess_right"] - found["excess_left"]
+    assert sides == pytest.approx(0.7 * turn_per_m * path / 20.0, abs=1e-5)
+
+
+def test_an_arc_that_never_gets_so_far_away_is_refused() -> None:
+    """Wheels of ratio 1.3 on a track of 0.7 m drive a circle of 0.7 * 2.3 / 0.3 = 5.37 m across."""
+    assert arc_row(1.3, 5.36, 0.7)["turn_rad"] == pytest.approx(np.pi, abs=0.15)
+    with pytest.raises(BadInputError, match=r"distance: found 20 m; expected at most 5\.367 m"):
+        arc_row(1.3, 20.0, 0.7)

@@ -9,7 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.reporting.formatting import MISSING, aligned, fixed, measured, probability, prose, span, two_digits
+from calib.reporting.blocks import table
+from calib.reporting.formatting import (
+    MISSING,
+    aligned,
+    fixed,
+    measured,
+    probability,
+    prose,
+    span,
+    table_lines,
+    two_digits,
+)
 
 
 @given(st.floats(min_value=1e-9, max_value=1e9))
@@ -45,6 +56,16 @@ def test_decimal_points_stand_below_each_other() -> None:
     made = aligned([("a", "0.16"), ("b", "3.8"), ("c", "18"), ("d", MISSING)], 1)
     assert [len(row[1].replace("\u2008", ".").partition(".")[2]) for row in made[:3]] == [2, 2, 2]
     assert [row[1].strip("\u2007\u2008") for row in made] == ["0.16", "3.8", "18", MISSING]
+
+
+def test_a_group_of_columns_is_not_parted_where_a_table_is() -> None:
+    """Its title stands whole, above all its columns, in the second part, which has the first column too."""
+    groups = ("Error of the radius | a (%)", "Error of the radius | b (%)")
+    made = table("", ("run", *(f"number{k}" for k in range(7)), *groups), [["1"] * 10])
+    lines = [line.text for line in table_lines(made, 84)]
+    (titles,) = [number for number, line in enumerate(lines) if "Error" in line]
+    assert lines[titles].strip() == "Error of the radius"
+    assert lines[titles + 2].split() == ["run", "a", "b"]
 
 
 def test_spans_of_one_value_are_one_value() -> None:

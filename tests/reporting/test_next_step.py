@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 
 from calib.cli.export import _next_step
 from calib.cli.main import run
-from calib.reporting.present import after_geometry
+from calib.reporting.present import after_geometry, next_step
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources
@@ -85,6 +86,39 @@ def test_two_runs_on_a_corridor_lead_to_more_of_them() -> None:
     assert _next_step(report, None) == "fit lacks runs"  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("runs", "sessions", "named", "not_named"),
+    [
+        (2, 1, "drive the runs that are missing", "'calib fit"),
+        (12, 1, "'calib plan", "geometry"),
+        (12, 2, "'calib fit", "plan"),
+    ],
+)
+def test_a_check_says_first_what_a_fit_would_fail_on(
+    runs: int, sessions: int, named: str, not_named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Too few runs, or one session: the fit refuses, or fails the design; no path is known, none corrected."""
+    header = "run_id,session,kind,distance_m,counts_left,counts_right,load_left_N,load_right_N\n"
+    loads = (300, 900, 500, 700)
+    rows = (
+        f"r{n:02d},s{n % sessions},corridor,40.0{n:02d},261{n:02d},260{n:02d},{loads[n % 4]},{loads[n % 4]}\n"
+        for n in range(runs)
+    )
+    (tmp_path / "runs.csv").write_text(header + "".join(rows), encoding="utf-8")
+    settings = 'format = "calib-campaign/1"\nname = "few"\n[encoder]\ncounts_per_rev = 4096\n'
+    (tmp_path / "campaign.toml").write_text(settings, encoding="utf-8")
+    run(["check", str(tmp_path)])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert named in last
+    assert not_named not in last
+    status = run(["fit", str(tmp_path)])
+    said = capsys.readouterr()
+    assert status == (2 if runs < 3 else 1 if sessions == 1 else 0)
+    assert "accounts for the correlation" not in said.out or sessions > 1
+    run(["deviation", str(tmp_path)])
+    assert "corrects every radius" not in capsys.readouterr().out
+
+
 def test_a_table_a_vehicle_is_not_sent_to_a_diagnosis(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,3 +131,17 @@ def test_a_table_a_vehicle_is_not_sent_to_a_diagnosis(
     for more in ("outliers", "drifting", "common"):
         assert run(["fleet", "simulate", "--into", "new", "--vehicles", "3", f"--{more}", "5"]) == 2
         assert f"--{more}: found 5" in capsys.readouterr().err
+
+
+def test_a_folder_with_blanks_can_be_copied_out_of_the_quotes() -> None:
+    """The shell reads the command between the single quotes as it stands."""
+    line = next_step("fit lacks runs", c=Path("c/Hölle Süd 3"))
+    command = line.split("'")[1]
+    assert shlex.split(command) == ["calib", "plan", "c/Hölle Süd 3"]
+    assert next_step("fit lacks runs", c=Path("c/A")).startswith("Next: 'calib plan c/A' names")
+
+
+@pytest.mark.parametrize("word", ["a b", "it's", "$HOME x", 'a "b"', "a`b`", "back\\ slash", "plain"])
+def test_every_name_is_quoted_for_a_shell(word: str) -> None:
+    line = next_step("check wrong", c=word).removeprefix("Next: correct what is wrong above, then '").removesuffix("'.")
+    assert shlex.split(line) == ["calib", "check", word]

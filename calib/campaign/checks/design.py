@@ -175,20 +175,36 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
+#: runs that carry a law
+FEWEST_OF_A_LAW: Final = 3
+
+
+def sessions_of_loads(campaign: Campaign) -> list[str]:
+    """Return the sessions that have two loads or more."""
+    label = load_label(campaign)
+    return [str(name) for name, runs in groups_of(campaign.runs.label("session")) if len(np.unique(label[runs])) > 1]
+
+
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
-    """Say where every session has one load, or loads were driven in one rising or falling order."""
+    """Say where every session has one load, where there is one, or loads were driven in a rising or falling order."""
     label, session = load_label(campaign), campaign.runs.label("session")
     loads, sessions = np.unique(label), np.unique(session)
     if len(loads) < 2:
         return
     if len(sessions) >= 2:
-        if all(len(np.unique(label[members])) == 1 for _, members in groups_of(session)):
+        if not sessions_of_loads(campaign):
             text = (
                 f"each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the "
                 "effect of the load cannot be told apart; drive at least two loads in each session"
             )
             yield column_note("session and load", text, "confounded_load")
         return
+    if np.isfinite(campaign.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW:
+        text = (
+            "all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit' "
+            "holds such a law doubtful; drive two loads or more in another session"
+        )
+        yield column_note("session", text, "one_session")
     steps = np.diff(campaign.runs.number("load_left_N") + campaign.runs.number("load_right_N"))
     changes = int((label[1:] != label[:-1]).sum())
     if changes == len(loads) - 1 and len(loads) >= 3 and ((steps >= 0).all() or (steps <= 0).all()):
@@ -207,9 +223,14 @@ _FEW_LOADS: Final = {
 
 
 def few_loads(campaign: Campaign) -> Iterator[Note]:
-    """Say where the loads are too few for a slope, or for a look at its curvature."""
+    """Say where runs are too few for a law, or loads for a slope or a look at its curvature."""
+    distance = np.isfinite(campaign.runs.number("distance_m"))
     for side in SIDES:
         load = campaign.runs.number(f"load_{side}_N")
+        if 0 < (n := int((np.isfinite(load) & distance).sum())) < FEWEST_OF_A_LAW:
+            text = f"{n} run(s) with load and distance; expected {FEWEST_OF_A_LAW} or more for 'calib fit'"
+            yield column_note(f"load_{side}_N", f"{text}; drive three loads or more, each twice", "few_runs")
+            continue
         number = len(np.unique(np.round(load[np.isfinite(load)] / 5.0)))
         if number in _FEW_LOADS:
             yield column_note(f"load_{side}_N", f"{_FEW_LOADS[number]}; drive three loads or more", "few_loads")

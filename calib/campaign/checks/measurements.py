@@ -225,7 +225,6 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
-    """Hold the rise of the load with the payload, wherever that lies, against the weight of a kilogram."""
     known = np.isfinite(payload + total)
     slopes = _slopes(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
@@ -339,7 +338,6 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
 
 
 def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray) -> Iterator[Note]:
-    """Hold the loads of the empty vehicle, else the least, which a payload only raises, against what its mass asks."""
     vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
@@ -366,7 +364,6 @@ def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
 
 
 def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) -> Iterator[Note]:
-    """Hold what the payload adds against what the scales say it adds, apart from the vehicle's own weight."""
     x, y = expected[good], total[good]
     if np.ptp(x) < 0.2 * np.median(x):
         return
@@ -385,7 +382,6 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
 
 
 def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
-    """Hold the side that carries more against the side on which the payload lies."""
     found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
     good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
     opposite = found[good] / expected[good] < -0.5

@@ -201,7 +201,6 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
 
 
 def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
-    """Return whether values scatter beyond doubt by more than their standard uncertainty, single ones left aside."""
     apart = values - np.median(values)
     squares = (apart[np.abs(apart) <= _OUTLIER_SPREADS * scatter] / sigma) ** 2
     excess = (squares.mean() - 1.0) / math.sqrt(2.0 / len(squares)) if len(squares) else 0.0

@@ -199,7 +199,6 @@ def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
 
 
 def _constant_within(session: IntArray, group: IntArray) -> bool:
-    """Return whether every session, of two runs or more on average, has one group."""
     pairs = np.unique(np.stack([session, group]), axis=1).shape[1]
     return bool(pairs == len(np.unique(session)) <= len(session) / 2)
 

@@ -202,7 +202,6 @@ def _heading_of(z: FloatArray, w: FloatArray) -> FloatArray:
 
 
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
-    """Return the mapped columns at the wheels' times, their lags taken off."""
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
         found = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"
@@ -250,7 +249,6 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:
-    """Return columns with the last sample of each time stamp that comes again at once; counts lose nothing by it."""
     again = np.append(np.diff(columns["t_s"]) == 0, False)
     if not again.any():
         return columns

@@ -57,8 +57,6 @@ class _Model(BaseModel):
 
 
 class _UnfitError(ValueError):
-    """A key whose value does not fit the others."""
-
     def __init__(self, key: str, found: Any, expected: str) -> None:
         super().__init__(expected)
         self.key, self.found, self.expected = key, found, expected
@@ -153,8 +151,6 @@ class MappedColumn(_Model):
 
 
 class _Section(_Model):
-    """Where a table is in a file, and its columns: each key of the section that is not a field names one."""
-
     sheet: str | None = Field(default=None, description="the name of a sheet")
     header_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
     #: the row of units

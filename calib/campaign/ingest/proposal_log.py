@@ -156,7 +156,6 @@ def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> st
 def _may_be(
     target: str, column: ColumnContents, stream: StreamContents | None, reference: StreamContents | None
 ) -> bool:
-    """Return whether a column is what its name makes it look like, by its cells and by the kind of its stream."""
     joint = stream is not None and stream.kind.endswith("JointState")
     is_wheel = target.startswith("counts_")
     if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
@@ -280,7 +279,6 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
 
 
 def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
-    """Return remarks on what every log needs and no column looks like: wheels, and a clock."""
     named = {line.partition(" ")[0] for line in lines} | set(found)
     named |= {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
     out = []
@@ -298,7 +296,6 @@ def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Seque
 
 
 def _kinds(logs: Sequence[FileContents]) -> list[str]:
-    """Return remarks on logs of other columns than the one mapped: a run's log is one file."""
     kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
     if len(kinds) < 2:
         return []

@@ -111,7 +111,6 @@ def segment_recordings(
 
 
 def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
-    """Undo overflows over the whole recording, before a cut hides them."""
     columns = dict(log.columns)
     found = log.wrap_bits if bits is None else bits
     for name in [name for name in columns if name.startswith("counts_")]:

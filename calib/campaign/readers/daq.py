@@ -154,7 +154,6 @@ def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memor
 
 
 def _array(content: memoryview, order: str, depth: int) -> None:
-    """Check an array: its flags, its dimensions, and what it holds; nothing at all is an empty one."""
     if not len(content):
         return
     parts = _elements(content, order, depth + 1)
@@ -226,7 +225,6 @@ def record_tdms(path: Path, shown: str, wanted: Callable[[str], bool] | None) ->
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the library from writing warnings to standard error beside the one line of an error."""
     logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.partition(".")[0] == "nptdms"]
     levels = [log.level for log in logs]
     try:

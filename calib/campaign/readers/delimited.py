@@ -102,7 +102,6 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
 
 
 def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
-    """Return header and rows of a file with commas between plain cells, as many in each row as in the header."""
     if path.suffix.lower() != ".csv":
         return None
     try:
@@ -129,7 +128,6 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
 
 
 def _check_names(names: list[str], shown: str, row: int) -> None:
-    """Refuse a header that names a column twice, or is a row of numbers: a file without names."""
     filled = [name for name in names if name]
     if len(filled) > 1 and all(is_number(name) for name in filled):
         found = f"numbers alone ({', '.join(filled[:4])})"
@@ -275,7 +273,6 @@ def _read_cells(
     layout: Layout,
     above: Sequence[str],
 ) -> RawTable:
-    """Read cell by cell, so that a fault is named by its row and column."""
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     try:
         numbered = [(row, reader.line_num + skipped) for row in reader]

@@ -54,8 +54,6 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
 
 
 class _Buffer:
-    """Numbers of one stream as its messages come, in packed arrays."""
-
     def __init__(self, name: str, kind: str, names: Sequence[str], wanted: Callable[[str], bool] | None) -> None:
         self.name, self.kind = name, kind
         self.arrival, self.stamp, self.numbers = array("q"), array("q"), array("d")

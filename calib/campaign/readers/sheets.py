@@ -188,7 +188,6 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
 
 
 def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
-    """Return names, those that are empty, there twice or a side only with the group above them."""
     spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
@@ -357,7 +356,6 @@ def _shape(text: str) -> str:
 
 
 def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
-    """Return how the cells of each column are written, of rows with more than one cell."""
     out: dict[int, set[str]] = {}
     for row in rows:
         if len(filled_cells(row)) > 1:

@@ -98,7 +98,6 @@ def _without_remarks(data: bytes) -> tuple[bytes, int]:
 
 
 def _names(remark: str, below: str) -> bool:
-    """Return whether a remark names the columns of the line below it."""
     for separator in (";", "\t", ",", None):
         cells = [cell.strip() for cell in remark.strip()[1:].strip().split(separator)]
         numbers = [cell.strip() for cell in below.strip().split(separator)]

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from calib.campaign.checks.design import FEWEST_OF_A_LAW, sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings import OdometryModel
@@ -71,7 +72,7 @@ def next_runs(
     The runs are driven in one session that begins with a repeat of an unladen corridor run, those of a route that was
     not repeated so far `REPEATS` times. Each greedy step takes the run after which the two nearest confounded effects
     are furthest apart; where none are confounded, the run after which most effects of the library are detected and
-    separated.
+    separated. A run that the law of the load lacks comes first.
 
     `campaign`, `noise`: what was driven, and its noise, whose scales the next runs have; `effects`: the library;
     `ties`: groups of effects that are confounded there, the named one first; `fitted`: gives the sizes of the fitted
@@ -106,6 +107,9 @@ def next_runs(
     }
     task = _Task(signatures, ties)
     chosen: list[PlannedRun] = []
+    for number in _of_law(driven, candidates)[:most]:
+        base = base + grams.pop(number, 0.0)
+        chosen.append(replace(candidates[number], why=_OF_LAW))
     while len(chosen) < most and grams and not task.done(before := task.distances(base)):
         numbers, after = list(grams), dict[int, FloatArray]()
         for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
@@ -117,6 +121,21 @@ def next_runs(
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
     return chosen
+
+
+_OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
+
+
+def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
+    """Return the corridor run of the largest payload where one session alone has several loads.
+
+    With the unladen corridor run that the next session begins with it makes two loads.
+    """
+    measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
+    if not measured or len(sessions_of_loads(driven)) != 1:
+        return []
+    laden = [number for number, run in enumerate(candidates) if run.kind == "corridor" and run.payload_kg > 0.0]
+    return [max(laden, key=lambda number: (candidates[number].payload_kg, -number))] if laden else []
 
 
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:

@@ -200,6 +200,8 @@ def drive(
     for name in ("payload_x_m", "payload_y_m"):
         numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
+    place = (numbers[name] for name in ("payload_kg", "payload_x_m", "payload_y_m"))
+    numbers |= zip(("load_left_N", "load_right_N"), wheel_loads_N(campaign.vehicle, *place)[1:], strict=True)
     by_length = corridor & np.array([run.tape or measured.distance for run in runs])
     if by_length.any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
@@ -284,7 +286,6 @@ def _rear(
 def _steered(
     campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, model: FrontModel, source: str
 ) -> dict[str, FloatArray]:
-    """Return counts of the front wheel (or of the rear axle's shaft, behind the steering) and the steering angle."""
     ahead, turn = np.diff(distance_m), np.diff(heading_rad)
     if source == "shaft":
         name, per_rev, rolled_m = "counts_rear", counts_per_rev(campaign.encoder, "shaft")[0], distance_m
@@ -372,7 +373,6 @@ def demonstration() -> Campaign:
 
 
 def _demonstrated(number: int) -> PlannedRun:
-    """Return a run of the demonstration: neighbours differ in every condition."""
     lap, (kind, direction) = number // len(ROUTES), ROUTES[number % len(ROUTES)]
     # a second, shorter lane on every other lap
     kind += "_short" if kind == "corridor" and lap % 2 else ""

@@ -107,7 +107,6 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[ShownRun]:
 
 
 def _predicted(path: PredictedPath) -> list[Track]:
-    """Return the predicted path of each observation: its start, the middle of each step, its end."""
     s, ds_m = path.s, path.steps.ds_m
     tracks = []
     for poses, (first, last) in zip(path.traces(), pairwise(s.starts.tolist()), strict=True):
@@ -142,8 +141,6 @@ def recording(runs: Iterator[ShownRun]) -> bytes:
 
 
 class _Sink:
-    """A bag being written: its connections by topic, and messages from arrays."""
-
     def __init__(self, writer: Any, store: Any) -> None:
         self.writer, self.store, self.types = writer, store, store.types
         self.connections: dict[str, Connection] = {}

@@ -277,7 +277,6 @@ def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray)
 
 
 def _alphas(amcl: Spread, sizes: FloatArray) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return the alphas by name, the default in place of those that the runs say nothing of, and the latter."""
     unknown = undetermined(amcl, sizes)
     return dict(zip(ALPHAS, map(float, sizes), strict=True)) | dict.fromkeys(unknown, DEFAULT_ALPHA), unknown
 

@@ -240,8 +240,8 @@ def promise_table(now: Promise | None, then: Promise) -> Table:
     walk = 1e3 * float(np.sqrt(then.scales[2]))
     left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
     return table(
-        f"Half widths of the 95 % intervals that 'calib geometry' will give, by end poses; the heading wanders by "
-        f"{walk:.2g} mrad a root metre.{left}",
+        f"Half widths of the 95 % intervals that 'calib geometry' {'will give' if now is None else 'gives'}, where the "
+        f"heading wanders by {walk:.2g} mrad a root metre.{left}",
         ("<Parameter", *([] if now is None else ["Runs driven"]), "These" if now is None else "With the next"),
         rows,
     )

@@ -171,16 +171,19 @@ def _statistics(checks: list[Check]) -> str:
 def usable_notice(fit: Fit) -> Notice:
     """Return whether the law can be used, and what its user has to know."""
     checks = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks]
-    failed = [f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in checks if not check.passed]
     if fit.implausible and fit.accepted:
         findings = f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(map(prose, fit.implausible))}"
         return Notice("bad", "Implausible, and accepted by the user", findings)
-    if failed:
+    if fit.failed:
         title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
-        return Notice("bad", title, f"FAILED: {'; '.join(failed)}. The checks say what that means and what to do.")
-    remarks = list(dict.fromkeys(prose(check.sentence) for _, check in checks if check.level == "note"))
+        return Notice("bad", title, f"FAILED: {'; '.join(fit.failed)}. The checks say what that means and what to do.")
+    remarks: dict[str, list[str]] = {}
+    for name, check in checks:
+        if check.level == "note":
+            remarks.setdefault(prose(check.sentence), []).append(f"{name.capitalize()} wheel: ")
     if remarks:
-        return Notice("note", "The law can be used; its user has to know this", " ".join(remarks[:MAX_REMARKS]))
+        said = [text if len(wheels) > 1 else wheels[0] + text for text, wheels in remarks.items()]
+        return Notice("note", "The law can be used; its user has to know this", " ".join(said[:MAX_REMARKS]))
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 

@@ -25,6 +25,7 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
     counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
     read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
     # a page is the same however often the command was interrupted
+    doubtful = [f"{one.vehicle}: {'; '.join(one.doubtful)}" for one in fleet.records if one.doubtful]
     facts = (("vehicles", counts),) if pictures else (("vehicles", counts), ("files", read))
     return (
         Heading("Fleet"),
@@ -34,6 +35,7 @@ def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
         *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
         *([_drifting(fleet)] if view.drifting else ()),
         *_common([cause.sentence for cause in view.common]),
+        *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
         Text(
             "Outlying vehicles are named at a false discovery rate of 1 % "

@@ -46,7 +46,6 @@ def _channels(where: GapLocation) -> Table:
 
 
 def _sizes(unit: str, *sizes: float) -> tuple[str, ...]:
-    """Return a readable unit, and sizes (SI) in it to three digits; the unit is chosen by the first."""
     factor, shown = readable(unit, sizes[0])
     return (shown, *(three_digits(factor * size) for size in sizes))
 

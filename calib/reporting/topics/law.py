@@ -64,12 +64,13 @@ def _row(fit: WheelFit) -> tuple[str, ...]:
 def single_run_text(fit: Fit) -> Text:
     """Return the prediction interval of one further run in the middle of the load range."""
     parts = []
+    line = any(wheel.model == "line" for wheel in fit.wheels.values())
     for name, wheel in fit.wheels.items():
         half = wheel.law.half_width_m(0.5 * (wheel.law.load_min_N + wheel.law.load_max_N), single_run=True)
         parts.append(f"±{two_digits(UM * float(half))} µm ({name})")
     return Text(
         f"The radius that one further run shows lies, with 95 % probability, within {' and '.join(parts)} of the law "
-        "in the middle of the load range."
+        + ("in the middle of the load range." if line else "at this load.")
     )
 
 
@@ -89,7 +90,7 @@ def naive_text(fit: Fit) -> tuple[Text, ...]:
     """Return the slopes' intervals as if runs were independent, to compare; nothing where there is no slope."""
     parts = []
     for name, wheel in fit.wheels.items():
-        if wheel.naive is not None and wheel.model == "line":
+        if wheel.naive is not None and wheel.model == "line" and wheel.design != "single":
             low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
             _, half = measured(0.5 * (low + high), 0.5 * (high - low))
             parts.append(f"±{half} µm/N ({name})")

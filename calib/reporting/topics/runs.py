@@ -303,12 +303,12 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
         "Error of the radius | left (%)": ("radius_error_left", 4),
         "Error of the radius | right (%)": ("radius_error_right", 4),
     }
-    sizes = [[f"{row['amplitude_m']:g}", f"{row['wavelength_m']:g}"] for row in rows]
+    sizes = [[f"{row['amplitude_m']:g} / {row['wavelength_m']:g}"] for row in rows]
     shares = [[fixed(100 * row[key], places) for key, places in heads.values()] for row in rows]
     excess = table(
         f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
         "does to a radius.",
-        ("A (m)", "λ (m)", *heads),
+        ("A / λ (m)", *heads),
         [size + share for size, share in zip(sizes, shares, strict=True)],
     )
     sentences = (
@@ -323,8 +323,9 @@ def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     """Return what wheels of different radii do on a straight line."""
     longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
     text = (
-        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal: over {arc['distance_m']:g} m a turn of "
-        f"{arc['turn_rad']:+.4f} rad and {arc['offset_m']:+.3f} m beside the line; the path is longer by {longer}."
+        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal drive an arc: where its chord is "
+        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside "
+        f"the line of its first heading; the path is longer than the chord by {longer}."
     )
     return (Text(text),)
 

@@ -20,7 +20,12 @@ _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global
 
 def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
     """Return what a simulation says."""
-    blocks: list[Block] = [_sweep(name, sweep) for name, sweep in simulation.sweeps.items()]
+    # a law alone has one case, whose radii are those believed
+    blocks: list[Block] = [
+        _sweep(name, sweep)
+        for name, sweep in simulation.sweeps.items()
+        if simulation.law is None or any((case.left, case.right) != (1.0, 1.0) for case in sweep.cases)
+    ]
     if simulation.headlines:
         blocks.append(_headline(simulation))
     if simulation.law is not None:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calib
+from calib.campaign.checks.design import sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError
 from calib.gap.effects.library import library
@@ -18,12 +20,14 @@ from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
-from calib.gap.plan.next_runs import next_runs, read_plan
+from calib.gap.plan.next_runs import next_runs, read_plan, with_next
 from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
 from calib.gap.predict import predict, residuals
 from calib.plant.design import poor_design
 from calib.plant.make import make_campaign
 from tests.kinematics.campaigns import mecanum, tricycle
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
@@ -231,3 +235,14 @@ def test_a_light_robot_is_offered_a_light_payload() -> None:
     offered = default_candidates(small)
     assert max(run.payload_kg for run in offered) == pytest.approx(1.4)
     assert max(abs(run.payload_x_m) for run in offered) < 0.2
+
+
+def test_a_law_of_one_day_gets_a_second_load_on_another_day_first() -> None:
+    """So that with the unladen repeat two sessions have two loads; of the sample, where all sessions have, nothing."""
+    crossed = calib.read(ROOT / "sample_runs" / "corridor_crossed").included()
+    day = crossed.select(crossed.runs.label("session") == "s1")
+    first = calib.plan(day, most=1).runs[0]
+    assert (first.kind, first.payload_kg) == ("corridor", 200.0)
+    assert "another day" in first.why
+    assert len(sessions_of_loads(with_next(day, [first]))) == 2
+    assert not any("another day" in each.why for each in calib.plan(crossed, most=2).runs)
