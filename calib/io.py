@@ -241,7 +241,6 @@ def _refuse_entries(folder: Path, names: Sequence[str], *, force: bool) -> None:
 
 
 def _must_keep_identity(target: Path, names: Sequence[str]) -> bool:
-    """Return whether a folder is the working folder or a mount point, or holds many other entries."""
     if not target.is_dir():
         return False
     here = Path.cwd().resolve()
@@ -335,7 +334,6 @@ def _move_in(fresh: Path, target: Path) -> None:
 
 
 def _swap(first: Path, second: Path) -> bool:
-    """Swap the names of two folders in one step; False where the system cannot."""
     import ctypes
 
     names = os.fsencode(first), os.fsencode(second)
@@ -381,7 +379,6 @@ def _is_dead(path: Path) -> bool:
 
 
 def _mark(name: str) -> str:
-    """Return what stands for a file's or a machine's name in the names of temporary files."""
     import hashlib
 
     return hashlib.sha256(os.fsencode(name)).hexdigest()[:8]

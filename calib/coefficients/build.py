@@ -277,7 +277,6 @@ def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
 
 
 def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float, Sequence[str]]:
-    """Return the track (of mecanum wheels that of two that turn alike), its standard deviation, and where assumed."""
     name, factor = ("half_length_plus_half_width_m", 2.0) if geometry.source == "wheels" else ("track_m", 1.0)
     track = factor * geometry.values.get(name, campaign.vehicle.track_m)
     determined = any(estimate.name == name for estimate in geometry.estimates)

@@ -271,7 +271,6 @@ def survey_fleet(
 
 
 def _results(what: str, members: Sequence[Member]) -> list[Kept]:
-    """Do a task for some vehicles; never raises for bad input: what is wrong is in the result."""
     results, keys = [], Keys()
     for member in members:
         key = ""

@@ -288,7 +288,6 @@ class Keys:
 
 
 def _lines(folder: Path) -> Iterator[str]:
-    """Yield a line for each file of a campaign folder: its name and its content, or what stands in its place."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_symlink():

@@ -221,7 +221,6 @@ def _may_fork() -> bool:
 
 
 def _server() -> Any:
-    """Return a context that makes workers of a server process, which has imported what they need and has no threads."""
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     server = get_context("forkserver")

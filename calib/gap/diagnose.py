@@ -197,7 +197,6 @@ def _situation(
     exclude: tuple[str, ...],
     observations: Observations | None,
 ) -> Situation:
-    """Return what was driven with blunders of counts and reference mounting corrected; see `diagnose_in_full`."""
     if observations is not None:
         return _counts_corrected(campaign, observations, (), (), exclude)
     observations, notes = _observed(campaign, model, applied)
@@ -221,7 +220,6 @@ def _refitted(
     exclude: tuple[str, ...],
     refined: TurnedReference,
 ) -> Situation:
-    """Return a situation with another angle of the reference's mounting; `given` is the campaign as read."""
     again = _corrected(given, model, applied, exclude, refined, situation.as_counted)
     return replace(again, omitted=situation.omitted)
 
@@ -241,7 +239,6 @@ def _corrected(
     turned: TurnedReference,
     as_read: FloatArray | None,
 ) -> Situation:
-    """Return what was driven with the reference's mounting corrected; `as_read` is the gap before."""
     campaign = turned.correct(campaign)
     return _counts_corrected(campaign, *_observed(campaign, model, applied), (turned,), exclude, as_read)
 
@@ -254,7 +251,6 @@ def _counts_corrected(
     exclude: tuple[str, ...],
     as_counted: FloatArray | None = None,
 ) -> Situation:
-    """Return what was driven with a blunder of the counts, if there is one, corrected."""
     nominal = predict(observations)
     fault = None if EncoderBlunder.id in exclude else find_blunder(observations, nominal)
     if fault is None:
@@ -265,7 +261,6 @@ def _counts_corrected(
 
 
 def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
-    """Return a turned mounting with what the search found left of its angle; None where nothing is."""
     place = len(fitted.calibration)
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         if form.effect == ReferenceYaw.id and form.label == ReferenceYaw.OF_POSITION:
@@ -279,7 +274,6 @@ def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
 def _observed(
     campaign: Campaign, model: OdometryModel | None, applied: Sequence[EffectSection]
 ) -> tuple[Observations, tuple[str, ...]]:
-    """Return the observations, some effects in their simulated motion, and notes on what had to be assumed."""
     observations = observations_of(campaign, model)
     if np.isfinite(observations.simulated).any():
         observations = as_simulated(observations)

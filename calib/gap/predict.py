@@ -193,7 +193,6 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
 
 
 def _predicted(s: Observations, perturbation: Perturbation) -> Path:
-    """Return the path with all its steps."""
     steps = steps_of(s, perturbation)
     end = steps.end
     line_m = s.total(steps.ds_m * steps.weave_cos)
@@ -315,7 +314,6 @@ def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> No
 
 
 def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
-    """Integrate what varies along the path: shape (n_obs, n_channels)."""
     s = path.s
     sums = path.steps.sums(perturbation)
     x, y = sums[X], sums[Y]

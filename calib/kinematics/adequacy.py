@@ -257,7 +257,6 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | None:
-    """Return the scatter of replicates about their mean; None where there are too few."""
     squares = dof = 0.0
     for number in np.unique(group[used]):
         members = after[used & (group == number)]
@@ -307,7 +306,6 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
 
 
 def _sideways(position: Residuals, heading: Residuals) -> list[str]:
-    """Return a sentence where positions are off by more than headings and the usual drift can make them."""
     if not heading.before:
         return []
     rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
@@ -331,7 +329,6 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
 
 
 def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
-    """Return a sentence where the recordings' steering zeros differ by more than small headings."""
     if not fitted.zero_spread_rad or heading.between <= SMALL_SHARE * heading.travelled:
         return []
     spread = f"{1e3 * fitted.zero_spread_rad:.2g} mrad"
@@ -362,7 +359,6 @@ LENGTHS_ALONE: Final = (
 
 
 def _lengths_alone(fitted: Fitted) -> list[str]:
-    """Return a sentence where the radius of a wheel was estimated from nothing but the length of straight runs."""
     radii = {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names)
     return [LENGTHS_ALONE] if radii and fitted.model.recording.lengths_alone else []
 

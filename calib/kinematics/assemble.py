@@ -122,7 +122,6 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
 
 
 def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
-    """Return the estimates and their covariance; where the mean radius is held, both radii are among them."""
     parameters, uncertainty = fitted.parameters, fitted.uncertainty
     index = np.flatnonzero(parameters.free)
     names = [parameters.names[at] for at in index]
@@ -171,7 +170,6 @@ def _whole(model: Model) -> Model:
 
 
 def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
-    """Return the runs that the noise cannot explain: by their end pose, or by most of their windows."""
     from scipy.special import chdtri
 
     size = np.maximum(model.segments.seen.sum(axis=1), 1)
@@ -181,7 +179,6 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
 
 
 def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
-    """Return notes on the estimates of a `kind` of drive, in sentences."""
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     notes = []
     if name in {"session", "route"}:

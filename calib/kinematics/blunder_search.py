@@ -120,7 +120,6 @@ def find_blunder(
 
 
 def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
-    """Return the residuals of a fit of the drive's parameters to a recording."""
     items = parameters_of(drive, campaign.reference)
     parameters = Parameters.of(items, [item.name for item in drive.parameters])
     try:
@@ -152,7 +151,6 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
 
 
 def _trimmed(squares: FloatArray) -> float:
-    """Return the root of the mean of squares without the largest, so that few bad runs do not hide a reading."""
     if not len(squares) or not np.isfinite(squares).all():
         return np.inf
     kept = len(squares) - max(1, int(FEW_OUTLIERS * len(squares)))
@@ -243,7 +241,6 @@ LEAST_SIZE: Final = 0.5
 
 
 def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
-    """Return the segments with what a changed reference along the path, shape (3, n_samples), adds to them."""
     if after is before:
         return segments
     ends = segments.first, segments.last
@@ -253,7 +250,6 @@ def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Se
 
 
 def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
-    """Yield the departures that a recording can show."""
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
     if model.recording.steps.steer_rad is None:

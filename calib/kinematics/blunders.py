@@ -101,7 +101,6 @@ def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float
 
 
 def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
-    """Return the change of the heading with the turn of each wheel; None where a sign does not stand out."""
     normal = turned @ turned.T
     if len(heading) < 4 or np.linalg.cond(normal) > 1e10:
         return None
@@ -319,7 +318,6 @@ def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tup
 
 
 def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
-    """Yield faults, with the order and the signs of the four columns that correct them."""
     same, plain = list(range(4)), np.ones(4)
     for at, wheel in enumerate(WHEELS):
         signs = plain.copy()

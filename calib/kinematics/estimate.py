@@ -123,7 +123,6 @@ def _best(
 
 
 def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
-    """Return the geometry by one way; `asked`: that and the sensor are not to be changed."""
     try:
         fit = _fitted(task, recording)
     except np.linalg.LinAlgError as error:
@@ -150,8 +149,6 @@ def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Task:
-    """Settings of an estimation."""
-
     campaign: Campaign
     source: str
     way: Using
@@ -161,15 +158,12 @@ class _Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A geometry, and the fit and settings that it comes from."""
-
     task: _Task
     fitted: Fitted
     geometry: Geometry
 
 
 def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
-    """Return the fit of a recording; `found`: blunders that it was corrected for."""
     campaign, source, way = task.campaign, task.source, task.way
     as_read = recording.end_pose
     recording, off = _with_whole_turns(campaign, source, recording)
@@ -203,7 +197,6 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 
 
 def _without_departure(fit: _Fit) -> Geometry:
-    """Return the geometry with a departure corrected, where that moves it and leaves nothing else unexplained."""
     geometry = fit.geometry
     if (found := find_departure(fit.fitted, misfit=geometry.misfit)) is None:
         return geometry
@@ -226,7 +219,6 @@ def _without_departure(fit: _Fit) -> Geometry:
 
 
 def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
-    """Return the fit of the recording with its blunder corrected; None where no blunder explains it."""
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
@@ -269,7 +261,6 @@ def _bends(fitted: Fitted) -> bool:
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
-    """Return the estimate with a delay for each recording, where one common delay does not fit, and these delays."""
     fitted = common
     delays: tuple[Delay, ...] = ()
     added = sought_delays(common.model, common.solution, common.parameters)
@@ -301,7 +292,6 @@ def _with_own_zeros(campaign: Campaign, fitted: Fitted, task: _Task) -> Fitted:
 
 
 def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
-    """Return the recording with end headings right by whole turns, by the nominal vehicle, and the runs alone off."""
     turn = _nominal_turn(campaign, source, recording)
     return recording.with_whole_turns(turn)
 
@@ -330,7 +320,6 @@ def divisions(recording: Recording, using: str) -> Iterator[Segments]:
 def _transfer(
     campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
 ) -> tuple[Transfer, ...]:
-    """Return the end position errors of held-out runs in turn."""
     source = whole.source
     campaign = campaign.included()
     labels = campaign.runs.label(leave_out)

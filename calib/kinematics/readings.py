@@ -116,7 +116,6 @@ def _scaled(x: float, y: float, theta: float) -> Change:
 
 
 def _axes(turned_rad: float) -> Iterator[Reading]:
-    """Yield axes that are turned, mirrored or exchanged against the vehicle's start heading."""
     if abs(turned_rad) > LEAST_ANGLE_RAD:
         c, s = float(np.cos(turned_rad)), float(np.sin(turned_rad))
         text = (
@@ -193,7 +192,6 @@ def unchanged(recording: Recording) -> Recording:
 
 
 def _tracks(drive: Drive) -> Iterator[Reading]:
-    """Yield a track that was stated as half of it, or twice."""
     if not any(item.name == "track_m" for item in drive.parameters):
         return
     for words, factor in TRACK_FACTORS.items():
@@ -211,7 +209,6 @@ def _turned(factors: FloatArray | float) -> Change:
 
 
 def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
-    """Yield counts that are angles or distances, and counts per revolution that are wrong."""
     radius = next(item.nominal for item in drive.parameters if "radius" in item.name)
     units = {"radians": per_rev / (2.0 * np.pi), "degrees": per_rev / 360.0, "turns": per_rev}
     units |= {"metres": per_rev / (2.0 * np.pi * radius), "millimetres": 1e-3 * per_rev / (2.0 * np.pi * radius)}
@@ -227,7 +224,6 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
 
 
 def _geared() -> Iterator[Reading]:
-    """Yield counts of an encoder that turns many times a revolution of the wheel."""
 
     def reading(ratio: float) -> Reading:
         text = f"counts: {ratio:.3g} times too many for [encoder] and [vehicle] (the motor's? inches?); correct one"
@@ -298,7 +294,6 @@ def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
 
 
 def _steering(steer: FloatArray) -> Iterator[Reading]:
-    """Yield steering angles in another unit, of the other sign, or that wrap."""
 
     def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
         return lambda recording: recording.with_steering(change(np.asarray(recording.steps.steer_rad)))

@@ -230,8 +230,6 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
 
 
 class _Run(NamedTuple):
-    """Arrays of one run; see `Steps` and `Recording`."""
-
     t_s: FloatArray
     turned: FloatArray
     reference: FloatArray
@@ -243,7 +241,6 @@ class _Run(NamedTuple):
 
 
 def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _Run | str:
-    """Return the arrays of one run, or why it cannot be used."""
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
     runs = campaign.runs
@@ -287,7 +284,6 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
 
 
 def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray) -> _Run | str:
-    """Return a run without log as one arc, where it is straight enough."""
     if source != "rear":
         return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
     runs = campaign.runs
@@ -325,7 +321,6 @@ def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatAr
 
 
 def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
-    """Return the loads less the reference load: of the log, else of the run table."""
     loads = []
     for name in ("load_left_N", "load_right_N"):
         load = log[name][keep] if name in log else np.full(int(keep.sum()), campaign.runs.number(name)[row])
@@ -336,7 +331,6 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
 
 
 def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
-    """Return whether a run's reference along the path has no headings, and does not begin at the start pose."""
     places = reference[:2, np.isfinite(reference[:2]).all(axis=0)]
     if not places.shape[1] or np.isfinite(reference[2]).any():
         return False

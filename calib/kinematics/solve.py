@@ -248,7 +248,6 @@ class _Linear:
 
 
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
-    """Return the solution of the linear problem at known noise, in prior spreads, and its length in sigmas."""
     n_free = problem.jacobian.shape[2]
     jacobian = _whitened(whitener, problem.jacobian).reshape(-1, n_free)
     residuals = _whitened(whitener, problem.residuals).ravel()
@@ -263,7 +262,6 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the least-squares solution of whitened equations, the weights anew for each of their three parts."""
     scaled = jacobian * np.tile(weights, 3)[:, None]
     normal = scaled.T @ jacobian
     normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
@@ -271,7 +269,6 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
-    """Return the variances of the noise's components, estimated together with the linear problem's step."""
     n_free = problem.jacobian.shape[2]
     step = np.zeros(n_free)
     for _ in range(INNER):

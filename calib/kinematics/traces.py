@@ -49,13 +49,11 @@ def _from_starts(recording: Recording) -> Segments:
 
 
 def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
-    """Return the sensor's poses at the samples, each run in the frame of its first, shape (3, n_samples)."""
     values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
     return -model.predict(values).residuals.T
 
 
 def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
-    """Return a run's trace from the sensor's paths before and after, each (3, n_samples of all runs)."""
     part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
     reference = recording.reference[:, part]
     seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)

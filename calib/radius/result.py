@@ -344,7 +344,6 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
 
 
 def _welch_half_width(laws: tuple[WheelLaw, WheelLaw], contrasts: tuple[FloatArray, FloatArray]) -> float:
-    """Return the half width of the 95 % interval of a difference (Welch, Biometrika 34 (1947) 28)."""
     pairs = list(zip(laws, contrasts, strict=True))
     variance = np.array([float(law.std_of(c)) ** 2 for law, c in pairs])
     dof = np.array([float(law.dof_of(c)) for law, c in pairs])

@@ -195,7 +195,6 @@ STEPS: Final = {
 
 
 def _quoted(word: str) -> str:
-    """Return a word for a shell inside a command that stands in single quotes."""
     plain = shlex.quote(word) == word or set(word) & set('"$`\\!')
     return shlex.quote(word) if plain else f'"{word}"'
 

@@ -89,8 +89,6 @@ class _Change:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One step: what an effect may look at."""
-
     run: Run
     nominal: Motion  #: without effects
     motion: Motion  #: with the effects of the pass before
@@ -169,7 +167,6 @@ def _track_width(effect: _Effect, _step: _Step, change: _Change) -> None:
 
 
 def _by_load(effect: _Effect, step: _Step, change: _Change, size: str, of: Callable[[float], float]) -> None:
-    """Let both radii grow with their loads, by a size for each wheel."""
     left, right = of(step.run.load_left_N), of(step.run.load_right_N)
     change.roll(
         effect.size(f"{size}_left") * left / step.radii_m[0], effect.size(f"{size}_right") * right / step.radii_m[1]

@@ -17,7 +17,7 @@ from calib.documents import to_json
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.calibration import NAMES
+from calib.gap.effects.radii import NAMES
 from calib.plant.design import good_design
 from calib.plant.make import make_campaign
 from tests.blunders import plant

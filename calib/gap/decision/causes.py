@@ -14,10 +14,9 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
-from calib.gap.effects.calibration import DIRECTIONS, NAMES
-from calib.gap.effects.drift import SessionStep
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
 from calib.gap.inference.least_squares import HeldOutFit
@@ -172,7 +171,6 @@ def _shares(
 
 
 def _sized(evidence: Evidence) -> list[_Sized]:
-    """Return the forms of the named effects, calibration parameters last."""
     system, fitted, recalibration = evidence.system, evidence.fitted, evidence.recalibration
     nuisance = Nuisance.of(system.calibration)
     sized, first = [], 4
@@ -193,7 +191,6 @@ def _sized(evidence: Evidence) -> list[_Sized]:
 
 
 def _cause(evidence: Evidence, sized: _Sized, variance_factor: float, coverage: float, probability: float) -> Cause:
-    """Return a cause without its share; see `causes_of`."""
     form, effect = sized.form, evidence.effects[sized.form.effect]
     covariance = variance_factor * sized.covariance
     spread = np.sqrt(np.diag(covariance))
@@ -286,7 +283,6 @@ def limited_to_even(causes: Sequence[Cause], doubtful: Collection[str]) -> list[
 
 
 def _places(evidence: Evidence) -> tuple[str, ...]:
-    """Return kinds and channels whose mean residual is significant, and what the residual correlates with."""
     observations, residual = evidence.observations, evidence.fitted.left
     kinds = observations.labels["kind"]
     means = []
@@ -351,7 +347,6 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
 
 
 def _contributions(evidence: Evidence, fit: HeldOutFit, names: Collection[str]) -> dict[str, FloatArray]:
-    """Return what each named effect does at its fitted size, whitened, in the order of the fit's rows."""
     contributions, first = {}, 4
     for form, theta in zip(evidence.fitted.forms, evidence.fitted.theta, strict=True):
         contributions[form.effect] = fit.columns[:, first : first + len(theta)] @ (theta / form.typical)
@@ -366,7 +361,6 @@ def _contributions(evidence: Evidence, fit: HeldOutFit, names: Collection[str]) 
 def _difference(
     fit: HeldOutFit, effect: str, contribution: FloatArray, by: str, labels: StrArray
 ) -> SizeDifference | None:
-    """Return how the size of a contribution (n_rows,) differs between groups of runs; None where one alone shows it."""
     from scipy.special import fdtrc
 
     on_rows = labels[fit.weighting.system.blocks.unit]

@@ -11,8 +11,8 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.sentences import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
-from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -79,7 +79,6 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
 
 
 def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
-    """Return the group of each effect of the most probable hypothesis."""
     fitted, system = evidence.fitted, evidence.system
     groups = []
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
@@ -136,7 +135,6 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
 
 
 def _other_laws(evidence: Evidence, effect: str) -> list[str]:
-    """Return the other forms of a load law that are at least a tenth as probable, with what else beside them."""
     if not evidence.effects[effect].is_load_law:
         return []
     inclusion = evidence.search.inclusion()
@@ -214,12 +212,10 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
 
 
 def _is_recalibrated(evidence: Evidence, name: str) -> bool:
-    """Return whether a cause is judged with the recalibration, not searched as an effect."""
     return name in evidence.effects and evidence.effects[name].calibration
 
 
 def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
-    """Return the correction with some named causes exchanged for another, refitted; None where it has no form."""
     kept = [form for form in evidence.fitted.forms if form.effect not in named]
     offered = evidence.search.forms.get(other, ())
     candidates = [kept] if _is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
@@ -229,7 +225,6 @@ def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correct
 
 
 def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, _Correction]:
-    """Return the whitened squares that forms leave, some calibration parameters fixed at zero, and their correction."""
     fitted = evidence.fitted
     every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
     system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
@@ -285,7 +280,6 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
 
 
 def _acts_opposite(evidence: Evidence, form: Form) -> bool:
-    """Return whether a second form with the sizes of the fitted one acts the other way, recalibration projected out."""
     fitted, system = evidence.fitted, evidence.system
     for own, theta in zip(fitted.forms, fitted.theta, strict=True):
         if own.effect == form.effect and len(own.parameters) == len(form.parameters):

@@ -125,7 +125,6 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
-    """Return the diagnosis with its sentence, which begins with what is wrong in the data where no cause is named."""
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
@@ -194,14 +193,12 @@ def _kind(
 
 
 def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:
-    """Return the effects that are negligible, and those that an error of a larger cause's form looks like."""
     small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
     others = [cause for cause in causes if cause.effect in probable.difference(small)]
     return small + confounding.form_errors(evidence, others)
 
 
 def _rather_unknown(placed: Sequence[Cause], unknown: float) -> dict[str, float]:
-    """Return the probabilities of places that are stated as unexplained, and of an unknown cause."""
     stated = {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
     return {**stated, "unknown": max([unknown, *(cause.probability for cause in placed)])}
 
@@ -214,7 +211,6 @@ def _on_small(small: Sequence[str]) -> tuple[str, ...]:
 
 
 def _on_scatter(evidence: Evidence) -> str:
-    """Return the sentence on radii that scatter from recording to recording, which their windows have in common."""
     weighting = evidence.search.weighting
     size = sum(kind.relative for kind in weighting.system.kinds if kind.name == weighting.name) * weighting.scale
     if not size:
@@ -236,14 +232,12 @@ def _on_omitted(omitted: Mapping[str, float]) -> str:
 
 
 def _beside_blunder(kind: VerdictKind) -> VerdictKind:
-    """Return the verdict beside a blunder, which is named even where nothing else is."""
     if kind is VerdictKind.NO_GAP:
         return VerdictKind.EXPLAINED
     return VerdictKind.PARTLY_EXPLAINED if kind in NOTHING_NAMED else kind
 
 
 def _families(evidence: Evidence) -> list[list[str]]:
-    """Return each named effect with the others of its family, none of them named, where these are forms of it."""
     family = {name: effect.family for name, effect in evidence.effects.items()}
     return [
         [name, *(other for other in family if family[other] == family[name] and other not in evidence.named)]
@@ -255,7 +249,6 @@ def _families(evidence: Evidence) -> list[list[str]]:
 def _by_family(
     evidence: Evidence, confounded: Sequence[Sequence[str]]
 ) -> tuple[list[list[str]], dict[str, tuple[str, ...]]]:
-    """Return the groups without effects of the named one's own family, and these by named effect."""
     groups: list[list[str]] = []
     forms_open: dict[str, tuple[str, ...]] = {}
     for group in confounded:

@@ -14,9 +14,9 @@ from calib.campaign.model import Campaign
 from calib.documents import Result, plain, plain_fields
 from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
-from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem

@@ -178,7 +178,6 @@ def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator
 
 
 def _or_alias(cause: Cause, certain: Mapping[str, float]) -> str:
-    """Return the name of a cause, with word of its alternatives where these make up a tenth of its probability."""
     alone = cause.probability >= 0.9 * certain.get(cause.effect, cause.probability)
     return cause.effect if alone else f"{cause.effect} or what looks like it"
 

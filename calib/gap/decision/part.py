@@ -26,9 +26,9 @@ from calib.gap.decision.fix import (
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
-from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
@@ -117,7 +117,6 @@ def _unclear(
     whole: Fix,
     differing: Mapping[str, SizeDifference] | None,
 ) -> dict[str, str]:
-    """Return the causes that may be another one, whose correction differs or does not carry over, with the reason."""
     unclear: dict[str, str] = {}
     for group in tied:
         apart_m = confounding.agreement_m(evidence, [group])
@@ -204,7 +203,6 @@ def _parted(
     unexplained: Unexplained | None,
     differing: Mapping[str, SizeDifference] | None = None,
 ) -> tuple[list[Cause], dict[str, str], bool]:
-    """Return the causes that are sure, of the others by name why they are not, and whether odds alone chose any."""
     dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
     # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
     kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, ChannelClosure, Closure, Improvement
 from calib.gap.decision.trials import Trial, reach_of_noise
-from calib.gap.effects.calibration import HIDES_IN
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import effect_class, title_of
+from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.result import GapLocation, PlaceResult
@@ -244,7 +244,6 @@ def _listed(causes: Sequence[Cause]) -> str:
 
 
 def _with_forms(cause: Cause) -> str:
-    """Return an effect with the others of its family that fit as well, where it is not nearly certain itself."""
     others = cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ()
     return joined([cause.effect, *others], "or")
 
@@ -261,7 +260,6 @@ def _named(effect: str, diagnosis: Diagnosis) -> str:
 
 
 def _ambiguous(diagnosis: Diagnosis) -> str:
-    """Return the causes where some are confounded with effects of other families."""
     most = _confounded(diagnosis)
     if most > LARGEST_GROUP:
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
@@ -275,7 +273,6 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:
-    """Return which named causes these runs cannot tell from which effects."""
     most = _confounded(diagnosis)
     if most > LARGEST_GROUP:
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
@@ -289,7 +286,6 @@ def _alternatives(diagnosis: Diagnosis) -> str:
 
 
 def _located(where: GapLocation | None) -> str:
-    """Return what a gap correlates with and where it arises, as the end of a sentence."""
     if where is None:
         return ""
     lines, parts = where.significant, []
@@ -337,7 +333,6 @@ def _channel(line: ChannelClosure, *, both: bool) -> str:
 
 
 def _recalibration(diagnosis: Diagnosis) -> str:
-    """Return that a plain recalibration closes the gap, or what of the calibration the cause is confounded with."""
     own = [cause.effect for cause in diagnosis.causes if cause.effect in HIDES_IN]
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
     if own and not others and diagnosis.kind is VerdictKind.EXPLAINED:

@@ -106,8 +106,6 @@ _Text = Annotated[str, Field(min_length=1)]
 
 
 class _Entry(BaseModel):
-    """An ``[[effects]]`` table of ``campaign.toml``."""
-
     model_config = ConfigDict(strict=True, extra="forbid", str_strip_whitespace=True)
 
     id: _Text
@@ -200,7 +198,6 @@ def entry_point_origins() -> dict[str, str]:
 
 
 def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> list[tuple[EntryPoint, Effect]]:
-    """Return the installed effects, each with its entry point."""
     loaded: list[tuple[EntryPoint, Effect]] = []
     used = set(taken)
     for point in entry_points(group=ENTRY_POINT_GROUP) if points is None else points:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
-from calib.gap.effects import calibration, drift, encoder, floor, load, path, reference, steering, turning
+from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
 from calib.gap.effects.columns import (
     Covariate,
     Declared,
@@ -29,9 +29,9 @@ from calib.types import FloatArray
 
 #: the effects of the library, in the order of listings; a new one is a class and a line here
 EFFECTS: Final[tuple[type[Effect], ...]] = (
-    calibration.RadiusScale,
-    calibration.UnequalRadii,
-    calibration.TrackWidth,
+    radii.RadiusScale,
+    radii.UnequalRadii,
+    radii.TrackWidth,
     load.LoadRadius,
     load.LoadRadiusNonlinear,
     load.LoadCreep,
@@ -39,10 +39,10 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     turning.CurveLoadTransfer,
     turning.LoadDependentTrack,
     turning.BrakingSkid,
-    drift.SpeedRadius,
-    drift.TemperatureRadius,
-    drift.Wear,
-    drift.SessionStep,
+    radii.SpeedRadius,
+    radii.TemperatureRadius,
+    radii.Wear,
+    radii.SessionStep,
     encoder.LostCounts,
     encoder.EncoderBlunder,
     reference.RangefinderScale,
@@ -59,7 +59,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     turning.SideSlip,
     turning.CurveScrub,
     steering.SteeringZero,
-    drift.SteeringZeroStep,
+    radii.SteeringZeroStep,
     steering.SteeringScale,
     steering.SteeringBacklash,
     steering.SteeringDelay,
@@ -132,7 +132,6 @@ def check_excluded(exclude: Collection[str], observations: Observations, declare
 
 
 def _all(observations: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
-    """Return the registered effects, the columns' and the user's own."""
     registered = [kind() for kind in EFFECTS]
     taken_columns = {column for effect in registered for column in effect.columns}
     covariates = [effect for effect in covariate_effects(observations) if effect.column not in taken_columns]

@@ -26,7 +26,6 @@ def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter
 
 
 def _model_slopes(observations: Observations) -> FloatArray:
-    """Return the slopes of the left and right radius against load by the model, shape (2,)."""
     return np.array([observations.model.slope_left_m_per_N, observations.model.slope_right_m_per_N])
 
 

@@ -186,7 +186,6 @@ class WheelMotion:
         return np.asarray(((left * self.weight) ** 2).sum(axis=1))
 
     def _sought(self, change: FloatArray, start: _Sought, basis: _Basis) -> _Sought:
-        """Return the wheels that a basis finds, with what they leave; the columns stay those about the nominal path."""
         wheels, left = start
         rounding = _ROUNDING * self._squares(change).sum()
         for _ in range(_STEPS):

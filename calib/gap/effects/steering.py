@@ -243,7 +243,6 @@ class SteeringBacklash(Effect):
 
 
 def _noise_rad(observations: Observations, angle: FloatArray) -> float:
-    """Return the standard deviation of one reading of an angle, from its second differences within runs."""
     inside = np.flatnonzero(observations.unit[2:] == observations.unit[:-2])
     bent = np.abs(angle[inside + 2] - 2.0 * angle[inside + 1] + angle[inside])
     bent = bent[np.isfinite(bent)]

@@ -253,7 +253,6 @@ def _slip(observations: Observations, least_mps2: float, power: float) -> FloatA
 
 
 def _most_lost_m(observations: Observations, parameter: Parameter, least_mps2: float, power: float) -> float:
-    """Return by how much slip of the typical size shortens the run that it shortens most."""
 
     def lost_m(part: Observations) -> FloatArray:
         return part.total(np.abs(part.path_m) * _slip(part, least_mps2, power))
@@ -384,7 +383,6 @@ def _forces_N(observations: Observations) -> dict[str, FloatArray]:
 
 
 def _shared(observations: Observations, perturbation: Perturbation, share: FloatArray) -> Perturbation:
-    """Return a perturbation times a share of each observation, shape (n_obs,)."""
     wide = share[observations.unit]
     by_field = {"reading": share[:, None], "along_m": wide, "heading_rad": wide}
     parts = {name: (getattr(perturbation, name), by) for name, by in by_field.items()}

@@ -23,8 +23,6 @@ _ROUNDING: Final = 1e-14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
-    """Groups of one size, side by side."""
-
     units: slice  #: their units
     #: shape (n_units, 6, 9 + q): what each group may have of its own, the gap, and the trends that it takes part in
     columns: FloatArray

@@ -169,7 +169,6 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
 
 
 def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
-    """Return the calibration and the sizes of a model's forms at the path, shape (4 + n_parameters,)."""
     held = {id(form): theta for form, theta in zip(system.fitted.forms, system.fitted.theta, strict=True)}
     forms = [system.forms[k] for k in model]
     sizes = [held.get(id(form), np.zeros(len(form.parameters))) for form in forms]

@@ -73,7 +73,6 @@ class LocalSearch:
         self.offered = list(range(len(kept)))
 
     def _forms_to_offer(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
-        """Return the current forms, then of each effect the best few beside them."""
         columns = FormPriors.from_forms(whole.forms, self.settings.further)
         deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
         sums = whole.sums(deviations, prior_rest=self.settings.prior_rest, scales=_RANKING_SCALES, interactions=False)
@@ -101,7 +100,6 @@ class LocalSearch:
         return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
 
     def _sums_beside(self) -> Sums:
-        """Return the sums beside the current hypothesis and what its effects may deviate by."""
         return self.system.sums(self.deviations, prior_rest=self.settings.prior_rest)
 
     def forms_of(self, model: Model) -> tuple[Form, ...]:
@@ -115,7 +113,6 @@ class LocalSearch:
         return weight
 
     def _acts(self, model: Model) -> bool:
-        """Return whether each form of a model has beside it what it acts through."""
         forms = [self.columns.forms[k] for k in model]
         return all(any(o.effect in f.acts_through for o in forms) for f in forms if f.acts_through)
 
@@ -173,7 +170,6 @@ class LocalSearch:
         return models
 
     def _pairs(self) -> list[Model]:
-        """Return pairs of effects by their best forms, which neither shows alone."""
         best: dict[str, int] = {}
         for k in self.offered:
             best.setdefault(self.columns.forms[k].effect, k)
@@ -243,7 +239,6 @@ class LocalSearch:
         return self.current
 
     def _weighed_around(self, refused: Collection[frozenset[int]]) -> tuple[list[Model], FloatArray]:
-        """Return the current model, then its neighbours but those refused, and their log weights (n_models,)."""
         models = self.neighbours(self.current) + ([] if self.current else self._pairs())
         models = [self.current, *(model for model in models[1:] if frozenset(model) not in refused)]
         return models, _total(self.weigh(models, self.active()))

@@ -165,7 +165,6 @@ def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[
 
 
 def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
-    """Return the hypothesis about whose path the search begins."""
     if start is not None:
         return start.fitted
     system = initial.system

@@ -237,7 +237,6 @@ def _excess(shapes: NoiseComponents, covariance: FloatArray) -> FloatArray:
 
 
 def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, excess: FloatArray) -> tuple[bool, str]:
-    """Return whether a noise level is supported, and by what or why not."""
     if basis is Basis.STATED:
         if path.s.sigmas_assumed:
             return False, str(Basis.NOTHING)

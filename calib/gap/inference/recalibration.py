@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
+from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -277,7 +277,6 @@ def judge_recalibration(
 def _instead(
     parameter: int, fitted: Fitted, search: SearchResult | None, weighed: Sequence[tuple[float, FloatArray]]
 ) -> tuple[str, ...]:
-    """Return single effects of likely alternatives that make a calibration parameter needless."""
     if search is None:
         return ()
     holds = np.array([parameter in subset for subset in SUBSETS])

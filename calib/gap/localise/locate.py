@@ -93,7 +93,6 @@ def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) 
 
 
 def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[RunDeviation, ...]:
-    """Return the units that deviate most, each in the channel where it does."""
     z = np.divide(gap, floor, out=np.zeros_like(gap), where=observations.usable)
     worst = np.abs(z).argmax(axis=1)
     size = np.abs(z)[np.arange(len(observations)), worst]

@@ -139,7 +139,6 @@ def _end_to_end(steps: Sequence[FloatArray]) -> FloatArray:
 
 
 def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the front wheel's roll, mean steering angle and its change in each step, NaN where not logged."""
     roll, steer, change = [], [], []
     for u in units:
         nothing = np.full(u.n_steps, np.nan)
@@ -177,7 +176,6 @@ def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> Flo
 def _measured(
     units: Sequence[Observation], path: FloatArray, turn: FloatArray, logged: BoolArray, remarks: list[str]
 ) -> tuple[FloatArray, BoolArray]:
-    """Return what was measured and which channels each observation has, each (n_obs, 6), the front wheel's omitted."""
     measured = np.full((len(units), N_CHANNELS), np.nan)
     measured[:, :4] = [u.measured for u in units]
     measured[:, 3] = _unwrapped(measured[:, 3], turn, remarks)
@@ -201,7 +199,6 @@ def _measured(
 def _guided(
     setup: Setup, steps: WheelTravel, measured: FloatArray, index: IntArray, remarks: list[str], *, one_sensor: bool
 ) -> tuple[BoolArray, FloatArray]:
-    """Return which observations have the heading of a guided run, and its standard uncertainty, each (n_obs,)."""
     campaign = setup.campaign
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
@@ -236,7 +233,6 @@ def _guided(
 
 
 def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[str]) -> FloatArray:
-    """Return what an outside simulator predicted of the channels used, (n_obs, 6), and say where it did not."""
     simulated = np.full((len(units), N_CHANNELS), np.nan)
     simulated[:, :4] = [u.simulated for u in units]
     known = np.isfinite(simulated) & usable
@@ -249,7 +245,6 @@ def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[st
 
 
 def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: list[str]) -> dict[str, FloatArray]:
-    """Return the covariates of each observation."""
     left, right, known = filled_loads(campaign)
     if not known:
         remarks.append("no payload or wheel load is given: every run is taken as unladen")

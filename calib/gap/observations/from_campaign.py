@@ -163,7 +163,6 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
 
 
 def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
-    """Return the observations of all runs, whole or long recordings cut into windows."""
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     length_m = window_length_m(sum(float(each.travelled_m[-1]) for each in references), setup.model.track_m)
     units: list[Observation] = []
@@ -230,7 +229,6 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
 
 
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
-    """Return a run's unit with the end pose by its log's own reference, where its row has none."""
     unit, reference = run.unit, run.reference
     if reference is None or not np.isnan(unit.measured[1:]).all():
         return unit
@@ -247,7 +245,6 @@ def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
 
 
 def _with_gyro(unit: Observation, setup: Setup) -> Observation:
-    """Return a run's unit with its turn by the gyro, where nothing else measured the heading at its end."""
     runs = setup.campaign.runs
     turn, sigma = (float(runs.number(name)[unit.run]) for name in (GYRO_TURN, GYRO_SIGMA))
     if not (np.isnan(unit.measured[3]) and np.isfinite(turn)):
@@ -256,7 +253,6 @@ def _with_gyro(unit: Observation, setup: Setup) -> Observation:
 
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
-    """Return what the wheels rolled before the first and after the last of some samples, at most."""
     ends = [rows[0], inside[0], inside[-1], rows[-1]]
     scales = {"counts_left": setup.per_rad.left, "counts_right": setup.per_rad.right}
     rolled = [np.diff(log[name][ends])[::2] / scale for name, scale in scales.items()]

@@ -290,7 +290,6 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
 
 
 def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> FloatArray:
-    """Return the vehicle's poses by its wheels, shape (n, 3)."""
     ds, turn = 0.5 * np.diff(left_m + right_m), np.diff(right_m - left_m) / track_m
     mid = np.cumsum(turn) - 0.5 * turn
     return np.vstack([np.zeros(3), np.cumsum(np.stack([ds * np.cos(mid), ds * np.sin(mid), turn], axis=1), axis=0)])

@@ -254,8 +254,6 @@ def undetectable(
 
 
 class _Limits:
-    """Detection limits from whitened columns: of a recalibration (n_rows, 4), and of a form (n_rows, n_parameters)."""
-
     def __init__(self, calibration: FloatArray, of_form: Callable[[Form], FloatArray]) -> None:
         self.recalibration, self.front_radius = Nuisance.of(calibration), Nuisance.of(calibration[:, 3:])
         self.of_form = of_form

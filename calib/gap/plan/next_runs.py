@@ -18,8 +18,8 @@ from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.applied import matching_form
-from calib.gap.effects.calibration import DIRECTIONS, NAMES
 from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -147,8 +147,6 @@ def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
 
 
 class _Task:
-    """What the next runs have to separate: pairs of confounded effects, else every effect from all others."""
-
     def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
         self.signatures = signatures
         number = {name: index for index, name in enumerate(signatures.names)}

@@ -231,7 +231,6 @@ def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Lo
 
 
 def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: float) -> dict[str, FloatArray]:
-    """Return a run's log; columns that begin with an underscore hold the pose."""
     vehicle = campaign.vehicle
     route = route_of(run.kind, corridor_m).divided(ROUTE_SPACING_M)
     along_m = route.distance_m()

@@ -213,7 +213,6 @@ def _candidates(
 
 
 def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> list[str]:
-    """Return the effects that plausible deviations of the simulator's parameters reproduce."""
     offered = [form for effect in own for form in effect.forms(nominal.s)]
     targets = {rival.id: forms[0] for rival in rivals if (forms := rival.forms(nominal.s))}
     if not offered or not targets:
@@ -226,7 +225,6 @@ def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nomina
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
-    """Return the signatures of forms over the stated uncertainties, shape (n_rows, n_parameters)."""
     s = path.s
     sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
     whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / sigma[:, :, None]

@@ -286,7 +286,6 @@ def _run(
 
 
 def _moved(cause: Cause, named: Mapping[str, Declared], found: SimulatorFix) -> Cause:
-    """Return a cause with its size where the reruns put it, its interval as wide as the derivative there makes it."""
     if cause.effect not in named:
         return cause
     each = named[cause.effect]
@@ -326,7 +325,6 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
 
 
 def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArray]:
-    """Return the forms of all parameters, their whitened signatures at the largest sizes, (n_rows, n), and the gap."""
     nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
     forms = [form for effect in own for form in effect.forms(nominal.s)]
     largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])

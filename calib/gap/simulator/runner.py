@@ -123,7 +123,6 @@ class SimulatorRunner:
         return values
 
     def _finished(self, arguments: list[str], job: Job) -> bytes:
-        """Run the command to its end and return the last of its output."""
         if self._stop.is_set():
             raise _Stopped
         try:

@@ -212,7 +212,6 @@ def document(source: Source, stated: Certificate) -> Element:
 
 
 def _printable(text: str) -> str:
-    """Return the text without what XML 1.0 cannot hold, controls and lone surrogates, shown as escapes."""
     return "".join(
         sign
         if sign in "\t\n" or (sign >= " " and not "\ud800" <= sign <= "\udfff" and sign not in "\ufffe\uffff")

@@ -12,8 +12,8 @@ from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.trials import Trial
-from calib.gap.effects.calibration import NAMES
 from calib.gap.effects.library import effect_class
+from calib.gap.effects.radii import NAMES
 from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain

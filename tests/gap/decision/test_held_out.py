@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.gap.decision.held_out import HeldOut, folds, measure_closure
-from calib.gap.effects.drift import TemperatureRadius
+from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import noise_at

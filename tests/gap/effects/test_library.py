@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import calib.gap.effects as package
-from calib.gap.effects.calibration import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.effects.effect import Effect, Family, Form
 from calib.gap.effects.library import REGISTRY, every_effect, library
+from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature

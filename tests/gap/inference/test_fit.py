@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.effects.drift import SpeedRadius
 from calib.gap.effects.effect import Form, Parameter
 from calib.gap.effects.library import library
 from calib.gap.effects.load import LoadRadius
+from calib.gap.effects.radii import SpeedRadius
 from calib.gap.inference.fit import (
     Fitted,
     fit,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.effects.drift import TemperatureRadius
+from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import Weighting
 from calib.gap.inference.linear_model import LinearSystem

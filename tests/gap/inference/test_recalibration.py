@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.effects.calibration import DIRECTIONS, TYPICAL
-from calib.gap.effects.drift import TemperatureRadius
+from calib.gap.effects.radii import DIRECTIONS, TYPICAL, TemperatureRadius
 from calib.gap.inference.fit import CALIBRATION_SD, fit
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import SearchSettings
