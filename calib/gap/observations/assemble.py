@@ -58,7 +58,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     # a front wheel that drives the odometry itself cannot be compared with it
     usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
-    simulated = _simulated(units, usable, remarks)
     numbers = _numbers(campaign, index, path, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
@@ -83,7 +82,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         by_gyro=_each(units, "by_gyro"),
         sensor_m=(campaign.reference.sensor_x_m, campaign.reference.sensor_y_m),
         measured=measured,
-        simulated=simulated,
+        simulated=_simulated(units, usable, remarks),
         usable=usable,
         numbers=numbers,
         labels=labels,

@@ -19,7 +19,7 @@ PLACE_M = (0.3, -0.2)
 
 
 def recorded(truth: Truth) -> Campaign:
-    """Return recordings of a minute each; place and lengths are stated right, the sensor's yaw and clock as nought."""
+    """Return recordings of a minute each; place and lengths are stated right, the sensor's yaw and clock as zero."""
     mirrored = [(way, -turn) for way, turn in ROUTE]
     rng = np.random.default_rng(11)
     nominal = (truth.radius_left_m, truth.radius_right_m, truth.track_m)
