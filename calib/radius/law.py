@@ -119,9 +119,9 @@ class WheelLaw:
 
 
 def round_loads(low: float, high: float) -> FloatArray:
-    """Return round loads inside the range; its ends where nothing round lies in it."""
+    """Return round loads above zero inside the range; its ends where nothing round lies in it."""
     for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
-        first, last = np.ceil(low / step), np.floor(high / step)
+        first, last = max(np.ceil(low / step), 1.0), np.floor(high / step)
         if 3 <= last - first + 1 <= 9:
             return floats(step * np.arange(first, last + 1))
     return np.unique(np.array([low, 0.5 * (low + high), high]))
