@@ -179,6 +179,9 @@ ALONG_ONE: Final = 0.9
 HEADING_SCALE: Final = 0.005
 #: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
+#: recordings, and part of the longest that they differ by, from which on their delays tell of a clock
+FEWEST_OF_A_CLOCK: Final = 4
+OF_TWO_LENGTHS: Final = 0.2
 #: slip by the yaw rate
 SLIP_S_PER_RAD: Final = 0.01
 
@@ -207,6 +210,15 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
         if clear and share >= departure.share and share > most:
             most, found = share, (departure, size)
     return found
+
+
+def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
+    """Return the clock at another rate, and the rate, whose delays recordings of different lengths have on average."""
+    middle_s = 0.5 * recording.t_s[recording.offsets[1:] - 1]
+    if len(recording) < FEWEST_OF_A_CLOCK or np.ptp(middle_s) < OF_TWO_LENGTHS * middle_s.max():
+        return None
+    rate = float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
+    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), rate
 
 
 def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:

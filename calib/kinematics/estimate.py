@@ -12,7 +12,7 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
-from calib.kinematics.blunder_search import find_blunder, find_departure, score
+from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.drives import nominal_turn
 from calib.kinematics.joint_fit import (
@@ -161,6 +161,7 @@ class _Fit:
     task: _Task
     fitted: Fitted
     geometry: Geometry
+    common: Fitted  #: with one delay for all recordings
 
 
 def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
@@ -190,22 +191,29 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
-    chosen, delays = _with_own_delays(campaign, chosen, task.sensor) if way == "windows" else (chosen, ())
+    common, delays = chosen, ()
+    if way == "windows":
+        chosen, delays = _with_own_delays(campaign, common, task.sensor)
     chosen = _with_own_zeros(campaign, chosen, task)
     geometry = replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
-    return _Fit(task, chosen, geometry)
+    return _Fit(task, chosen, geometry, common)
 
 
 def _without_departure(fit: _Fit) -> Geometry:
     geometry = fit.geometry
-    if (found := find_departure(fit.fitted, misfit=geometry.misfit)) is None:
+    found = find_departure(fit.fitted, misfit=geometry.misfit)
+    # a delay that grows looks like several, and they hide it
+    hidden = found is None and bool(geometry.delays)
+    if hidden:
+        found = find_departure(fit.common, misfit=geometry.misfit) or hidden_clock(fit.fitted.model.recording)
+    if found is None:
         return geometry
     departure, size = found
-    # a delay that grows looks like several
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
     for _ in range(SIZE_ROUNDS):
         other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
-        more = score(other.fitted, departure)[1]
+        still = hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
+        more = still[1] if still else score(other.fitted, departure)[1]
         corrected, settled = other.geometry, abs(more) < SIZE_FOUND * abs(size)
         # near its size, and something else is left all the same
         if settled or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
@@ -213,7 +221,8 @@ def _without_departure(fit: _Fit) -> Geometry:
         size += more
     explained = departure.share or (geometry.misfit and not corrected.misfit)
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
-    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
+    hides = hidden and (corrected.misfit or bool(corrected.delays))
+    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit) or hides:
         return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 

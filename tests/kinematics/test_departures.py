@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
+from calib.gap.plan.planned_runs import joined
 from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
@@ -116,6 +117,43 @@ def test_a_clock_at_another_rate_is_named_and_the_radii_corrected(rate: float) -
         per_cent, _, sense = text.partition("runs ")[2].partition(" % ")
         assert float(per_cent) == pytest.approx(100.0 * abs(rate), rel=0.1)
         assert sense.startswith("fast" if rate > 0.0 else "slow")
+
+
+def of_both_lengths(delays_s: tuple[float, float], rate: float) -> Geometry:
+    """Return the geometry of recordings of half a minute and of two, each with a delay of its own at the start."""
+    rng, parts = np.random.default_rng(2), []
+    for lasts_s, delay_s in zip((30.0, 120.0), delays_s, strict=True):
+        routes = [("route", [(way, sense * turn) for way, turn in ROUTE * int(lasts_s / 30.0)]) for sense in (1, -1, 1)]
+        truth = Truth(delay_s=delay_s, clock_rate=rate)
+        parts.append(
+            campaigns.campaign(
+                routes,
+                truth,
+                rng,
+                along=True,
+                walk=1e-3,
+                duration_s=lasts_s,
+                samples=int(20 * lasts_s),
+                sigma=(5e-4, 5e-4),
+            )
+        )
+    both = joined(*parts)
+    names = np.array([f"r{number}" for number in range(len(both.runs))])
+    runs = replace(both.runs, labels={**both.runs.labels, "run_id": names, "session": names})
+    return estimate_geometry(replace(both, runs=runs), using="windows")
+
+
+def test_a_clock_that_recordings_of_different_lengths_hide_is_named() -> None:
+    """A delay of each recording takes most of it up, and the radii the rest."""
+    found = of_both_lengths((0.0, 0.0), 1e-3)
+    assert [fault.code for fault in found.faults] == ["clock_rate"] and not found.delays
+    # without it they are a thousandth off, and no residual shows it
+    assert found["radius_left_m"].value == pytest.approx(Truth().radius_left_m, rel=2e-4)
+
+
+def test_delays_of_their_own_are_no_clock() -> None:
+    found = of_both_lengths((0.02, 0.08), 0.0)
+    assert found.passed and found.delays and not found.faults
 
 
 @pytest.mark.parametrize("slip_s_per_rad", [0.0, 0.02])

@@ -13,6 +13,7 @@ from calib.reporting.blocks import table
 from calib.reporting.formatting import (
     MISSING,
     aligned,
+    capital,
     fixed,
     measured,
     probability,
@@ -76,3 +77,8 @@ def test_spans_of_one_value_are_one_value() -> None:
 def test_prose_gets_the_signs_of_print() -> None:
     assert prose("about 3 um at -2 degC, chi2(1) of S_O in m/s^2") == "about 3 µm at −2 °C, χ²(1) of Sₒ in m/s²"
     assert prose("run r-12 of 2025-03-31, album um-x") == "run r-12 of 2025-03-31, album µm-x"
+
+
+def test_a_sentence_begins_with_a_capital_but_for_a_name() -> None:
+    assert capital("the clock runs fast") == "The clock runs fast"
+    assert capital("ref_theta_rad: found degrees") == "ref_theta_rad: found degrees"
