@@ -191,7 +191,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
-    common, delays = chosen, ()
+    common, delays = chosen, tuple[Delay, ...]()
     if way == "windows":
         chosen, delays = _with_own_delays(campaign, common, task.sensor)
     chosen = _with_own_zeros(campaign, chosen, task)
