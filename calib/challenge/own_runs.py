@@ -256,7 +256,6 @@ def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
 
 
 def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_units: int) -> Iterator[_Job]:
-    """Give each plant once, with some empty campaigns, before any is planted again."""
     nothing = np.zeros((n_units, 6))
     for turn in range(asked.planted):
         for number in range(EMPTY_EACH):

@@ -73,7 +73,6 @@ def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
 
 
 def _nearest_path(message: str, given: list[str]) -> str:
-    """Return ``; did you mean 'x'?`` where the message speaks of a path that is not there and one beside it is near."""
     for word in given:
         path = Path(word)
         with suppress(OSError, ValueError):

@@ -105,7 +105,6 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
 
 
 def _files_in(folder: str, name: str, *, plain: bool) -> Iterator[tuple[str, str, bool]]:
-    """Yield the Parquet files below a folder: name within the fleet, last folder, whether no link leads there."""
     with os.scandir(folder) as entries:
         for entry in entries:
             below = f"{name}/{entry.name}"

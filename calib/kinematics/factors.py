@@ -93,7 +93,6 @@ def factor_faults(
 
 
 def _speed_factors(speeds: Sequence[str], *, turns: bool) -> dict[float, str]:
-    """Return what factors of the radii mean where `speeds` stand for counts; `turns`: turns are off by the same one."""
     times, lengths = "t_s in ms taken for s", f"{speeds[0]} in mm/s taken for m/s"
     # a yaw rate, not in m/s, is off with the times alone
     what = f"{times}, or {lengths}" if TWIST not in speeds else times if turns else lengths

@@ -241,7 +241,6 @@ def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
 
 
 def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    """Yield counters that overflow: of an absolute encoder after a turn, or of a register of so many bits."""
     turned = recording.steps.turned_rad
     periods = {"one revolution (an absolute encoder)": 2.0 * np.pi}
     periods |= {f"2^{bits}": 2.0 * np.pi * 2.0**bits / per_rev for bits in COUNTER_BITS}

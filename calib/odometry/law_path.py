@@ -288,7 +288,6 @@ def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[F
 
 
 def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float]) -> dict[str, float]:
-    """Return the half widths of 95 %: the wheels' variances were estimated, those of track and random walk given."""
     halves = {}
     for (name, size), variance, dof in zip(std.items(), *by_wheel, strict=True):
         given = NORMAL_95**2 * (size**2 - variance.sum())
@@ -297,7 +296,6 @@ def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float])
 
 
 def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95 % interval of the ratio of the rms distances: variances that were estimated follow chi-square."""
     more = np.stack([d / rng.chisquare(d, draws) for d in corrected.dof]) - 1.0
     square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]
     low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])

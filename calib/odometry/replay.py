@@ -336,7 +336,6 @@ def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: in
 
 
 def _fed(odometer: Odometer, log: dict[str, FloatArray], loads_N: FloatArray) -> tuple[FloatArray | None, str, int]:
-    """Feed a run; return poses (n, 3), None where a sample or load was refused or clamped, the fault and the count."""
     odometer.reset()
     changed = np.concatenate(([True], (np.diff(loads_N, axis=0) != 0.0).any(axis=1))).tolist()
     readings = zip(*(log[name].tolist() for name in ("counts_left", "counts_right", "t_s")), strict=True)

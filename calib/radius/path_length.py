@@ -345,7 +345,6 @@ def _progress(heading: FloatArray) -> FloatArray:
 
 
 def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:
-    """Return the number of periods, from a grid, whose sine with a trend explains each heading best, shape (n,)."""
     grid, first, second = _sines(heading.shape[1])
     power = (heading @ first) ** 2 + (heading @ second) ** 2
     power = np.where(grid[None, :] <= np.maximum(most, 2.0)[:, None], power, -1.0)

@@ -271,7 +271,6 @@ def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folde
 
 
 def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
-    """Return the odometry of a campaign of one run; None where its counts or its loads are not known."""
     if without_rear_wheels(campaign):
         poses, _ = stood_in(campaign, believed_model(coefficients, campaign.model.reference_load_N))
         return poses if np.isfinite(poses.stacked()).all() else None

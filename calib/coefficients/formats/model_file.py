@@ -285,7 +285,6 @@ TURNING: Final = frozenset({"continuous", "revolute", "hinge"})
 
 
 def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: FindWheel) -> tuple[str, ...]:
-    """Return a note on the joints of wheels like those that are set, which stay as they are; empty without any."""
     radius_m = set_ones[0].radius_m
     seen, others = [known.node for known in set_ones], []
     for joint in model.root.walk():

@@ -325,7 +325,6 @@ def _channels(diagnosis: Diagnosis) -> str:
 
 
 def _channel(line: ChannelClosure, *, both: bool) -> str:
-    """Return ``distance 6.1 -> 1.9 mm (noise level 2.3)``."""
     unit = line.channel.unit
     factor, unit = (1.0, unit) if line.before_rms >= LARGE_GAP else (1e3, f"m{unit}")
     before, after, floor = (f"{factor * value:.3g}" for value in (line.before_rms, line.after_rms, line.floor_rms))

@@ -26,8 +26,6 @@ COVARIATE_FORMS: Final = {
 
 
 class _OfColumn(Proportional):
-    """An effect that grows with a numeric column of the run table."""
-
     # an instance's own, unlike the class attributes of the other effects
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]

@@ -153,7 +153,6 @@ def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> Floa
 
 
 def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> FloatArray:
-    """Bring a reference heading that may come wrapped next to the wheels' turn: all then lie within half a turn."""
     known = np.isfinite(heading)
     if not known.any():
         return heading

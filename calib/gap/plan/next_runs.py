@@ -276,8 +276,6 @@ class _MeasuredSection(_Strict):
 
 
 class _RunEntry(_Strict):
-    """``[[runs]]`` of a plan; what has no field is a numeric column."""
-
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[float, Field(ge=-1e12, le=1e12)]]
 

@@ -224,7 +224,6 @@ def _followed(
 
 
 def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
-    """Return the gap beside the other causes, (n_obs, n_channels): what the fit left and took the named to change."""
     path, pairs = fitted.path, zip(fitted.forms, fitted.theta, strict=True)
     theta = [np.zeros_like(size) if form.effect in named else size for form, size in pairs]
     without = hypothesis_path(path.s, fitted.calibration, fitted.forms, theta, path)

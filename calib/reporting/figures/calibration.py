@@ -297,7 +297,6 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
 
 
 def _thinned(trace: RunTrace) -> RunTrace:
-    """Return a trace of at most `MOST_POINTS` poses and samples: more are not seen, and make the page heavy."""
     poses = evenly(len(trace.seen), MOST_POINTS)
     names = ("seen", "t_s", "reference_m", "residual_before", "residual_after")
     kept = {name: getattr(trace, name)[poses] for name in names}
