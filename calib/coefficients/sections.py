@@ -159,13 +159,16 @@ class WheelSection(Section):
         # squared by parts: variances near 1e-18 must not underflow into a false refusal
         bound = self.variance_radius_ref.value**0.5 * self.variance_slope.value**0.5
         if abs(covariance) > bound * (1.0 + ROUNDING):
-            raise ValueError("variances and covariance belong to no distribution (correlation beyond 1)")
+            raise ValueError("variances and a covariance of a distribution (a correlation within 1)")
         for load in (self.valid_load.min.value, self.valid_load.max.value):
             if self.radius_ref.value + self.slope.value * (load - self.reference_load.value) <= 0.0:
                 raise ValueError(f"the radius is not above zero at the valid load {load:g} N")
         strata = self.law.strata
         if strata is not None and not np.allclose(strata.covariance, _matrix(self), rtol=1e-6, atol=0.0):
-            raise ValueError("strata do not add up to the covariance")
+            raise ValueError("strata that add up to the covariance")
+        parts = () if self.strata is None else (self.strata.within, self.strata.between)
+        if parts and not np.isclose(sum(p.scatter.value**2 for p in parts), self.residual_std.value**2, rtol=1e-6):
+            raise ValueError("strata whose scatters add up to residual_std in squares")
         return self
 
     @property

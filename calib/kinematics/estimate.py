@@ -251,6 +251,8 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
         fit = _fitted(replace(task, campaign=campaign), corrected, () if wide else (blunder,))
     except RefusedError as error:
         raise RefusedError(f"{error}; {blunder.text}") from error
+    except np.linalg.LinAlgError:
+        return None
     return replace(fit, geometry=fit.geometry.with_wide_track(task.campaign.model.track_m, blunder)) if wide else fit
 
 

@@ -6,7 +6,6 @@ Its uncertainty is carried to the end pose by linear propagation and by Monte Ca
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +15,7 @@ import numpy as np
 from calib.errors import SWEEP_VALUES, BadInputError
 from calib.odometry.poses import COMPONENTS, jacobian, pose_errors, rows_of, steps
 from calib.odometry.routes import Axle, Route, end_of_route, wheel_travel
-from calib.radius.law import RadiusLaw
+from calib.radius.law import RadiusLaw, half_width
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
@@ -172,32 +171,6 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])
-
-
-def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
-    """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
-
-    Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.
-    """
-    from scipy.optimize import brentq
-    from scipy.special import stdtr, stdtrit
-
-    large, small = (0, 1) if scales[0] >= scales[1] else (1, 0)
-    if scales[large] <= 0.0:
-        return 0.0
-    share = float(scales[small] / scales[large])
-    # the smaller variate by equal parts of its probability, refined towards the tails
-    edge = np.linspace(-1.0, 1.0, 4002)[1:-1]
-    probability = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
-    weight = np.cos(0.5 * np.pi * edge)
-    weight /= weight.sum()
-    points = share * stdtrit(dof[small], probability)
-
-    def beyond(q: float) -> float:
-        return float(weight @ stdtr(dof[large], q - points)) - 0.975
-
-    widest = float(stdtrit(dof[large], 0.975) + share * stdtrit(dof[small], 0.975))
-    return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:

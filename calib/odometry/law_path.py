@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.odometry.law_journey import half_width
 from calib.odometry.poses import (
     COMPONENTS,
     POSE,
@@ -25,7 +24,7 @@ from calib.odometry.poses import (
     steps,
 )
 from calib.odometry.routes import SPACING_M, Route, radii_under_load
-from calib.radius.law import RadiusLaw
+from calib.radius.law import RadiusLaw, half_width
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 

@@ -9,6 +9,7 @@ share of V_between, chosen such that the coverage is the stated one for every tr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final
@@ -116,6 +117,32 @@ class WheelLaw:
         square = contrast[..., 0] ** 2
         parts = {"more_within": self.strata.run_variance, "more_between": self.strata.session_variance}
         return {name: square * variance for name, variance in parts.items()}
+
+
+def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
+    """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
+
+    Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import stdtr, stdtrit
+
+    large, small = (0, 1) if scales[0] >= scales[1] else (1, 0)
+    if scales[large] <= 0.0:
+        return 0.0
+    share = float(scales[small] / scales[large])
+    # the smaller variate by equal parts of its probability, refined towards the tails
+    edge = np.linspace(-1.0, 1.0, 4002)[1:-1]
+    probability = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
+    weight = np.cos(0.5 * np.pi * edge)
+    weight /= weight.sum()
+    points = share * stdtrit(dof[small], probability)
+
+    def beyond(q: float) -> float:
+        return float(weight @ stdtr(dof[large], q - points)) - 0.975
+
+    widest = float(stdtrit(dof[large], 0.975) + share * stdtrit(dof[small], 0.975))
+    return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
 
 
 def round_loads(low: float, high: float) -> FloatArray:

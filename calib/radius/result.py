@@ -16,9 +16,9 @@ from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
-from calib.radius.law import LARGEST_DOF, RadiusLaw, WheelLaw
-from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain, t_quantile
-from calib.types import FloatArray, Row
+from calib.radius.law import LARGEST_DOF, RadiusLaw, half_width
+from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
+from calib.types import Row
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -257,8 +257,9 @@ def read_result(path: Path) -> Fit:
         raise BadFileError(file, found=str(error.strerror), expected="a fit", remedy=REMEDY) from error
     except (ValueError, RecursionError) as error:
         raise BadFileError(file, found=f"no JSON ({error})", expected="a fit", remedy=REMEDY) from error
-    if not isinstance(value, dict):
-        raise BadFileError(file, found=f"a JSON {type(value).__name__}", expected="a fit", remedy=REMEDY)
+    if not isinstance(value, dict) or value.get("format") != FORMAT:
+        found = f"the format {value.get('format')!r}" if isinstance(value, dict) else f"a JSON {type(value).__name__}"
+        raise BadFileError(file, found=found, expected="a fit", remedy=REMEDY)
     _check_seal(file, value)
     try:
         return Fit.from_dict(value)
@@ -325,7 +326,7 @@ class ModelComparison:
 def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComparison:
     """Return the differences of fitted laws from a model of other runs, at the fit's reference load.
 
-    The intervals are Welch's, of two estimates with uncertainties of their own.
+    The intervals are those of the difference of two Student variates (Behrens and Fisher).
     """
     differences = []
     for wheel, law in ((left, model.left), (right, model.right)):
@@ -337,17 +338,10 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
             fitted, believed = (
                 float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in zip((own, law), contrasts, strict=True)
             )
-            half = _welch_half_width((own, law), contrasts)
+            pairs = list(zip((own, law), contrasts, strict=True))
+            # without degrees of freedom: not estimated, but stated
+            dof = [float(one.dof_of(c)) or LARGEST_DOF for one, c in pairs]
+            half = half_width(np.array([float(one.std_of(c)) for one, c in pairs]), dof)
             differences.append(Difference(wheel.wheel, quantity, fitted, believed, half))
     exact = not any(one.covariance.any() for one in (model.left, model.right))
     return ModelComparison(left.reference_load_N, tuple(differences), exact)
-
-
-def _welch_half_width(laws: tuple[WheelLaw, WheelLaw], contrasts: tuple[FloatArray, FloatArray]) -> float:
-    pairs = list(zip(laws, contrasts, strict=True))
-    variance = np.array([float(law.std_of(c)) ** 2 for law, c in pairs])
-    dof = np.array([float(law.dof_of(c)) for law, c in pairs])
-    total = variance.sum()
-    # without degrees of freedom: not estimated, but stated
-    spread = np.sum(variance[dof > 0] ** 2 / dof[dof > 0])
-    return float(np.sqrt(total) * t_quantile(total**2 / spread if spread > 0 else LARGEST_DOF))

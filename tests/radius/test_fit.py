@@ -208,14 +208,17 @@ def test_one_gross_outlier_is_named_where_the_law_cannot_be() -> None:
     assert ".;" not in str(refused.value)
 
 
-def test_the_interval_of_a_difference_is_welchs() -> None:
-    """Two wheels at one load each in one session: scipy's interval of two samples of unequal variance."""
+def test_the_interval_of_a_difference_holds_both_uncertainties() -> None:
+    """Two wheels at one load in one session: by draws of both Student variates, and no narrower than Welch's."""
     rng = np.random.default_rng(3)
     radii = rng.normal(0.1, 2e-5, 12), rng.normal(0.1, 4e-5, 7)
     one, other = (fit_wheel("left", np.full(len(r), 300.0), r, ["s"] * len(r), reference_load_N=300.0) for r in radii)
     compared = compare_laws(one, one, RadiusLaw(other.law, other.law))
-    low, high = stats.ttest_ind(*radii, equal_var=False).confidence_interval(0.95)
-    assert compared.differences[0].ci95 == pytest.approx((low, high), rel=1e-9)  # rounding
+    drawn = sum(np.std(r, ddof=1) / np.sqrt(len(r)) * rng.standard_t(len(r) - 1, 400_000) for r in radii)
+    half = 0.5 * np.ptp(compared.differences[0].ci95)
+    assert half == pytest.approx(np.quantile(np.abs(drawn), 0.95), rel=0.01)  # four standard errors of the quantile
+    assert half >= 0.5 * np.ptp(stats.ttest_ind(*radii, equal_var=False).confidence_interval(0.95))
+    assert compared.differences[0].difference == pytest.approx(radii[0].mean() - radii[1].mean())
     assert not compared.exact
     # a model without covariance is taken as exact: the interval is the fit's own
     nominal = replace(other.law, covariance=np.zeros((2, 2)), strata=None)

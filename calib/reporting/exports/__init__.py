@@ -46,6 +46,6 @@ def diagnosed(path: Path, progress: Progress) -> tuple[Campaign, Diagnosis]:
     from calib.radius.result import is_result
 
     if is_result(path):
-        raise BadInputError(f"{path}: found the result of a fit; expected a campaign folder, which has runs; give it")
+        raise BadInputError(f"{path}: found a result; expected a campaign folder, which has runs; give it")
     campaign = read_campaign(path, progress=progress)
     return campaign, diagnose_in_full(campaign, plan=False, progress=progress)
