@@ -221,16 +221,21 @@ def _without_departure(fit: _Fit) -> Geometry:
         size += more
     explained = departure.share or (geometry.misfit and not corrected.misfit)
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
-    # on the same windows, and without a delay of each recording, it has to leave less
-    clocked = replace(fit.fitted.model, recording=departure.change(recording, size))
-    left = _mean_off_m(clocked, other.fitted) / _mean_off_m(fit.fitted.model, fit.fitted)
-    hides = hidden and (corrected.misfit or bool(corrected.delays) or left > 1.0)
-    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit) or hides:
+    if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
+    if hidden:
+        # without a delay of each recording it has to leave less, on the same windows
+        there = replace(
+            other.fitted.model, recording=departure.change(recording, size), segments=fit.common.model.segments
+        )
+        more_left = _mean_off_m(there, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
+        if corrected.misfit or corrected.delays or more_left:
+            return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:
+    """Return the mean position error of a model's segments at fitted values."""
     residuals = model.predict(fitted.solution.values).residuals
     return float(np.mean(np.hypot(residuals[:, 0], residuals[:, 1])))
 

@@ -135,7 +135,8 @@ class ReferenceLeverArm(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            return [_read_at(path, place) for place in (1.0, 1j)]
+            moved = (_read_at(path, place) for place in (1.0, 1j))
+            return [Perturbation.on_readings(path.s, along=along, lateral=lateral) for along, lateral in moved]
 
         scale = reach(observations)
         # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
@@ -145,12 +146,11 @@ class ReferenceLeverArm(Effect):
         return [Form(self.id, "", parameters, perturbations)]
 
 
-def _read_at(path: Path, place_m: complex) -> Perturbation:
-    """Return what is read of a place on the vehicle (x + i y) beside the motion of its origin."""
+def _read_at(path: Path, place_m: complex) -> tuple[FloatArray, FloatArray]:
+    """Return along and lateral (n_obs,), m, of what a place on the vehicle (x + i y) moves beside its origin."""
     c, sn = path.frame_turned
     moved = (c - 1.0 + 1j * sn) * place_m
-    along, lateral = start_to_end_frame(path, moved.real, moved.imag)
-    return Perturbation.on_readings(path.s, along=along, lateral=lateral)
+    return start_to_end_frame(path, moved.real, moved.imag)
 
 
 class ReferenceYaw(Effect):
@@ -176,10 +176,9 @@ class ReferenceYaw(Effect):
 
         def form(label: str, heading: float) -> Form:
             def turned(path: Path) -> list[Perturbation]:
-                reading = _read_at(path, 1j * complex(*observations.sensor_m)).reading
-                assert reading is not None
-                reading[:, Channel.HEADING] = heading
-                return [Perturbation(turned_rad=np.ones(len(path.s)), reading=reading)]
+                along, lateral = _read_at(path, 1j * complex(*observations.sensor_m))
+                reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=heading)
+                return [replace(reading, turned_rad=np.ones(len(path.s)))]
 
             return Form(self.id, label, (parameter,), turned, tries=len(shapes))
 
