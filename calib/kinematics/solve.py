@@ -217,8 +217,12 @@ def solve(
         if number >= noise_rounds - 1 and sigmas < CLOSE:
             converged = True
             break
-        values, prediction, moved = _advance(model, (values, prediction), step, prior, _judge(whitener, size))
-        if not moved:
+        # a step of nothing is as long as it may be
+        part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
+        least_part = CLOSE / max(sigmas, CLOSE)
+        values, prediction, moved = _advance(model, (values, prediction), step, part, least_part, _judge(whitener, size))
+        # the noise at this place first: by it there may be a step
+        if not moved and number >= noise_rounds - 1:
             break
     weights, squares = _weights(_whitened(whitener, prediction.residuals.T), size)
     return Solution(values, prediction, scales, _whole(whitener), weights, _centred(squares, size), converged)
@@ -354,21 +358,24 @@ def _advance(
     model: Model,
     here: tuple[FloatArray, Prediction],
     step: FloatArray,
-    prior: FloatArray,
+    part: float,
+    least_part: float,
     loss: Callable[[Prediction], float],
 ) -> tuple[FloatArray, Prediction, bool]:
-    """Return the point along `step` that lowers the loss, by backtracking, and whether there is one."""
+    """Return the point along `step` that lowers the loss, by backtracking from `part` of it, and whether there is one.
+
+    A part of the step below `least_part` is not worth a trial; the first one always is.
+    """
     values, prediction = here
-    # a step of nothing is as long as it may be
-    longest = max(float(np.max(np.abs(step / prior))), LONGEST)
-    now, part = loss(prediction), LONGEST / longest
-    for _ in range(12):
+    now = loss(prediction)
+    while True:
         tried = values + part * step
         there = model.predict(tried)
         if loss(there) <= now * (1.0 + 1e-12):
             return tried, there, True
         part *= 0.4
-    return values, prediction, False
+        if part < least_part:
+            return values, prediction, False
 
 
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:

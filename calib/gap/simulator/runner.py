@@ -34,7 +34,7 @@ SHOWN_CHARACTERS: Final = 300
 #: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
 #: how often a run is looked at: an interruption is heeded within this time
-LOOK_S: Final = 0.05
+LOOK_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
