@@ -197,7 +197,7 @@ def _cause(evidence: Evidence, sized: _Sized, variance_factor: float, coverage: 
     quantities, times = {}, 0.0
     for parameter, value, sd in zip(form.parameters, sized.theta.tolist(), spread.tolist(), strict=True):
         interval = (value - coverage * sd, value + coverage * sd)
-        quantities[parameter.name] = Quantity(value, interval, parameter.unit)
+        quantities[parameter.name] = Quantity(value, interval, parameter.unit, parameter.shift)
         times = max(times, (abs(value) - 2 * sd) / parameter.largest)
     remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}" if times > 1.0 else ""
     unknown = undetermined(form.parameters, sized.theta, coverage * spread)

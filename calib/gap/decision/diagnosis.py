@@ -150,6 +150,8 @@ class Quantity:
     value: float
     ci95: tuple[float, float]
     unit: str
+    #: whether it only shifts where the others have their zero
+    shift: bool = field(default=False, metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)

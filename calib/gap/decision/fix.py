@@ -244,10 +244,9 @@ def _errors(improvement: Improvement) -> str:
 
 
 def holds_zero(cause: Cause) -> bool:
-    """Return whether the intervals of all of a cause's parameters hold zero."""
-    return bool(cause.parameters) and all(
-        low <= 0.0 <= high for low, high in (q.ci95 for q in cause.parameters.values())
-    )
+    """Return whether the intervals of all of a cause's parameters hold zero, a shift of its zero point aside."""
+    own = [quantity.ci95 for quantity in cause.parameters.values() if not quantity.shift]
+    return bool(own) and all(low <= 0.0 <= high for low, high in own)
 
 
 def _sizeless(cause: Cause) -> str:

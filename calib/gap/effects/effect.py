@@ -78,6 +78,8 @@ class Parameter:
     typical: float  #: order of magnitude that the field's literature and arithmetic give; the scale of its prior
     largest: float  #: beyond this size the effect as named is physically implausible
     sign: int = 0  #: 1 or -1 where only that sign has a meaning, 0 where either does
+    #: whether it only shifts where the others have their zero: its prior is as wide as their sizes make it
+    shift: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import (
-    Centre,
     Effect,
     Family,
     Form,
@@ -40,8 +39,6 @@ _ALL_BUT: Final = 1e-4
 _LEFT_SHARE: Final = 0.1
 #: a remainder is more than the simulator's noise where noise exceeds it less often than this
 _NOISE_TAIL: Final = 1e-3
-#: another zero point shifts the calibration by this share of what that is commonly off by: more is a shift of its own
-ZERO_SHARE: Final = 0.1
 #: a channel repeats itself within this share of an instrument's stated uncertainty
 _REPEATED_SHARE: Final = 0.02
 
@@ -127,7 +124,7 @@ class _Basis:
 class WheelMotion:
     """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
 
-    `nominal`: about which they are off; `noise`: (4,), of a change of (distance, x, y, heading); zero where the
+    `nominal`: about which they are off; `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the
     simulator repeats itself.
     """
 
@@ -152,8 +149,10 @@ class WheelMotion:
         both = _Basis.of(each[:, :, :2], by_wheels, len(s), _PROMISED_SHARE, _LEFT_SHARE)
         self.by_run = [both] if self.noisy else [alike, both]
 
-    def carried(self, change: FloatArray, step: float) -> Carried:
+    def carried(self, change: FloatArray, step: float, *, both_ways: bool = False) -> Carried:
         """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
+
+        `both_ways`: the change is half of what lies between a step up and one down.
 
         A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track
         that are off alike in all runs, or in proportion to a quantity of the runs, then as wheels off in each run by
@@ -163,7 +162,7 @@ class WheelMotion:
         unmoved = np.zeros((len(change), 3)), change
         best, whole = unmoved, self._squares(change).sum()
         for number, basis in enumerate(self.together):
-            found = self._sought(change, unmoved, basis)
+            found = self._sought(change, unmoved, basis, both_ways)
             square = self._squares(found[1]).sum()
             if self.noisy and _is_noise(square, int(self.on.sum())):
                 best = found[0], np.zeros_like(change)
@@ -175,7 +174,7 @@ class WheelMotion:
                 best = found
         else:
             for basis in self.by_run if self._squares(best[1]).sum() > _ALL_BUT * whole else ():
-                found = self._sought(change, best, basis)
+                found = self._sought(change, best, basis, both_ways)
                 good = (self._squares(found[1]) < basis.enough * self._squares(best[1]))[:, None]
                 best = np.where(good, found[0], best[0]), np.where(good, found[1], best[1])
         left, right, track = best[0].T / step
@@ -185,7 +184,7 @@ class WheelMotion:
     def _squares(self, left: FloatArray) -> FloatArray:
         return np.asarray(((left * self.weight) ** 2).sum(axis=1))
 
-    def _sought(self, change: FloatArray, start: _Sought, basis: _Basis) -> _Sought:
+    def _sought(self, change: FloatArray, start: _Sought, basis: _Basis, both_ways: bool) -> _Sought:
         wheels, left = start
         rounding = _ROUNDING * self._squares(change).sum()
         for _ in range(_STEPS):
@@ -197,9 +196,13 @@ class WheelMotion:
             if now[gains].sum() <= rounding:
                 break
             wheels = wheels + (basis.wheels @ sizes)[:, :, 0]
-            moved = Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])
-            left = change - (predict(self.nominal.s, [moved]).reading - self.nominal.reading)[:, :4]
+            up = self._moved(wheels)
+            left = change - (0.5 * (up - self._moved(-wheels)) if both_ways else up)
         return wheels, left
+
+    def _moved(self, wheels: FloatArray) -> FloatArray:
+        moved = Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])
+        return (predict(self.nominal.s, [moved]).reading - self.nominal.reading)[:, :4]
 
 
 def _quantities(s: Observations) -> list[FloatArray]:
@@ -237,7 +240,7 @@ def as_simulated(observations: Observations) -> Observations:
         # some of it is judged against the model itself
         return observations
     change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
-    carried = WheelMotion(nominal, np.zeros(4)).carried(np.nan_to_num(change), 1.0)
+    carried = WheelMotion(nominal, np.zeros((len(observations), 4))).carried(np.nan_to_num(change), 1.0)
     unit, model = observations.unit, observations.model
     return replace(
         observations,
@@ -250,7 +253,8 @@ def as_simulated(observations: Observations) -> Observations:
 class HeldCalibration(Effect):
     """An effect of the calibration as one among others, where no recalibration is free beside them.
 
-    `effect`: one of the calibration's own three.
+    `effect`: one of the calibration's own three; `sign`: of its size, where the other sign is left to parameters of
+    the simulator, 0 where either counts.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -258,48 +262,52 @@ class HeldCalibration(Effect):
     title: str  # type: ignore[misc]
     family = Family.CALIBRATION
 
-    def __init__(self, effect: Effect) -> None:
-        self.effect = effect
+    def __init__(self, effect: Effect, sign: int = 0) -> None:
+        self.effect, self.sign = effect, sign
         for name in ("id", "title", "implausible", "needs", "separates", "of_rear_wheels"):
             setattr(self, name, getattr(effect, name))
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the forms of the effect itself."""
-        return self.effect.forms(observations)
+        forms = self.effect.forms(observations)
+        own = [tuple(replace(one, sign=self.sign) for one in form.parameters) for form in forms]
+        return [replace(form, parameters=some) for form, some in zip(forms, own, strict=True)] if self.sign else forms
 
 
-def with_zero(effect: Effect, zeros: Sequence[HeldCalibration]) -> Effect:
-    """Return an effect whose zero point is free, where the calibration that would absorb it is held.
+def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:
+    """Return an effect whose zero point is free where it is counted from a mean and the calibration is held.
 
-    `zeros`: what another zero point looks like. Without it radii off on average (a temperature counted from 20 degrees)
-    would be laid on a parameter of the simulator.
+    Without it radii off on average (a temperature counted from 20 degrees) would be laid on a parameter of the
+    simulator. The zero lies about as far from the runs as they are apart: more is a cause of its own.
+
+    `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
+    their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.
     """
     shifted = copy(effect)
-    shifted.forms = partial(_forms_with_zero, effect, zeros)  # type: ignore[method-assign]
+    shifted.forms = partial(_forms_with_zero, effect, zeros, reach)  # type: ignore[method-assign]
     return shifted
 
 
-def _forms_with_zero(effect: Effect, zeros: Sequence[HeldCalibration], observations: Observations) -> list[Form]:
-    offsets = [form for zero in zeros for form in zero.forms(observations)]
-    named = []
-    for form in offsets:
-        typical = ZERO_SHARE * form.parameters[0].typical
-        named.append(replace(form.parameters[0], name=f"zero_{form.effect}", typical=typical, largest=3.0 * typical))
+def _forms_with_zero(
+    effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float], observations: Observations
+) -> list[Form]:
+    offsets = [(form, share) for zero, share in zeros.items() for form in zero.forms(observations)]
 
     def beside(perturbations: Perturbations) -> Perturbations:
-        return lambda path: [*perturbations(path), *(one for form in offsets for one in form.perturbations(path))]
+        return lambda path: [*perturbations(path), *(one for form, _ in offsets for one in form.perturbations(path))]
 
-    def about(form: Form) -> Callable[[Centre], Perturbations] | None:
+    def shifted(form: Form) -> Form:
+        if form.centre is None or not offsets:
+            return form
+        named = []
+        for offset, share in offsets:
+            own = offset.parameters[0]
+            typical = own.typical * share * reach[form.label]
+            zero = replace(own, name=f"zero_{offset.effect}", typical=typical, largest=3.0 * typical, shift=True)
+            named.append(zero)
         moved = form.about
-        return None if moved is None else lambda centre: beside(moved(centre))
+        about = None if moved is None else lambda centre: beside(moved(centre))
+        parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)
+        return replace(form, parameters=parameters, perturbations=perturbations, about=about, by_parts=False)
 
-    return [
-        replace(
-            form,
-            parameters=(*form.parameters, *named),
-            perturbations=beside(form.perturbations),
-            about=about(form),
-            by_parts=False,
-        )
-        for form in effect.forms(observations)
-    ]
+    return [shifted(form) for form in effect.forms(observations)]

@@ -91,7 +91,9 @@ class LocalSearch:
 
     def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
         """Return by what each condition may deviate from the current forms, shape (n_rows, n_forms)."""
-        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in sizes.items()]
+        # another zero point is exact
+        own = {k: size * [not p.shift for p in system.forms[k].parameters] for k, size in sizes.items()}
+        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in own.items()]
         return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
 
     @property

@@ -144,7 +144,7 @@ def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) ->
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
     gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
-    variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns.most[index])
+    variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns, index)
     sign, square, log_det = np.where(there, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
     return _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
 
@@ -157,8 +157,8 @@ def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[Floa
     return gram, right
 
 
-def _variance(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
-    return np.where(owner >= 0, prior_scale(sizes, owner, most) ** 2, 1e-12)
+def _variance(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
+    return np.where(owner >= 0, prior_scale(sizes, owner, columns, index) ** 2, 1e-12)
 
 
 def _log_evidence(
@@ -241,23 +241,28 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
     share = 1.0 / (eigen + scale**-2)
     square = sums.square[n] - share @ gap**2
     log_det = sums.log_det[n] + np.log1p(scale**2 * eigen).sum(axis=1)
-    variance, sign = _variance(sizes, owner, priors.most[index]), np.where(there, priors.sign[index], 0)
+    variance, sign = _variance(sizes, owner, priors, index), np.where(there, priors.sign[index], 0)
     gram, right = reduced(share)
     value = _log_evidence(gram[None], right[None], variance[None], sign, square, log_det, sums.n_rows)
     return np.asarray(value[0])
 
 
-def prior_scale(sizes: FloatArray, owner: IntArray, most: FloatArray) -> FloatArray:
-    """Return the prior scale of each column: its form's root mean square size, from a tenth to what is plausible."""
-    alike = (owner[:, :, None] == owner[:, None, :]).astype(np.float64)
-    alike /= alike.sum(axis=2, keepdims=True)
+def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
+    """Return the prior scale of each column: its form's root mean square size, from a tenth to what is plausible.
+
+    A shift of the zero point has no part in it: it is as large as the sizes make it, not they as it is.
+    """
+    most = columns.most[index]
+    alike = (owner[:, :, None] == owner[:, None, :]) * columns.own[index][:, None, :]
+    alike /= np.maximum(alike.sum(axis=2, keepdims=True), 1.0)
     mean_square = np.moveaxis(np.einsum("mab,...mb->a...m", alike, sizes**2), 0, -1)
     return np.asarray(np.clip(np.sqrt(mean_square), _LEAST_SCALE, most))
 
 
 def effect_scale(sizes: FloatArray, form: Form) -> float:
     """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible at most."""
-    size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 1.0
+    own = [not p.shift for p in form.parameters]
+    size = float(np.sqrt(np.mean(sizes[own] ** 2))) if len(sizes) else 1.0
     most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
     return float(np.clip(size, 0.1, most))
 

@@ -70,6 +70,7 @@ class FormPriors:
     layout: Layout  #: where the columns of each form stand
     most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
     sign: IntArray  #: shape (p,): 1 or -1 where only sizes of that sign have a meaning, else 0
+    own: FloatArray  #: shape (p,): 1, and 0 for a shift of the zero point, by which no prior scale is chosen
     log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, the search over forms and scales paid for
     by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
@@ -84,6 +85,7 @@ class FormPriors:
         n_effects = len({form.effect for form in forms})
         layout = Layout.of(forms)
         most, sign = np.zeros(int(layout.counts.sum())), np.zeros(int(layout.counts.sum()), dtype=np.int64)
+        own = np.array([not p.shift for form in forms for p in form.parameters], dtype=np.float64)
         for number, form in enumerate(forms):
             most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
             sign[layout.of_form(number)] = [p.sign for p in form.parameters]
@@ -97,6 +99,7 @@ class FormPriors:
             layout,
             most,
             sign,
+            own,
             np.array(log_prior),
             np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
         )

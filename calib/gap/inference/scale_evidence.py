@@ -160,7 +160,7 @@ def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:
     if model:
         (place,), (owner,) = local.columns.index([model])
         sizes = ridge_solve(*sums.of_columns(scale, place), _RIDGE)
-        most = prior_scale(sizes[None], owner[None], local.columns.most[place][None])[0]
+        most = prior_scale(sizes[None], owner[None], local.columns, place[None])[0]
         parts.append(np.concatenate([system.of(k) for k in model], axis=1) * most)
     for (_, places), own in zip(system.blocks.alike, weighting.own, strict=True):
         # a column of each block's own, zero in all others

@@ -20,7 +20,7 @@ from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
-from calib.gap.simulator.fix import alone, fixed, iterated, named_parameters, without_parameter
+from calib.gap.simulator.fix import alone, fixed, iterated, left_by, named_parameters, without_parameter
 from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
 from calib.gap.simulator.settings import SimulatorSettings, run_cache
 from calib.types import FloatArray, Progress, silent
@@ -155,7 +155,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(turns)
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
-    variance = differences.scatter**2 / differences.repeats
+    variance = (differences.scatter[differences.rows(measured)] ** 2 / differences.repeats).T
     observations = replace(
         measured,
         simulated=np.where(usable, simulated, np.nan),
@@ -199,7 +199,11 @@ def _candidates(
     stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
-    spanned = _spanned([rival for rival in rivals if isinstance(rival, HeldCalibration)], own, nominal)
+    signs = _spanned([rival for rival in rivals if isinstance(rival, HeldCalibration)], own, nominal)
+    spanned = [name for name, theirs in signs.items() if len(theirs) == 2]
+    for number, rival in enumerate(rivals):
+        if isinstance(rival, HeldCalibration) and len(theirs := signs.get(rival.id, [])) == 1:
+            rivals[number] = HeldCalibration(rival.effect, -theirs[0])
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
@@ -208,20 +212,34 @@ def _candidates(
     if differences.repeats > 1:
         notes.append(f"the simulator does not repeat itself: {differences.repeats} runs were averaged each time")
     held = {rival.id: rival for rival in rivals if isinstance(rival, HeldCalibration)}
-    others = [with_zero(rival, [held[name] for name in rival.own_shifts if name in spanned]) for rival in rivals]
+    others = []
+    for rival in rivals:
+        zeros = {held[name]: 1.0 / _reach(held[name], nominal)[""] for name in rival.own_shifts if name in spanned}
+        others.append(with_zero(rival, zeros, _reach(rival, nominal) if zeros else {}))
     return [*own, *(rival for rival in others if rival.id not in spanned)], tuple(notes)
 
 
-def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> list[str]:
+def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
+    """Return how far each form of an effect of typical size moves the readings, in their standard deviations."""
+    return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
+
+
+def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> dict[str, list[int]]:
+    """Return the signs, of 1 and -1, with which the parameters, each of a sign it may have, do what a rival would."""
     offered = [form for effect in own for form in effect.forms(nominal.s)]
     targets = {rival.id: forms[0] for rival in rivals if (forms := rival.forms(nominal.s))}
     if not offered or not targets:
-        return []
+        return {}
     columns, aims = (_scaled(nominal, forms) for forms in (offered, list(targets.values())))
-    columns = columns * np.array([p.largest / p.typical for form in offered for p in form.parameters])
-    left = aims - columns @ np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T @ aims)
-    close = np.linalg.norm(left, axis=0) < SPANNED_SHARE * np.linalg.norm(aims, axis=0)
-    return [name for name, reproduced in zip(targets, close, strict=True) if reproduced]
+    parameters = [parameter for form in offered for parameter in form.parameters]
+    columns = columns * np.array([p.largest / p.typical for p in parameters])
+    sign, spanned = np.array([p.sign for p in parameters]), dict[str, list[int]]()
+    for name, aim in zip(targets, aims.T, strict=True):
+        for way in (1, -1):
+            left = left_by(columns, way * aim, sign)
+            if np.linalg.norm(left) < SPANNED_SHARE * np.linalg.norm(aim):
+                spanned.setdefault(name, []).append(way)
+    return spanned
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:

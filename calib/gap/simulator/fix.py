@@ -22,7 +22,7 @@ from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
 from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averaged, difference
 from calib.gap.simulator.settings import Declared
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 #: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
 MOST_RERUNS: Final = 8
@@ -154,7 +154,7 @@ def alone(
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
     sets = [(named_parameters(diagnosis, runner), start)]
-    if square > LACKING * int(diagnosis.nominal.s.usable.sum()):
+    if not sets[0][0] or square > LACKING * int(diagnosis.nominal.s.usable.sum()):
         sets.append((_most_able(diagnosis, runner), None))
     for named, begin in sets:
         if named:
@@ -319,7 +319,7 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     else:
         able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
         can = f"; {named} of the library {able}" if diagnosis.causes else ""
-        why = f"No parameter of your simulator can do this{can}."
+        why = f"No parameter of your simulator can do this{can}.{_forbidden(diagnosis)}"
     return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
@@ -360,8 +360,28 @@ def _share_together(diagnosis: Diagnosis) -> float:
     forms, a, r = _signatures(diagnosis)
     if not forms or not r.any():
         return 0.0
-    left = r - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T @ r)
+    left = left_by(a, r, np.array([form.parameters[0].sign for form in forms]))
     return 1.0 - float(left @ left) / float(r @ r)
+
+
+def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
+    """Return what columns leave of an aim at sizes of unit prior, each of the sign that it may have, 0 for either."""
+    from scipy.optimize import lsq_linear
+
+    bounds = np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf)
+    ridged = np.concatenate([columns, np.eye(len(sign))]), np.concatenate([aim, np.zeros(len(sign))])
+    return np.asarray(aim - columns @ lsq_linear(*ridged, bounds).x)
+
+
+def _forbidden(diagnosis: Diagnosis) -> str:
+    """Return in words which parameter alone would do it with the sign that it may not have; empty where none would."""
+    forms, a, r = _signatures(diagnosis)
+    for form, column in zip(forms, a.T, strict=True):
+        sign = form.parameters[0].sign
+        left = left_by(column[:, None], r, np.array([-sign]))
+        if sign and left @ left < (1.0 - ADEQUATE_CLOSURE) * float(r @ r):
+            return f" {form.parameters[0].name} of your simulator would, but for the sign = {sign} that it is given."
+    return ""
 
 
 def _of_library(diagnosis: Diagnosis) -> str:

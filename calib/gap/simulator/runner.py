@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.errors import BadInputError
 from calib.gap.effects.effect import Perturbation
-from calib.gap.effects.simulator import SimulatorParameter, WheelMotion
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, SimulatorParameter, WheelMotion
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
@@ -34,7 +34,7 @@ SHOWN_CHARACTERS: Final = 300
 #: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
 #: how often a run is looked at: an interruption is heeded within this time
-LOOK_S: Final = 0.02
+LOOK_S: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,8 +196,10 @@ NOISE_SHARE: Final = 0.02
 #: runs of a noisy simulator at each set of parameters: their mean has half the scatter of one
 REPEATS: Final = 4
 #: change by a step, in standard deviations of one run of a noisy simulator, that shows a parameter's signature within
-#: some 0.7 %
-CLEAR_CHANGE: Final = 100.0
+#: 2 % in each run: a longer step bends the paths, a hundred times 2 mrad by 0.2 rad
+CLEAR_CHANGE: Final = 30.0
+#: a step is enlarged to this share of a nominal value that is not zero, at most: beyond lies what may have no meaning
+NOT_NOTHING: Final = 0.9
 _HEADING: Final = 3
 #: a simulator's distance is that of its end point where they agree this well; laser and path length are further off
 SAME_DISTANCE_M: Final = 1e-3
@@ -211,7 +213,7 @@ class Differences:
     nominal: FloatArray  #: shape (n_runs, 4): NaN where it does not predict a channel
     change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): change per unit, 0 where not predicted
     size: Mapping[str, float]  #: by parameter: the deviation from nominal over which the change was taken
-    scatter: FloatArray  #: shape (4,): standard deviation of one run of the simulator; 0 where it repeats itself
+    scatter: FloatArray  #: shape (n_runs, 4): standard deviation of one simulation; 0 where it repeats itself
     repeats: int  #: runs at each set of parameters that were averaged
     #: as what it writes distances: 1, along x; 2, from the start as the crow flies; None where it is neither
     axis: float | None = None
@@ -220,11 +222,11 @@ class Differences:
     def effects(self, settings: SimulatorSettings, nominal: DrivenPath) -> list[SimulatorParameter]:
         """Return the parameters as effects on the runs of a path, the model alone."""
         rows = self.rows(nominal.s)
-        wheels = WheelMotion(nominal, self.scatter * np.sqrt(2.0 / self.repeats))
-        carried = {
-            each.name: wheels.carried(self.change[each.name][rows] * self.size[each.name], self.size[each.name])
-            for each in settings.parameters
-        }
+        wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
+        carried = {}
+        for each in settings.parameters:
+            size, both_ways = self.size[each.name], self.repeats > 1 and not each.parameter.sign
+            carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
             # what wheels carry is no sum: together they would miss the run that the changes meet
             met = [(carried[name], size) for name, size in self.met.items()]
@@ -275,39 +277,66 @@ def averaged(tables: list[FloatArray]) -> FloatArray:
 def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     """Run a simulator at its nominal parameters, and with each of them a step off; twice where these do not tell all.
 
-    Where two nominal runs differ by more than `NOISE_SHARE` of the stated uncertainties `sigma` (4,), every set of
-    parameters is run `REPEATS` times and averaged, a step that the scatter hides at a longer one.
+    Where two nominal runs differ by more than `NOISE_SHARE` of the stated uncertainties `sigma` (4,), see `_averaged`.
     """
     settings = runner.settings
-    steps = [each.step for each in settings.parameters]
-    jobs = [Job(parameters, what) for what, parameters in _points(settings, steps)]
+    steps = {each.name: each.step for each in settings.parameters}
+    jobs = [Job(settings.nominal, "the nominal parameters"), *(_off(settings, *step) for step in steps.items())]
     tables = runner.run(jobs)
     nominal = tables[0]
-    again = nominal if _repeats(tables, sigma) else runner.run([Job(jobs[0].parameters, jobs[0].what, 1)])[0]
+    again = nominal if _repeats(tables, sigma) else runner.run([replace(jobs[0], repeat=1)])[0]
     scatter = np.sqrt(0.5 * np.mean(difference(again, nominal) ** 2, axis=0))
-    repeats, sets = 1, [[table] for table in tables]
     if (scatter > NOISE_SHARE * sigma).any():
-        repeats = REPEATS
-        changes = [difference(table, nominal) for table in tables[1:]]
-        clear = [_clear_step(each, change, scatter) for each, change in zip(settings.parameters, changes, strict=True)]
-        kept = [[table] if step == now else [] for table, step, now in zip(tables[1:], steps, clear, strict=True)]
-        steps, sets = clear, [[nominal, again], *kept]
-        more = [
-            Job(parameters, what, repeat)
-            for (what, parameters), known in zip(_points(settings, steps), sets, strict=True)
-            for repeat in range(len(known), REPEATS)
-        ]
-        results = iter(runner.run(more))
-        for known in sets:
-            known += [next(results) for _ in range(len(known), REPEATS)]
-        within = [difference(table, averaged(tables)) for tables in sets for table in tables]
-        scatter = np.sqrt(np.mean(np.stack(within) ** 2, axis=(0, 1)) * REPEATS / (REPEATS - 1))
-    else:
-        scatter = np.zeros(4)
-    means = [averaged(tables) for tables in sets]
-    size = {each.name: step for each, step in zip(settings.parameters, steps, strict=True)}
-    change = {name: difference(one, means[0]) / step for (name, step), one in zip(size.items(), means[1:], strict=True)}
-    return Differences(tuple(runner.run_ids), means[0], change, size, scatter, repeats, _distance_axis(means))
+        known = dict(zip(steps.items(), tables[1:], strict=True))
+        return _averaged(runner, jobs[0], [nominal, again], known, scatter)
+    change = {name: difference(table, nominal) / steps[name] for name, table in zip(steps, tables[1:], strict=True)}
+    axis = _distance_axis(tables)
+    return Differences(tuple(runner.run_ids), nominal, change, steps, np.zeros_like(nominal), 1, axis)
+
+
+def _averaged(
+    runner: SimulatorRunner,
+    nominal: Job,
+    at_nominal: Sequence[FloatArray],
+    known: Mapping[tuple[str, float], FloatArray],
+    scatter: FloatArray,
+) -> Differences:
+    """Return the differences of a simulator with noise: every set of parameters is run `REPEATS` times and averaged.
+
+    A step that the scatter (4,) hides is enlarged, and taken to both sides, half of the runs each: over a long step
+    few parameters are linear, but what bends is alike on both sides. `known`: runs of each parameter a step off.
+    """
+    settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
+    size = dict[str, float]()
+    for each in settings.parameters:
+        first = known[each.name, each.step]
+        size[each.name] = step = _clear_step(each, difference(first, at_nominal[0]), scatter)
+        sets[each.name, step] = [first] if step == each.step else []
+        if not each.parameter.sign:
+            sets[each.name, -step] = []
+    counts = {
+        at: REPEATS if not at[0] or settings.by_cause[SIMULATOR_PREFIX + at[0]].parameter.sign else REPEATS // 2
+        for at in sets
+    }
+    more = [
+        replace(_off(settings, *at) if at[0] else nominal, repeat=number)
+        for at, tables in sets.items()
+        for number in range(len(tables), counts[at])
+    ]
+    results = iter(runner.run(more))
+    for at, tables in sets.items():
+        tables += [next(results) for _ in range(len(tables), counts[at])]
+    within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
+    # of each run by itself: that of a heading grows with the way
+    scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets)))
+    means = {at: averaged(tables) for at, tables in sets.items()}
+    middle = means["", 0.0]
+    change = {}
+    for name in size:
+        sides = [difference(table, middle) / step for (of, step), table in means.items() if of == name]
+        change[name] = np.mean(sides, axis=0)
+    axis = _distance_axis(list(means.values()))
+    return Differences(tuple(runner.run_ids), middle, change, size, scatter, REPEATS, axis)
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
@@ -325,10 +354,9 @@ def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
     return True
 
 
-def _points(settings: SimulatorSettings, steps: Sequence[float]) -> list[tuple[str, dict[str, float]]]:
-    off = [(each.name, each.nominal + step) for each, step in zip(settings.parameters, steps, strict=True)]
-    nominal = ("the nominal parameters", settings.nominal)
-    return [nominal, *((f"{name} = {value:g}", settings.nominal | {name: value}) for name, value in off)]
+def _off(settings: SimulatorSettings, name: str, step: float) -> Job:
+    value = settings.nominal[name] + step
+    return Job(settings.nominal | {name: value}, f"{name} = {value:g}")
 
 
 def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> float:
@@ -338,7 +366,8 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
     """
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
-    most = each.largest / abs(each.step)
+    # to either side, and of a length not to nothing
+    most = max(min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf) / abs(each.step), 1.0)
     return each.step * min(max(CLEAR_CHANGE / shown, 1.0) if shown > 0.0 else most, most)
 
 

@@ -220,8 +220,8 @@ def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few() -> None:
     in_one = Sums(gram[:, order[:, None], order], right[:, order], *others)
     most, odds, by_count = np.full(104, 5.0), np.array([-1.0, -2.0, -3.0]), -np.arange(4.0)
     models = [(1,), (0,), (0, 1), (2, 1, 0), (2, 1), (2,)]
-    made = log_weights(in_axes, FormPriors((), apart, most, sign, odds, by_count), models)
-    wanted = log_weights(in_one, FormPriors((), together, most, sign[order], odds, by_count), models)
+    made = log_weights(in_axes, FormPriors((), apart, most, sign, np.ones(104), odds, by_count), models)
+    wanted = log_weights(in_one, FormPriors((), together, most, sign[order], np.ones(104), odds, by_count), models)
     weighed = np.isfinite(made)
     np.testing.assert_allclose(made[weighed], wanted[weighed], rtol=RTOL)
     assert weighed[:3].all()
@@ -241,7 +241,7 @@ def test_sizes_of_a_wide_form_stand_in_the_order_of_the_model() -> None:
     of_wide = WideSums(lambda n: (gram[n, 2:, 2:], np.c_[gram[n, 2:, :2], right[n, 2:]]), np.arange(2))
     sums = Sums(gram[:, :2, :2], right[:, :2], zero, zero, zero, zero.astype(int), zero, 200, of_wide)
     layout = Layout.arranged(np.array([30, 2]), 0)
-    priors = FormPriors((), layout, np.full(32, 5.0), np.zeros(32, dtype=int), np.zeros(2), np.zeros(3))
+    priors = FormPriors((), layout, np.full(32, 5.0), np.zeros(32, dtype=int), np.ones(32), np.zeros(2), np.zeros(3))
     wanted = sum(share * np.linalg.solve(gram[n] + 1e-2 * np.eye(32), right[n]) for n, share in enumerate((0.25, 0.75)))
     for model, places in (((0, 1), [*range(2, 32), 0, 1]), ((1, 0), range(32))):
         made = model_sizes(sums, priors, model, np.array([0.25, 0.75]))
