@@ -54,7 +54,8 @@ def sure_part(
         kept = [cause for cause in kept if cause.effect not in dropped]
     names = {cause.effect for cause in kept}
     families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
-    if Family.SIMULATOR in families:
+    steps = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
+    if Family.SIMULATOR in families and dropped.keys() - steps:
         # parameters of a simulator are set together, and judged by running it again
         return whole
     # a recalibration is part of every fit: what is not sure of it cannot be taken off
@@ -63,9 +64,8 @@ def sure_part(
     # what the dropped causes explain is left by design: the closure is that of all of them
     if causes and (_is_whole(evidence, names) or any(True for _ in remaining(whole.held_out, unexplained))):
         return whole
-    stepping = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
     # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
-    beside = {name for name in stepping if names.isdisjoint(evidence.effects[name].shifts)}
+    beside = {name for name in steps if names.isdisjoint(evidence.effects[name].shifts)}
     concerned = [group for group in tied if names.intersection(group)]
     apart_m = confounding.agreement_m(evidence, concerned)
     others = elsewhere(names, alternatives(evidence, concerned, unexplained, differing))
@@ -80,8 +80,8 @@ def sure_part(
         why = [*unhelpful(improvement), *worse, *left, *odds, *harm(tried), *beyond]
         if not why:
             break
-    if why and stepping:
-        return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(stepping))}: {text}" for text in why)))
+    if why and steps:
+        return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
     if why:
         # without a cause beside a blunder there are no reasons yet
         return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))

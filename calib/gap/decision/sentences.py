@@ -103,7 +103,8 @@ def kind_of(
     """
     high = closure.ci95[1] if closure.ci95 else 1.0
     unexplained = unexplained_share is not None
-    if not supported:
+    # no noise takes runs so far off
+    if not supported and misfit < BLUNDER_MISFIT:
         return VerdictKind.UNDECIDED
     if gap_probability < REPORTED_GAP_PROBABILITY and misfit < BLUNDER_MISFIT:
         return VerdictKind.NO_GAP

@@ -297,7 +297,7 @@ def _forms_with_zero(
         return lambda path: [*perturbations(path), *(one for form, _ in offsets for one in form.perturbations(path))]
 
     def shifted(form: Form) -> Form:
-        if form.centre is None or not offsets:
+        if (form.centre is None and not effect.per_session) or not offsets:
             return form
         named = []
         for offset, share in offsets:

@@ -42,7 +42,10 @@ def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArra
     columns = project(nuisance, system.columns(form))
     bound = np.array([p.largest / p.typical for p in form.parameters]) * PLAUSIBLE_FACTOR
     sizes = np.linalg.solve(columns.T @ columns + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
-    sign = np.array([p.sign for p in form.parameters])
+    sign, shift = np.array([(p.sign, p.shift) for p in form.parameters]).T
+    if shift.any():
+        # no further than the sizes beside it make it
+        bound = np.where(shift, bound * np.sqrt(np.mean(sizes[shift == 0] ** 2)), bound)
     # a form of one sign (counts are lost, never won) is no alternative to the other sign
     sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
     return float(np.linalg.norm(target - columns @ sizes))

@@ -14,6 +14,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, as_simulated, with_zero
 from calib.gap.inference.fit import signature_columns
@@ -22,7 +23,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.gap.simulator.fix import alone, fixed, iterated, left_by, named_parameters, without_parameter
 from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
-from calib.gap.simulator.settings import SimulatorSettings, run_cache
+from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
 
 #: an effect of the calibration that the simulator's parameters reproduce but for this share is theirs to set
@@ -83,6 +84,7 @@ def diagnose_simulator(
     runner = SimulatorRunner(settings, place, run_ids, cache, workers, progress)
     stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
     differences = differences_of(runner, np.array([values.min() for values in stated]))
+    _refuse_nonsense(settings, measured, differences)
     observations = simulated_observations(measured, differences, differences.nominal)
     if not observations.usable.any():
         raise RefusedError(
@@ -167,6 +169,24 @@ def simulated_observations(measured: Observations, differences: Differences, tab
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
     return as_simulated(observations)
+
+
+def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differences: Differences) -> None:
+    table = differences.nominal[differences.rows(measured)]
+    gone = measured.usable[:, :4] & ~np.isfinite(table) & np.isfinite(table).any(axis=0)
+    if gone.any():
+        row, column = np.argwhere(gone)[0]
+        raise BadInputError(
+            f"{settings.path}: found no {COLUMNS[column]} of run {measured.labels['run_id'][row]}; expected a number "
+            "in each run where it was measured; write it, or leave the column out"
+        )
+    words = written_wrong(table, predict(measured).reading[:, :4], BLUNDER_MISFIT)
+    if words:
+        wrong, cure = words.split("; ", 1)
+        raise BadInputError(
+            f"{settings.path}: found that the simulator writes {wrong}; expected ends near those of the logged counts; "
+            f"{cure}"
+        )
 
 
 def _check_excluded(

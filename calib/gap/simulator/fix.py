@@ -90,15 +90,19 @@ def fixed(
     closure = held_out.closure
     assert diagnosis.evidence is not None
     closes = closure.ci95 is not None and closure.ci95[0] > ADEQUATE_CLOSURE
+    # what causes of the library take is not for the parameters to close
+    theirs = _without(diagnosis.fitted, named)
+    own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
+    fits = own.ci95 is not None and own.ci95[0] > ADEQUATE_CLOSURE
     kind, why = diagnosis.kind, diagnosis.fix.why
     if kind is VerdictKind.EXPLAINED and (not closes or closure.leaves_part):
         kind = VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
-    recommended = diagnosis.fix.recommended and closes and found.settled and not worse
+    recommended = diagnosis.fix.recommended and fits and found.settled and not worse
     why = (*why, *worse)
-    if not closes:
-        low, high = (100.0 * max(share, 0.0) for share in closure.ci95 or (0.0, 0.0))
+    if not fits:
+        low, high = (100.0 * max(share, 0.0) for share in own.ci95 or (0.0, 0.0))
         wanted = f"where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain"
         why = (*why, f"your simulator, run again with it, closes {low:.0f} to {high:.0f} % of the gap, {wanted}; {FAR}")
     elif not found.settled:
@@ -300,8 +304,9 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
         value, unit = values[each.name], "" if each.unit in ("", "1") else f" {each.unit}"
         off = each.nominal - value
         way = "large" if off > 0.0 else "small"
-        in_percent = abs(off) < abs(each.nominal)
-        size = f"{100 * abs(off / each.nominal):.2g} %" if in_percent else f"{abs(off):.3g}{unit}"
+        # a share of the right value, as lengths have it
+        in_percent = min(value, each.nominal) > 0.0 and abs(off) < 0.5 * value
+        size = f"{100 * abs(off) / value:.2g} %" if in_percent else f"{abs(off):.3g}{unit}"
         parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
     return f"{'; '.join(parts)}."
 

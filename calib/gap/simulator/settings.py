@@ -136,7 +136,7 @@ class BadTableError(ValueError):
 
 
 def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
-    """Return the simulated (distance, x, y, heading) of each run, (n_runs, 4); NaN in a column that is not written.
+    """Return the simulated (distance, x, y, heading) of each run, (n_runs, 4); NaN where nothing is written.
 
     Rows of other runs are passed over. Raises BadTableError.
     """
@@ -179,6 +179,8 @@ def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
 
 
 def _number(text: str, name: str, run_id: str) -> float:
+    if not text.strip():
+        return math.nan
     try:
         value = float(text)
     except ValueError:
@@ -188,6 +190,51 @@ def _number(text: str, name: str, run_id: str) -> float:
             f"found {name} = {text[:30]!r} in run {run_id}; expected a number between -{LARGEST:g} and {LARGEST:g}"
         )
     return value
+
+
+#: what a simulator writes wrongly -> (x, y, heading), each from which of these and times what, and what to write
+_MILLI, _DEGREE = 1e-3, math.pi / 180.0
+_BLUNDERS: Final = {
+    "millimetres; write metres": ((0, 1, 2), (_MILLI, _MILLI, 1.0)),
+    "headings in degrees; write radians": ((0, 1, 2), (1.0, 1.0, _DEGREE)),
+    "millimetres and degrees; write metres and radians": ((0, 1, 2), (_MILLI, _MILLI, _DEGREE)),
+    "y to the right; write y to the left, or exchange left and right counts": ((0, 1, 2), (1.0, -1.0, 1.0)),
+    "headings clockwise; write them counter-clockwise": ((0, 1, 2), (1.0, 1.0, -1.0)),
+    "motion to the other side; write y to the left, headings counter-clockwise, or exchange left and right counts": (
+        (0, 1, 2),
+        (1.0, -1.0, -1.0),
+    ),
+    "x to the right and y ahead; write x ahead, y to the left": ((1, 0, 2), (1.0, -1.0, 1.0)),
+    "x and y exchanged; write x ahead, y to the left": ((1, 0, 2), (1.0, 1.0, 1.0)),
+}
+
+
+def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
+    """Return in words what a simulator writes wrongly; empty where its ends are roughly those of the logged counts.
+
+    Parameters
+    ----------
+    table : array, shape (n_runs, 4)
+        Ends (distance, x, y, heading) at the nominal parameters.
+    own : array, shape (n_runs, 4)
+        Those that the campaign's model makes of the counts.
+    most : float
+        Share of the way and of the turn by which these may differ on average: vehicles differ by less, blunders by
+        more.
+    """
+    length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
+
+    def off(ends: FloatArray) -> float:
+        apart = ends - own[:, 1:]
+        turned = np.abs((apart[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+        return float(np.mean(np.minimum(np.fmax(np.hypot(apart[:, 0], apart[:, 1]) / length, turned), 1.0)))
+
+    ends = table[:, 1:]
+    if not np.isfinite(ends).all() or not np.isfinite(own[:, 1:]).all() or off(ends) < most:
+        return ""
+    left = {words: off(ends[:, list(of)] * times) for words, (of, times) in _BLUNDERS.items()}
+    best = min(left, key=lambda words: left[words])
+    return best if left[best] < most else ""
 
 
 #: what a file is; another number makes what was kept worthless
