@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.errors import BadFileError
-from calib.gap.simulator.settings import BadTableError, read_settings, read_table
+from calib.gap.simulator.settings import BadTableError, read_settings, read_table, written_wrong
 
 SOUND = """
 command = ["sim", "{campaign}", "{parameters}", "{out}"]
@@ -96,3 +97,30 @@ def test_a_table_of_nonsense_is_refused(tmp_path: Path, text: str, words: str) -
         read_table(path, ["a", "b"])
     assert words in str(caught.value)
     assert "expected" in str(caught.value)
+
+
+def test_an_empty_cell_is_a_number_that_is_not_predicted(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("run_id,sim_distance_m,sim_x_m\na,,2\nb,3,4\n")
+    np.testing.assert_array_equal(read_table(path, ["a", "b"])[:, :2], [[np.nan, 2.0], [3.0, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        (lambda e: e * [1e3, 1e3, 1e3, 1.0], "millimetres"),
+        (lambda e: e * [1.0, 1.0, 1.0, 180.0 / np.pi], "degrees"),
+        (lambda e: e * [1.0, 1.0, -1.0, 1.0], "y to the right"),
+        (lambda e: e * [1.0, 1.0, 1.0, -1.0], "headings clockwise"),
+        (lambda e: e * [1.0, 1.0, -1.0, -1.0], "to the other side"),
+        (lambda e: e[:, [0, 2, 1, 3]] * [1.0, -1.0, 1.0, 1.0], "y ahead"),
+        (lambda e: e[:, [0, 2, 1, 3]], "exchanged"),
+        (lambda e: e * 1.02, ""),
+        (lambda e: e[::-1], ""),
+    ],
+)
+def test_what_a_simulator_writes_wrongly_is_named(written: Callable[[np.ndarray], np.ndarray], words: str) -> None:
+    """Ends of curves to both sides; radii off by two per cent, and runs in another order, are none of these."""
+    ends = np.array([[8.0, 7.0, 3.0, 0.9], [5.0, 3.0, -3.5, -1.7], [12.0, 11.0, 2.0, 0.4], [6.0, 1.0, 4.0, 2.9]])
+    found = written_wrong(written(ends), ends, 0.08)
+    assert words in found and bool(words) == bool(found)
