@@ -61,6 +61,17 @@ def without_rear_wheels(campaign: Campaign) -> bool:
     return odometry_source(campaign) != "rear" and _lacks_rear(campaign)
 
 
+def on_its_source_alone(campaign: Campaign) -> Campaign:
+    """Return the campaign without the counts of rear wheels where its odometry is said to run on others."""
+    if campaign.odometry.source in (None, "rear"):
+        return campaign
+    rear = WHEEL_COLUMNS["rear"]
+    columns = {name: campaign.logs.columns[name] for name in campaign.logs.columns if name not in rear}
+    numbers = {name: values for name, values in campaign.runs.numbers.items() if name not in rear}
+    logs, runs = replace(campaign.logs, columns=columns), replace(campaign.runs, numbers=numbers)
+    return replace(campaign, logs=logs, runs=runs)
+
+
 def _logged(logs: Logs, source: str) -> bool:
     return all(name in logs.columns and not np.isnan(logs.columns[name]).all() for name in WHEEL_COLUMNS[source])
 

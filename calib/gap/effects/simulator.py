@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -272,6 +272,13 @@ class HeldCalibration(Effect):
         forms = self.effect.forms(observations)
         own = [tuple(replace(one, sign=self.sign) for one in form.parameters) for form in forms]
         return [replace(form, parameters=some) for form, some in zip(forms, own, strict=True)] if self.sign else forms
+
+
+def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
+    """Return an effect without the forms of these labels."""
+    other = copy(effect)
+    other.forms = lambda observations: [form for form in effect.forms(observations) if form.label not in labels]  # type: ignore[method-assign]
+    return other
 
 
 def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:

@@ -10,17 +10,27 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, as_simulated, with_zero
+from calib.gap.effects.simulator import (
+    SIMULATOR_PREFIX,
+    HeldCalibration,
+    SimulatorParameter,
+    as_simulated,
+    with_zero,
+    without_forms,
+)
+from calib.gap.effects.steering import SteeringScale, SteeringZero
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.predict import Path, predict
+from calib.gap.plan.identifiability import SEPARATION_SD
+from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator.fix import alone, fixed, iterated, left_by, named_parameters, without_parameter
 from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
 from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
@@ -77,9 +87,12 @@ def diagnose_simulator(
             f"{campaign.name}: found no folder with campaign.toml; expected one, which the simulator reads; "
             "run 'calib ingest' first"
         )
+    root = FilePath(campaign.root)
+    # a simulator is driven as the vehicle's odometry is
+    campaign = on_its_source_alone(campaign)
     measured = observations_of(campaign, whole_runs=True)
     _check_excluded(exclude, measured, settings, campaign)
-    place, run_ids = FilePath(campaign.root).resolve(), [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
+    place, run_ids = root.resolve(), [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
     cache = run_cache(settings, campaign.hashes)
     runner = SimulatorRunner(settings, place, run_ids, cache, workers, progress)
     stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
@@ -219,11 +232,14 @@ def _candidates(
     stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
-    signs = _spanned([rival for rival in rivals if isinstance(rival, HeldCalibration)], own, nominal)
-    spanned = [name for name, theirs in signs.items() if len(theirs) == 2]
+    signs = _spanned([rival for rival in rivals if _is_setting(rival, observations)], own, nominal)
+    spanned = [name for name, forms in signs.items() if all(len(theirs) == 2 for theirs in forms.values())]
     for number, rival in enumerate(rivals):
-        if isinstance(rival, HeldCalibration) and len(theirs := signs.get(rival.id, [])) == 1:
-            rivals[number] = HeldCalibration(rival.effect, -theirs[0])
+        theirs = signs.get(rival.id, {})
+        if isinstance(rival, HeldCalibration) and len(theirs.get("", [])) == 1:
+            rivals[number] = HeldCalibration(rival.effect, -theirs[""][0])
+        elif rival.id not in spanned and any(theirs.values()):
+            rivals[number] = without_forms(rival, [label for label, ways in theirs.items() if len(ways) == 2])
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
@@ -244,26 +260,44 @@ def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
     return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
 
 
-def _spanned(rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path) -> dict[str, list[int]]:
-    """Return the signs, of 1 and -1, with which the parameters, each of a sign it may have, do what a rival would."""
+def _is_setting(effect: Effect, observations: Observations) -> bool:
+    """Return whether an effect is a parameter of the odometry that is set wrong, as a simulator has them."""
+    steered = observations.by_front and effect.id in (SteeringZero.id, SteeringScale.id)
+    return steered or isinstance(effect, HeldCalibration)
+
+
+def _spanned(
+    rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path
+) -> dict[str, dict[str, list[int]]]:
+    """Return with which signs, 1 and -1, the parameters do what each form of a rival would, each of a sign it may have.
+
+    By the rival's id and the form's label.
+    """
     offered = [form for effect in own for form in effect.forms(nominal.s)]
-    targets = {rival.id: forms[0] for rival in rivals if (forms := rival.forms(nominal.s))}
+    targets = [form for rival in rivals for form in rival.forms(nominal.s)]
     if not offered or not targets:
         return {}
-    columns, aims = (_scaled(nominal, forms) for forms in (offered, list(targets.values())))
+    columns, aims = (_scaled(nominal, forms) for forms in (offered, targets))
     parameters = [parameter for form in offered for parameter in form.parameters]
     columns = columns * np.array([p.largest / p.typical for p in parameters])
-    sign, spanned = np.array([p.sign for p in parameters]), dict[str, list[int]]()
-    for name, aim in zip(targets, aims.T, strict=True):
-        for way in (1, -1):
-            left = left_by(columns, way * aim, sign)
-            if np.linalg.norm(left) < SPANNED_SHARE * np.linalg.norm(aim):
-                spanned.setdefault(name, []).append(way)
+    sign, spanned = np.array([p.sign for p in parameters]), dict[str, dict[str, list[int]]]()
+    usable = nominal.s.usable[:, :4]
+    gap = residuals(nominal, nominal)[:, :4][usable] / _sigma(nominal.s)[usable]
+    for form, aim in zip(targets, aims.T, strict=True):
+        share = SPANNED_SHARE
+        if not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
+            # wheelbase and scale of the angle are alike in small angles alone: no more than shows in a gap so large
+            share = min(share, SEPARATION_SD / max(float(np.linalg.norm(gap)), 1e-12))
+        limit = share * np.linalg.norm(aim)
+        ways = [way for way in (1, -1) if np.linalg.norm(left_by(columns, way * aim, sign)) < limit]
+        spanned.setdefault(form.effect, {})[form.label] = ways
     return spanned
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
-    s = path.s
-    sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-    whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / sigma[:, :, None]
-    return np.asarray(whole[s.usable[:, :4]])
+    whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / _sigma(path.s)[:, :, None]
+    return np.asarray(whole[path.s.usable[:, :4]])
+
+
+def _sigma(s: Observations) -> FloatArray:
+    return np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)

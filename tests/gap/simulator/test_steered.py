@@ -70,22 +70,34 @@ def log_of(kind: str, speed_mps: float) -> np.ndarray:
     return np.column_stack([time, np.round(front * COUNTS / (2 * np.pi)), steer])
 
 
-def driven(log: np.ndarray, p: Mapping[str, float]) -> tuple[float, float, float]:
-    """Return where a run ends."""
+def motion(log: np.ndarray, p: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return way and turn of the rear axle's middle in each step."""
     steer, at, late = np.empty(len(log)), log[0, 2], log[0, 2] + p["zero"]
     for number, asked in enumerate(log[:, 2]):
         at = min(max(at, asked - 0.5 * p["play"]), asked + 0.5 * p["play"])
         late += (at + p["zero"] - late) * (1.0 - np.exp(-DT_S / p["lag"]))
         steer[number] = late
     way = np.diff(log[:, 1]) * 2 * np.pi / COUNTS * p["front_radius"]
-    middle = 0.5 * (steer[1:] + steer[:-1])
-    turn = way * np.sin(middle) / p["wheelbase"]
+    middle = 0.5 * (steer[1:] + steer[:-1]) * p.get("gain", 1.0)
+    return way * np.cos(middle), way * np.sin(middle) / p["wheelbase"]
+
+
+def driven(log: np.ndarray, p: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return where a run ends."""
+    way, turn = motion(log, p)
     heading = np.cumsum(turn) - 0.5 * turn
-    x, y = (float(way * np.cos(middle) @ f(heading)) for f in (np.cos, np.sin))
+    x, y = (float(way @ f(heading)) for f in (np.cos, np.sin))
     return x, y, float(turn.sum())
 
 
-def diagnosed(folder: Path, hidden: Mapping[str, float]) -> SimulatorDiagnosis:
+def with_rear_wheels(log: np.ndarray, p: Mapping[str, float]) -> np.ndarray:
+    """Return the log with the counts of two rear wheels of 0.1 m on a track of 0.7 m."""
+    way, turn = motion(log, p)
+    rolled = [np.append(0.0, np.cumsum(way + side * turn)) / 0.1 for side in (-0.35, 0.35)]
+    return np.column_stack([log, *np.round(np.array(rolled) * 4096 / (2 * np.pi))])
+
+
+def diagnosed(folder: Path, hidden: Mapping[str, float], *, rear: bool = False) -> SimulatorDiagnosis:
     """Diagnose a campaign of a tricycle with hidden parameters, the simulator called in this process."""
     rng, logs, rows = np.random.default_rng(3), [], []
     (folder / "logs").mkdir()
@@ -93,7 +105,9 @@ def diagnosed(folder: Path, hidden: Mapping[str, float]) -> SimulatorDiagnosis:
     for number, (day, kind, speed) in enumerate(product("abc", ROUTES, (0.4, 0.8))):
         log = log_of(kind, speed)
         logs.append(log)
-        np.savetxt(folder / f"logs/{number}.csv", log, "%.9g", ",", header="t_s,counts_front,steer_rad", comments="")
+        whole = with_rear_wheels(log, NOMINAL | dict(hidden)) if rear else log
+        names = "t_s,counts_front,steer_rad" + (",counts_left,counts_right" if rear else "")
+        np.savetxt(folder / f"logs/{number}.csv", whole, "%.9g", ",", header=names, comments="")
         end = driven(log, NOMINAL | dict(hidden)) + SIGMA * rng.standard_normal(3)
         rows.append(f"r{number},{day},{kind},{speed},{','.join(map(str, end))},logs/{number}.csv")
     header = "run_id,session,kind,speed_mps,ref_x_m,ref_y_m,ref_theta_rad,log"
@@ -137,3 +151,12 @@ def test_a_curve_is_no_cause_of_its_own(tmp_path: Path, hidden: dict[str, float]
         assert abs(done.fix.parameters[name] - hidden[name]) < SPREAD * (high - low) / (2 * 1.96)
     after, floor = done.closure.after_rms_m, done.closure.floor_rms_m
     assert after is not None and floor is not None and after < CLOSED * floor
+
+
+def test_what_the_front_wheel_is_off_by_is_found_beside_rear_wheels(tmp_path: Path) -> None:
+    """The odometry is stated to run on the front wheel: so does the simulator, which has no scale of the angle."""
+    done = diagnosed(tmp_path, {"gain": 1.03}, rear=True).diagnosis
+    assert [cause.effect for cause in done.causes] == ["steering_scale"]
+    low, high = done.causes[0].parameters["relative"].ci95
+    # of what the sensor says
+    assert low < -0.03 < high
