@@ -29,7 +29,6 @@ from calib.gap.effects.steering import SteeringScale, SteeringZero
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.identifiability import SEPARATION_SD
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator.fix import alone, fixed, iterated, left_by, named_parameters, without_parameter
 from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
@@ -38,6 +37,8 @@ from calib.types import FloatArray, Progress, silent
 
 #: an effect of the calibration that the simulator's parameters reproduce but for this share is theirs to set
 SPANNED_SHARE: Final = 0.1
+#: and one of the steering where so many standard deviations of the gap are left at most: more tells the two apart
+TOLD_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +288,7 @@ def _spanned(
         share = SPANNED_SHARE
         if not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
             # wheelbase and scale of the angle are alike in small angles alone: no more than shows in a gap so large
-            share = min(share, SEPARATION_SD / max(float(np.linalg.norm(gap)), 1e-12))
+            share = min(share, TOLD_SD / max(float(np.linalg.norm(gap)), 1e-12))
         limit = share * np.linalg.norm(aim)
         ways = [way for way in (1, -1) if np.linalg.norm(left_by(columns, way * aim, sign)) < limit]
         spanned.setdefault(form.effect, {})[form.label] = ways

@@ -53,7 +53,7 @@ def test_without_a_probable_gap_there_is_none_even_if_causes_are_named() -> None
 def test_without_a_noise_level_nothing_is_decided() -> None:
     assert verdict(supported=False) is VerdictKind.UNDECIDED
     assert verdict(gap=0.0, supported=False) is VerdictKind.UNDECIDED
-    # runs that end off by a tenth of their length whatever is assumed: no noise does that
+    # runs that end off by a tenth of their length by any effect: no noise does that
     assert verdict(supported=False, misfit=0.1) is VerdictKind.UNKNOWN
 
 
