@@ -41,7 +41,8 @@ FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose 
 ALONE: Final = 2.0
 #: parameters alone are followed where they promise to leave no more than this share of the gap's squares
 ALONE_SHARE: Final = 0.5
-#: others than the named are tried where the verdict's causes leave so many times the squares of noise
+#: what leaves less than so many times the squares of noise leaves noise, at levels known as well as they are; else
+#: others than the named are tried
 LACKING: Final = 1.5
 #: so many of them, each further one if it leaves less than this share of what is left without
 MOST_ALONE: Final = 3
@@ -58,7 +59,8 @@ class SimulatorFix:
     table: FloatArray  #: shape (n_runs, 4)
     derivative: Mapping[str, FloatArray]  #: shape (n_runs, 4)
     wider: Mapping[str, float]  #: half width of the interval over that with the derivative about the nominal parameters
-    settled: bool  #: whether the last run asked for no more
+    short: Mapping[str, float]  #: by how much the last run asked for another value
+    settled: bool  #: whether it asked for no more than their uncertainty, or what is left is noise
     square: float  #: of the whitened gap that is left
 
 
@@ -222,7 +224,8 @@ def _followed(
         table,
         dict(zip(names, np.moveaxis(slope, 2, 0), strict=True)),
         dict(zip(names, map(float, now.sd / nominal.sd), strict=True)),
-        now.off < CONVERGED[2],
+        dict(zip(names, map(float, np.abs(now.correction)), strict=True)),
+        now.off < CONVERGED[2] or now.square < LACKING * int(fitted.path.s.usable.sum()),
         now.square,
     )
 
@@ -293,8 +296,9 @@ def _moved(cause: Cause, named: Mapping[str, Declared], found: SimulatorFix) -> 
         return cause
     each = named[cause.effect]
     quantity = cause.parameters[each.name]
-    value, wider = found.deviation[each.name], found.wider[each.name]
+    value, wider, short = found.deviation[each.name], found.wider[each.name], found.short[each.name]
     low, high = (value + wider * (end - quantity.value) for end in quantity.ci95)
+    low, high = low - short, high + short
     return replace(cause, parameters={each.name: Quantity(value, (low, high), quantity.unit)})
 
 
