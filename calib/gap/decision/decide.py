@@ -140,16 +140,25 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
 
 
 def stands_off(evidence: Evidence) -> bool:
-    """Return whether every run of a condition stands off on one side by more than noise takes any of the readings.
+    """Return whether runs that agree stand off on one side by more than noise takes any of the readings.
 
-    Of few conditions one that stands off is no lack of fit, and its runs are no single runs: they agree.
+    These are all runs of a condition, or one of a route by that much and another of it by more than noise takes any of
+    that route's. Of few conditions one that stands off is no lack of fit, and runs that agree are no single runs.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
     reach = reach_of_noise(noise.dof, int(usable.sum()))
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
-    return bool((np.array(agree) & (count > 1)).any())
+    if (np.array(agree) & (count > 1)).any():
+        return True
+    for route in np.unique(evidence.observations.kind):
+        mine = evidence.observations.kind == route
+        second = reach_of_noise(noise.dof, int(usable[mine].sum()))
+        for side in (scaled[mine], -scaled[mine]):
+            if ((side > reach).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
+                return True
+    return False
 
 
 def _misfit(evidence: Evidence) -> float:

@@ -6,9 +6,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
+from calib.gap.decision.decide import stands_off
 from calib.gap.decision.diagnosis import Cause, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.sentences import fails, is_shown, kind_of
@@ -170,3 +172,23 @@ def test_a_place_of_the_floor_that_other_causes_outweigh_is_unexplained() -> Non
     assert left == Unexplained(0.2, pytest.approx(10.0), ("on the floor, x 4 m", "heading"))
     larger = replace(zone, share=0.9)
     assert places_as_unexplained(evidence, [replace(cause(), share=0.1), larger], None) == ([], None)
+
+
+@pytest.mark.parametrize(
+    ("off", "found"),
+    [
+        ({3: 6.0}, False),  # one run by itself
+        ({3: 6.0, 9: 3.6}, True),  # another of its route, beyond what its eight readings reach by noise
+        ({3: 6.0, 9: -3.6}, False),  # to the other side
+        ({3: 6.0, 10: 3.6}, False),  # of another route
+        ({3: 3.6, 9: 3.6}, False),  # none beyond what all readings reach by noise
+    ],
+)
+def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float], found: bool) -> None:
+    """Forty-eight runs of six routes, no two under the same conditions."""
+    left = np.zeros((48, 6))
+    left[list(off), 2] = list(off.values())
+    observations = SimpleNamespace(usable=np.ones((48, 6), bool), condition=np.arange(48), kind=np.arange(48) % 6)
+    noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
+    evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
+    assert stands_off(evidence) is found  # type: ignore[arg-type]
