@@ -178,10 +178,10 @@ def test_a_place_of_the_floor_that_other_causes_outweigh_is_unexplained() -> Non
     ("off", "found"),
     [
         ({3: 6.0}, False),  # one run by itself
-        ({3: 6.0, 9: 3.6}, True),  # another of its route, beyond what its eight readings reach by noise
-        ({3: 6.0, 9: -3.6}, False),  # to the other side
-        ({3: 6.0, 10: 3.6}, False),  # of another route
-        ({3: 3.6, 9: 3.6}, False),  # none beyond what all readings reach by noise
+        ({3: 6.0, 9: 3.9}, True),  # another of its route, beyond what its eight readings reach by noise
+        ({3: 6.0, 9: -3.9}, False),  # to the other side
+        ({3: 6.0, 10: 3.9}, False),  # of another route
+        ({3: 3.9, 9: 3.9}, False),  # none beyond what all readings reach by noise
     ],
 )
 def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float], found: bool) -> None:
