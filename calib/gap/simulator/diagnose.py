@@ -233,7 +233,8 @@ def _candidates(
     stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
-    signs = _spanned([rival for rival in rivals if _is_setting(rival, observations)], own, nominal)
+    noisy = differences.repeats > 1
+    signs = _spanned([rival for rival in rivals if _is_setting(rival, observations, noisy)], own, nominal, noisy)
     spanned = [name for name, forms in signs.items() if all(len(theirs) == 2 for theirs in forms.values())]
     for number, rival in enumerate(rivals):
         theirs = signs.get(rival.id, {})
@@ -246,7 +247,7 @@ def _candidates(
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
     if spanned:
         notes.append(f"parameters of the simulator do what {', '.join(spanned)} would: these were not searched")
-    if differences.repeats > 1:
+    if noisy:
         notes.append(f"the simulator does not repeat itself: {differences.repeats} runs were averaged each time")
     held = {rival.id: rival for rival in rivals if isinstance(rival, HeldCalibration)}
     others = []
@@ -261,14 +262,20 @@ def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
     return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
 
 
-def _is_setting(effect: Effect, observations: Observations) -> bool:
-    """Return whether an effect is a parameter of the odometry that is set wrong, as a simulator has them."""
+def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool:
+    """Return whether an effect is a parameter of the odometry that is set wrong, as a simulator has them.
+
+    Beside a noisy simulator, any of one parameter: where one of the simulator does the same, its noise alone would tell
+    the two apart.
+    """
+    if noisy and (forms := effect.forms(observations)):
+        return all(len(form.parameters) == 1 for form in forms)
     steered = observations.by_front and effect.id in (SteeringZero.id, SteeringScale.id)
     return steered or isinstance(effect, HeldCalibration)
 
 
 def _spanned(
-    rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path
+    rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path, noisy: bool
 ) -> dict[str, dict[str, list[int]]]:
     """Return with which signs, 1 and -1, the parameters do what each form of a rival would, each of a sign it may have.
 
@@ -286,7 +293,7 @@ def _spanned(
     gap = residuals(nominal, nominal)[:, :4][usable] / _sigma(nominal.s)[usable]
     for form, aim in zip(targets, aims.T, strict=True):
         share = SPANNED_SHARE
-        if not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
+        if not noisy and not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
             # wheelbase and scale of the angle are alike in small angles alone: no more than shows in a gap so large
             share = min(share, TOLD_SD / max(float(np.linalg.norm(gap)), 1e-12))
         limit = share * np.linalg.norm(aim)

@@ -196,8 +196,8 @@ NOISE_SHARE: Final = 0.02
 #: runs of a noisy simulator at each set of parameters: their mean has half the scatter of one
 REPEATS: Final = 4
 #: change by a step, in standard deviations of one run of a noisy simulator, that shows a parameter's signature within
-#: 2 % in each run: a longer step bends the paths, a hundred times 2 mrad by 0.2 rad
-CLEAR_CHANGE: Final = 30.0
+#: 1 % in each run: a longer step bends the paths, a hundred times 2 mrad by 0.2 rad
+CLEAR_CHANGE: Final = 60.0
 #: a step is enlarged to this share of a nominal value that is not zero, at most: beyond lies what may have no meaning
 NOT_NOTHING: Final = 0.9
 _HEADING: Final = 3

@@ -40,7 +40,7 @@ def found(folder: Path, digits: int, noise_m: float = 0.0) -> tuple[Differences,
     [
         (15, 0.0, 3, 1),  # each number comes again with the parameter a step off that does not act on it
         (3, 0.0, 4, 1),  # millimetres hide a scatter that matters: nominal again
-        (15, 3e-3, 13, 4),  # more than the uncertainty: each four times, and b at a longer step too
+        (15, 2e-3, 13, 4),  # more than the uncertainty: each four times, and b at a longer step too
         (15, 1e-6, 4, 1),  # too small to matter, found by the second nominal run
     ],
 )
