@@ -11,8 +11,8 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.sentences import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
-from calib.gap.effects.effect import Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Family, Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -94,6 +94,9 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
                 if held == (own or evidence.effects[name].needs_calibration)
             }
             nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
+            if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
+                # of two directions, each driven at speeds of its own, no law of the speed can be held against a difference
+                compared = compared | {SpeedRadius.id: AnySpeed().forms(evidence.observations)}
             near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
         for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
             if name not in evidence.named:

@@ -18,8 +18,8 @@ from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.applied import matching_form
-from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Effect, Family, Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -95,6 +95,9 @@ def next_runs(
     observations = observations_of(joined(driven, planned))
     path = predict(observations)
     sizes = _sizes(observations, effects, fitted)
+    directed = {effect.id for effect in effects if effect.family is Family.DIRECTION}
+    if any(directed.intersection(tie) and SpeedRadius.id in tie for tie in ties):
+        effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
     run_id = observations.labels["run_id"].astype(str)
     # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
