@@ -95,7 +95,7 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
             }
             nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
             if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
-                # of two directions, each driven at speeds of its own, no law of the speed can be held against a difference
+                # directions driven at speeds of their own may differ by any law of the speed
                 compared = compared | {SpeedRadius.id: AnySpeed().forms(evidence.observations)}
             near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
         for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):

@@ -96,7 +96,7 @@ def next_runs(
     path = predict(observations)
     sizes = _sizes(observations, effects, fitted)
     directed = {effect.id for effect in effects if effect.family is Family.DIRECTION}
-    if any(directed.intersection(tie) and SpeedRadius.id in tie for tie in ties):
+    if any(tie[0] in directed and SpeedRadius.id in tie for tie in ties):
         effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
     run_id = observations.labels["run_id"].astype(str)
