@@ -28,7 +28,9 @@ def placed(observations: Observations) -> BoolArray:
 
 
 def _is_bent(observations: Observations) -> BoolArray:
-    turned, swung = (np.abs(observations.total(turn)) for turn in (observations.turn_rad, np.abs(observations.turn_rad)))
+    turned, swung = (
+        np.abs(observations.total(turn)) for turn in (observations.turn_rad, np.abs(observations.turn_rad))
+    )
     return np.asarray((turned > STRAIGHT_RAD) | (swung > MAX_LANE_TURN_RAD))
 
 
