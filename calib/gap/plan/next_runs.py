@@ -33,6 +33,7 @@ from calib.gap.plan.planned_runs import (
     drive,
     joined,
     route_of,
+    size_of,
     usual_temperature_C,
 )
 from calib.gap.predict import predict
@@ -123,7 +124,7 @@ def next_runs(
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
-    return chosen
+    return [replace(run, size=size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"

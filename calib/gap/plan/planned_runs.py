@@ -65,6 +65,7 @@ class PlannedRun:
     count: int = 1  #: how often to drive it
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
     why: str = ""  #: what the run would tell, where it is recommended
+    size: str = ""  #: its straights and the radii of its bends in words, where it is recommended
     #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
     distance: float | None = None
 
@@ -181,6 +182,14 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     known = ["corridor", "corridor_short", *LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES)]
     known += [name for name in NAMED if name != "corridor"]
     raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
+
+
+def size_of(route: Route) -> str:
+    """Return the lengths of the straights of a route and the radii of its bends in words."""
+    pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
+    straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
+    radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
+    return f"{straights} m" * bool(straights) + " and " * bool(straights and radii) + f"radius {radii} m" * bool(radii)
 
 
 def drive(
