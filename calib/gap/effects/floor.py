@@ -319,7 +319,6 @@ class TravelDirection(Effect):
             return []
         labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
-
         senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
         if labelled.all():
             senses = {"": sigma}
@@ -371,7 +370,7 @@ class FloorSlope(Effect):
             return np.where(path.s.here(there)[path.s.unit], part(map_heading_rad(path)), 0.0)
 
         def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(left=share(part, path), right=share(part, path))
+            return Perturbation(left=(shared := share(part, path)), right=shared)
 
         def pull_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
             return Perturbation(heading_rad=np.abs(path.s.path_m) * share(part, path))
@@ -381,9 +380,6 @@ class FloorSlope(Effect):
 
         def with_pull(path: Path) -> list[Perturbation]:
             return [radii_by(np.cos, path), pull_by(np.sin, path)]
-
-        def any_direction(path: Path) -> list[Perturbation]:
-            return [radii_by(np.cos, path), radii_by(np.sin, path)]
 
         def any_drift(path: Path) -> list[Perturbation]:
             return [drift_by(_to_the_right, path), drift_by(np.cos, path)]
@@ -396,7 +392,9 @@ class FloorSlope(Effect):
         if sided:
             both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
             offered.append(("along x, radii and pull", (radii, pull), with_pull))
-            offered.append(("any direction, radii alone", both, any_direction))
+            offered.append(
+                ("any direction, radii alone", both, lambda path: [radii_by(np.cos, path), radii_by(np.sin, path)])
+            )
             drifts = (replace(drift, name="drift_x"), replace(drift, name="drift_y"))
             offered.append(("any direction, drift alone", drifts, any_drift))
         return [Form(self.id, *each, tries=len(offered), by_parts=True) for each in offered]

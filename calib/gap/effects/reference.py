@@ -366,8 +366,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     turned = np.exp(1j * (nominal.end[on, 2] + heading[on])) - 1.0
     turn, left_m2 = _turn(end, turned, seen)
     # on a map, displacements were turned by start headings that are right
-    start_rad = np.nan_to_num(observations.start_pose[on, 2])
-    mirrored_seen = seen.conj() * np.exp(-2j * start_rad)
+    mirrored_seen = seen.conj() * np.exp(-2j * np.nan_to_num(observations.start_pose[on, 2]))
     mirror, mirrored_left_m2 = _turn(end, turned, mirrored_seen)
     # wrong radii leave as much in both, but for the direction of an end
     aimed = np.exp(1j * np.angle(end)) * np.abs(seen)
@@ -396,6 +395,6 @@ def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[
     `end`, `seen` (shape (n_runs,), m): by the counts and by the reference; `turned`: ``exp(i theta) - 1`` of the ends.
     """
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
-    columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
+    columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
     return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))

@@ -88,6 +88,9 @@ def next_runs(
         by_pose = measured.position and measured.heading
         tape = not (measured.distance or measured.position)
         candidates = default_candidates(driven, loops=not by_pose, tape=tape)
+        if measured.distance and not (measured.position and measured.beside):
+            # a length by other means than the rangefinder's
+            candidates.append(PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven), tape=True))
     if not candidates:
         return []
     candidates = [replace(run, count=_count(driven, run)) for run in candidates]
@@ -103,7 +106,8 @@ def next_runs(
     run_id = observations.labels["run_id"].astype(str)
     # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
     names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
-    base = signatures.gram(~np.char.startswith(run_id, "next")) + signatures.gram(run_id == names[0])
+    alone = signatures.gram(~np.char.startswith(run_id, "next"))
+    base = alone + signatures.gram(run_id == names[0])
     grams = {
         number: run.count * signatures.gram(run_id == name)
         for number, (run, name) in enumerate(zip(candidates, names[1:], strict=True))
@@ -124,10 +128,17 @@ def next_runs(
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
+    before, after = task.distances(alone), task.distances(base)
+    if not chosen and not task.done(before) and task.gains(before, after):
+        chosen.append(replace(reference, why=task.why(before, after)))
+    chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
     return [replace(run, size=size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
+
+
+_BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
@@ -220,15 +231,18 @@ def _measured(campaign: Campaign) -> Measured:
     front = logs.columns.get("counts_front")
     # what a closed loop measures, a mark on the floor does
     open_path = runs.label("loop") != CLOSED
-    poses = ("ref_x_m", "ref_theta_rad")
+    poses, by_laser = ("ref_x_m", "ref_theta_rad"), np.isfinite(runs.number("distance_m"))
     position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
     return Measured(
-        distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
+        distance=bool(by_laser.any() or "range_m" in logs.columns),
         position=position,
         heading=heading,
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
         gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
+        beside="ref_x_m" in logs.columns
+        or not by_laser.any()
+        or bool(np.isfinite(runs.number("ref_x_m")[by_laser]).any()),
     )
 
 
@@ -237,7 +251,7 @@ def _count(campaign: Campaign, run: PlannedRun) -> int:
     runs = campaign.runs
     alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
     if run.tape:
-        alike &= np.isfinite(runs.number("distance_m"))
+        alike &= np.isfinite(runs.number("ref_x_m" if _measured(campaign).distance else "distance_m"))
     return 1 if np.count_nonzero(alike) >= REPEATS else REPEATS
 
 

@@ -16,7 +16,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from tests.blunders import plant
 from tests.blunders.blunders import axes_turned
-from tests.gap.effects.making import STRAIGHT, Motion, Run, campaign, rich_runs
+from tests.gap.effects.making import SQUARE, STRAIGHT, Motion, Run, campaign, rich_runs
 from tests.real.recordings import optiodom_differential
 
 
@@ -67,6 +67,12 @@ def test_straight_runs_that_end_aside_tell_axes_exchanged_from_a_sensor_turned(e
     fault = found(replace(sound, runs=replace(sound.runs, numbers=numbers)))
     assert fault is not None and fault.mirrored == exchanged
     assert ("x and y are exchanged" in fault.label) is exchanged
+
+
+def test_loops_that_close_on_their_mark_say_nothing_of_the_axes() -> None:
+    sound = campaign([Run(SQUARE, kind="square_ccw", front=False)] * 6)
+    closed = {name: np.zeros(6) for name in ("ref_x_m", "ref_y_m")}
+    assert found(replace(sound, runs=replace(sound.runs, numbers=dict(sound.runs.numbers) | closed))) is None
 
 
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.05])

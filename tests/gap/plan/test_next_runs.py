@@ -208,7 +208,7 @@ def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
     s = observations_of(driven)
     chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
     by_content = {repr(run.to_dict()): run for run in offered}
-    told = {"why", "distance", "count"}
+    told = {"why", "distance", "count", "size"}
     planned = [{key: value for key, value in run.to_dict().items() if key not in told} for run in chosen]
     first = PlannedRun("corridor", "out", temperature_C=20.0)
 
