@@ -308,7 +308,7 @@ def alternatives(
 
 def parting(group: Sequence[str]) -> list[str]:
     """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
-    families = [getattr(effect_class(name), "family", None) for name in group]
+    families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
     found = [name for name, family in zip(group[1:], families[1:], strict=True) if family is PARTING.get(families[0])]
     return [group[0], *found] if found else []
 

@@ -24,7 +24,7 @@ def placed(observations: Observations) -> BoolArray:
     """
     along = ~_is_bent(observations) & np.isin(observations.labels["direction"], ("out", "back"))
     known = np.isfinite(observations.start_pose).all(axis=1)
-    return known if observations.windowed else known | along
+    return np.asarray(known if observations.windowed else known | along)
 
 
 def _is_bent(observations: Observations) -> BoolArray:

@@ -84,13 +84,7 @@ def next_runs(
     if model is not None:
         driven = replace(driven, model=model)
     measured = _measured(driven)
-    if candidates is None:
-        by_pose = measured.position and measured.heading
-        tape = not (measured.distance or measured.position)
-        candidates = default_candidates(driven, loops=not by_pose, tape=tape)
-        if measured.distance and not (measured.position and measured.beside):
-            # a length by other means than the rangefinder's
-            candidates.append(PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven), tape=True))
+    candidates = _candidates(driven, measured) if candidates is None else candidates
     if not candidates:
         return []
     candidates = [replace(run, count=_count(driven, run)) for run in candidates]
@@ -128,17 +122,24 @@ def next_runs(
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
-    before, after = task.distances(alone), task.distances(base)
-    if not chosen and not task.done(before) and task.gains(before, after):
-        chosen.append(replace(reference, why=task.why(before, after)))
+    first, then = task.distances(alone), task.distances(base)
+    if not chosen and not task.done(first) and task.gains(first, then):
+        chosen.append(replace(reference, why=task.why(first, then)))
     chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
     return [replace(run, size=size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
-
-
 _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
+
+
+def _candidates(driven: Campaign, measured: Measured) -> list[PlannedRun]:
+    tape = not (measured.distance or measured.position)
+    candidates = default_candidates(driven, loops=not (measured.position and measured.heading), tape=tape)
+    if measured.distance and not (measured.position and measured.beside):
+        # a length by other means than the rangefinder's
+        candidates.append(PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven), tape=True))
+    return candidates
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:

@@ -52,7 +52,7 @@ RISING = ((18.0, 18.0), (20.0, 20.0), (22.0, 22.0))
 
 @pytest.mark.parametrize("truth", [worn, warmed])
 def test_a_temperature_that_rises_with_the_session_is_not_told_from_wear(diagnosing: Diagnosing, truth: Truth) -> None:
-    """The data are the same whichever of the two is at work: even odds, no fix, and a run that tells."""
+    """The data are the same with either of the two at work: even odds, no fix, and a run that tells."""
     verdict = diagnosing(campaign(at(RISING), truth=noisy(truth, 1)))
     assert verdict.kind is VerdictKind.AMBIGUOUS
     (cause,) = verdict.causes

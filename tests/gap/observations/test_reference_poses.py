@@ -146,7 +146,7 @@ def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
 
 @pytest.mark.parametrize("frame", [None, "start"])
 def test_starts_of_their_own_have_no_common_floor(frame: str | None) -> None:
-    """The default frame written out is the default: routes have no place, whatever their label."""
+    """The default frame written out is the default: routes have no place under any label."""
     truths = routes()
     logs = [truth.counts() | seen(truth, in_map=False) for truth in truths]
     for direction in ("out", "back", ""):
