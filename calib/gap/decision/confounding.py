@@ -11,8 +11,8 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.sentences import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
-from calib.gap.effects.effect import Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Family, Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -84,22 +84,35 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
         contribution = np.asarray(system.columns(form) @ (theta / form.typical))
-        near: dict[str, float] = {}
+        absorbing = _absorbing(evidence, contribution)
+        near = dict.fromkeys(absorbing, 0.0)
         for held in (False, True):
             calibration = _undetected(evidence) if held else system.calibration
-            own = evidence.effects[form.effect].needs_calibration
+            own = bool(absorbing) or evidence.effects[form.effect].needs_calibration
             compared = {
                 name: forms
                 for name, forms in evidence.search.forms.items()
                 if held == (own or evidence.effects[name].needs_calibration)
             }
             nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
+            if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
+                compared = compared | {SpeedRadius.id: AnySpeed().forms(evidence.observations)}
             near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
         for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
             if name not in evidence.named:
                 near.setdefault(name, SEPARATION_SD)
         groups.append([form.effect, *sorted(near, key=lambda name: near[name])])
     return groups
+
+
+def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
+    """Return the parameters of the recalibration that absorbs a contribution (n_rows,): all else is told from none."""
+    left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
+    if not left < SEPARATION_SD**2 < contribution @ contribution:
+        return []
+    columns = evidence.per_unit @ DIRECTIONS.T
+    sizes = np.linalg.lstsq(columns, contribution)[0] * np.linalg.norm(columns, axis=0)
+    return [name for name, size in zip(NAMES, sizes.tolist(), strict=True) if abs(size) > SEPARATION_SD]
 
 
 def _undetected(evidence: Evidence) -> FloatArray:

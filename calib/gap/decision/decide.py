@@ -31,7 +31,7 @@ from calib.gap.decision.diagnosis import (
     Situation,
     VerdictKind,
 )
-from calib.gap.decision.fix import beyond_vehicles, fix_of, without_length
+from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
 from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
 from calib.gap.decision.sentences import (
     CERTAIN_PROBABILITY,
@@ -72,7 +72,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = size_differences(evidence, probable)
     causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
-    causes = limited_to_even(causes, differing)
+    # no reading decides between causes that follow what went together
+    causes = limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     # what an alias makes probable and is itself hardly in the 95 % set is not the cause to name
@@ -265,6 +266,10 @@ def _by_family(
         # parameters of a simulator, and radii and track, are set each by itself: other journeys tell them apart
         families = {evidence.effects[name].family for name in named} - OWN_CORRECTIONS
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
+        # steps of the sessions can follow any drift: their odds tell whether they do
+        likely, apart = confounding.as_probable(evidence, [group]), parting([group[0], *own])[1:]
+        if any(name in likely or not evidence.effects[name].per_session for name in apart):
+            own = tuple(name for name in own if name not in apart)
         groups.append([name for name in group if name not in own])
         forms_open |= dict.fromkeys(named, own)
     return groups, forms_open

@@ -18,6 +18,7 @@ from calib.gap.decision.sentences import (
     corrections_agree,
 )
 from calib.gap.decision.trials import FALSE_ALARM, Trial
+from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -25,6 +26,8 @@ from calib.gap.inference.local_search import EVEN_PROBABILITY
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
 REPEAT: str = "drive one route several times under the same conditions"
+#: family of a cause -> that of causes that follow something else, which may have gone together with it
+PARTING: Final = {Family.DRIFT: Family.DRIFT, Family.DIRECTION: Family.SPEED}
 #: least probability that all causes of a fix are at work: a wrong one costs half as much again as one withheld
 FIX_PROBABILITY: Final = 0.6
 #: and that a cause beside the largest one is: without it the fix loses little, with a wrong one its trust. Of 17 fixes
@@ -302,8 +305,23 @@ def alternatives(
     return confounding.as_probable(evidence, tied) | stepping
 
 
+def parting(group: Sequence[str]) -> list[str]:
+    """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
+    families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
+    found = [name for name, family in zip(group[1:], families[1:], strict=True) if family is PARTING.get(families[0])]
+    return [group[0], *found] if found else []
+
+
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield that the corrections of confounded effects differ, where they do."""
+    """Yield that the corrections of confounded effects differ, where they do.
+
+    What drifted alike on the runs driven does not in the sessions to come, nor do speeds go with directions for ever.
+    """
+    for found in filter(None, map(parting, tied if on == DRIVEN else ())):
+        yield (
+            f"these runs cannot tell {' or '.join(found)}: what they follow went together, and where it does not their "
+            f"corrections part; {PLAN}"
+        )
     if apart_m is None or corrections_agree(apart_m, closure):
         return
     groups = "; ".join(" or ".join(group) for group in tied)

@@ -220,3 +220,21 @@ class SpeedRadius(Proportional):
     def quantity(self, observations: Observations) -> FloatArray:
         """Return the driven speed in m/s."""
         return driven_speed_mps(observations)
+
+
+class AnySpeed(SpeedRadius):
+    """Radii by any law of the speed: what `SpeedRadius` may be where its line is too narrow; no cause of the search."""
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """Return the line, and a step of both radii from each speed driven to the others; none at one speed."""
+        line, speed = super().forms(observations), self.quantity(observations)
+        order = np.argsort(speed)
+        beyond = np.diff(speed[order]) > self.varies_by
+        if not line or not beyond.any():
+            return line
+        number = np.zeros(len(speed))
+        number[order[1:]] = np.cumsum(beyond)
+        steps = [np.asarray(number == k, dtype=np.float64) for k in range(1, int(number.max()) + 1)]
+        # as large as a difference between directions may be
+        parameters = (Parameter("step", "1", typical=1e-3, largest=5e-3),) * len(steps)
+        return [*line, Form(self.id, "any", parameters, lambda path: [acting_on(path, "both", step) for step in steps])]

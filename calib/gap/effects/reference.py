@@ -284,6 +284,7 @@ MIN_TURNED_RUNS: Final = 4
 TURN_RESIDUAL_SHARE: Final = 0.2
 #: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1
+MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirrored axes from turned ones
 #: of an angle, two standard uncertainties are 95 %
 COVERAGE_FACTOR: Final = 2.0
 
@@ -302,7 +303,10 @@ class TurnedReference:
     @property
     def label(self) -> str:
         """What is wrong with the axes."""
-        return "the axes are mirrored" if self.mirrored else "the sensor is mounted turned"
+        if not self.mirrored:
+            return "the sensor is mounted turned"
+        quarter = abs(abs(self.yaw_rad) - np.pi / 2.0) < MIN_TURN_RAD
+        return "x and y are exchanged" if quarter else "the axes are mirrored"
 
     @property
     def remark(self) -> str:
@@ -310,17 +314,17 @@ class TurnedReference:
         state = f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml"
         if not self.mirrored:
             return f"{state}, then diagnose again"
-        if abs(abs(self.yaw_rad) - np.pi / 2.0) < MIN_TURN_RAD:
+        if "exchanged" in self.label:
             signs = "" if self.yaw_rad > 0.0 else ", both with the other sign"
-            return f"x and y are exchanged{signs}: correct ref_x_m and ref_y_m, then diagnose again"
+            return f"{self.label}{signs}: correct ref_x_m and ref_y_m, then diagnose again"
         also = "" if abs(self.yaw_rad) < MIN_TURN_RAD else f", {state}"
         return f"y is positive to the right: change the sign of ref_y_m{also}, then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
         """Value, 95 % interval and unit of its parameter."""
-        half = COVERAGE_FACTOR * self.sd_rad
-        return {"yaw": (self.yaw_rad, (self.yaw_rad - half, self.yaw_rad + half), "rad")}
+        value, half = self.yaw_rad, COVERAGE_FACTOR * self.sd_rad
+        return {"yaw": (value, (value - half, value + half), "rad")}
 
     def refined(self, turned_rad: float, sd_rad: float) -> TurnedReference:
         """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
@@ -337,10 +341,8 @@ class TurnedReference:
 
 def _with_y_mirrored(campaign: Campaign) -> Campaign:
     runs, logs = campaign.runs, campaign.logs
-    numbers, columns = (
-        {name: -cells if name == "ref_y_m" else cells for name, cells in table.items()}
-        for table in (runs.numbers, logs.columns)
-    )
+    tables = (runs.numbers, logs.columns)
+    numbers, columns = ({name: -v if name == "ref_y_m" else v for name, v in each.items()} for each in tables)
     return replace(campaign, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
 
 
@@ -348,21 +350,29 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
-    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns. Axes that are mirrored see the
-    conjugate; where straight runs alone are there, the two are the same, and the turned one is named.
+    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns; mirrored axes see the conjugate.
     """
+    from scipy.special import fdtri
+
     observations = nominal.s
     on = observations.usable[:, POSE].all(axis=1)
     if on.sum() < MIN_TURNED_RUNS or np.isfinite(observations.simulated).any():
         return None
-    end = nominal.end[on, 0] + 1j * nominal.end[on, 1]
+    headed = observations.usable[:, Channel.HEADING]
+    heading = np.where(headed, residuals(nominal, nominal)[:, Channel.HEADING], 0.0)
+    # radii that bend a path evenly turn its end by half of what they turn the heading
+    end = (nominal.end[on, 0] + 1j * nominal.end[on, 1]) * np.exp(0.5j * heading[on])
     seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
-    turned = np.exp(1j * nominal.end[on, 2]) - 1.0
+    turned = np.exp(1j * (nominal.end[on, 2] + heading[on])) - 1.0
     turn, left_m2 = _turn(end, turned, seen)
     # on a map, displacements were turned by start headings that are right
-    start_rad = np.nan_to_num(observations.start_pose[on, 2])
-    mirror, mirrored_left_m2 = _turn(end, turned, seen.conj() * np.exp(-2j * start_rad))
-    mirrored = mirrored_left_m2 < TURN_RESIDUAL_SHARE**2 * left_m2
+    mirrored_seen = seen.conj() * np.exp(-2j * np.nan_to_num(observations.start_pose[on, 2]))
+    mirror, mirrored_left_m2 = _turn(end, turned, mirrored_seen)
+    # wrong radii leave as much in both, but for the direction of an end
+    aimed = np.exp(1j * np.angle(end)) * np.abs(seen)
+    aside, mirrored_aside = (_turn(aimed, turned, each)[1] for each in (seen, mirrored_seen))
+    by_chance = mirrored_aside * fdtri(len(seen), len(seen), MIRRORED)
+    mirrored = mirrored_left_m2 < TURN_RESIDUAL_SHARE**2 * left_m2 or bool(aside > by_chance)
     if mirrored:
         turn, left_m2 = mirror, mirrored_left_m2
     yaw_rad = -float(np.angle(turn))
@@ -370,12 +380,9 @@ def find_turned(nominal: Path) -> TurnedReference | None:
         return None
     by_place = turned.conj() @ (seen - end) / (turned.conj() @ turned + 1e-3)
     before_m2 = float(np.sum(np.abs(seen - end - by_place * turned) ** 2))
-    headed = observations.usable[:, Channel.HEADING]
-    # radii that bend the path turn its end, and the heading there by twice as much: a mounting leaves that alone
-    heading = residuals(nominal, nominal)[headed, Channel.HEADING]
-    bent_rad = float(np.sqrt(np.mean(heading**2))) if headed.any() else HEADING_ERROR_RAD
-    # swapped wheels mirror the headings too
-    angle_rad = float(np.sqrt(np.mean(nominal.end[on, 2] ** 2))) if mirrored else abs(yaw_rad)
+    bent_rad = float(np.sqrt(np.mean(heading[headed] ** 2))) if headed.any() else HEADING_ERROR_RAD
+    # swapped wheels mirror the headings too, and turn nothing
+    angle_rad = max(abs(yaw_rad), float(np.sqrt(np.mean(nominal.end[on, 2] ** 2))) if mirrored else 0.0)
     if angle_rad < max(MIN_TURN_RAD, bent_rad / TURN_RESIDUAL_SHARE) or left_m2 > TURN_RESIDUAL_SHARE**2 * before_m2:
         return None
     sd_rad = float(np.sqrt(left_m2 / (2 * (len(seen) - 2)) / np.sum(np.abs(end) ** 2)))
@@ -388,6 +395,6 @@ def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[
     `end`, `seen` (shape (n_runs,), m): by the counts and by the reference; `turned`: ``exp(i theta) - 1`` of the ends.
     """
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
-    columns, prior = np.stack([end, turned], axis=1), np.diag([0.0, 1e-3])
+    columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
     return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))

@@ -18,8 +18,8 @@ from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.applied import matching_form
-from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.effect import Effect, Family, Form
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -33,6 +33,7 @@ from calib.gap.plan.planned_runs import (
     drive,
     joined,
     route_of,
+    size_of,
     usual_temperature_C,
 )
 from calib.gap.predict import predict
@@ -83,10 +84,7 @@ def next_runs(
     if model is not None:
         driven = replace(driven, model=model)
     measured = _measured(driven)
-    if candidates is None:
-        by_pose = measured.position and measured.heading
-        tape = not (measured.distance or measured.position)
-        candidates = default_candidates(driven, loops=not by_pose, tape=tape)
+    candidates = _candidates(driven, measured) if candidates is None else candidates
     if not candidates:
         return []
     candidates = [replace(run, count=_count(driven, run)) for run in candidates]
@@ -95,11 +93,15 @@ def next_runs(
     observations = observations_of(joined(driven, planned))
     path = predict(observations)
     sizes = _sizes(observations, effects, fitted)
+    directed = {effect.id for effect in effects if effect.family is Family.DIRECTION}
+    if any(tie[0] in directed and SpeedRadius.id in tie for tie in ties):
+        effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
     run_id = observations.labels["run_id"].astype(str)
     # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
     names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
-    base = signatures.gram(~np.char.startswith(run_id, "next")) + signatures.gram(run_id == names[0])
+    alone = signatures.gram(~np.char.startswith(run_id, "next"))
+    base = alone + signatures.gram(run_id == names[0])
     grams = {
         number: run.count * signatures.gram(run_id == name)
         for number, (run, name) in enumerate(zip(candidates, names[1:], strict=True))
@@ -120,10 +122,24 @@ def next_runs(
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
-    return chosen
+    first, then = task.distances(alone), task.distances(base)
+    if not chosen and not task.done(first) and task.gains(first, then):
+        chosen.append(replace(reference, why=task.why(first, then)))
+    chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
+    return [replace(run, size=size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
+_BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
+
+
+def _candidates(driven: Campaign, measured: Measured) -> list[PlannedRun]:
+    tape = not (measured.distance or measured.position)
+    candidates = default_candidates(driven, loops=not (measured.position and measured.heading), tape=tape)
+    if measured.distance and not (measured.position and measured.beside):
+        # a length by other means than the rangefinder's
+        candidates.append(PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven), tape=True))
+    return candidates
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
@@ -216,15 +232,18 @@ def _measured(campaign: Campaign) -> Measured:
     front = logs.columns.get("counts_front")
     # what a closed loop measures, a mark on the floor does
     open_path = runs.label("loop") != CLOSED
-    poses = ("ref_x_m", "ref_theta_rad")
+    poses, by_laser = ("ref_x_m", "ref_theta_rad"), np.isfinite(runs.number("distance_m"))
     position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
     return Measured(
-        distance=bool(np.isfinite(runs.number("distance_m")).any() or "range_m" in logs.columns),
+        distance=bool(by_laser.any() or "range_m" in logs.columns),
         position=position,
         heading=heading,
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
         gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
+        beside="ref_x_m" in logs.columns
+        or not by_laser.any()
+        or bool(np.isfinite(runs.number("ref_x_m")[by_laser]).any()),
     )
 
 
@@ -233,7 +252,7 @@ def _count(campaign: Campaign, run: PlannedRun) -> int:
     runs = campaign.runs
     alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
     if run.tape:
-        alike &= np.isfinite(runs.number("distance_m"))
+        alike &= np.isfinite(runs.number("ref_x_m" if _measured(campaign).distance else "distance_m"))
     return 1 if np.count_nonzero(alike) >= REPEATS else REPEATS
 
 

@@ -61,10 +61,11 @@ class PlannedRun:
     read_rolling: bool = False  #: the end is measured while the vehicle still rolls
     stops: int = 0  #: stops between start and end
     loop: str = ""  #: ``closed``: it ends on the mark where it began
-    tape: bool = False  #: a corridor whose length a tape measure gives
+    tape: bool = False  #: a corridor whose length a tape measure gives, beside a rangefinder the place of its end
     count: int = 1  #: how often to drive it
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
     why: str = ""  #: what the run would tell, where it is recommended
+    size: str = ""  #: its straights and the radii of its bends in words, where it is recommended
     #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
     distance: float | None = None
 
@@ -155,6 +156,7 @@ class Measured:
     front: bool = False  #: counts and steering angle of the front wheel, in the log
     log: bool = True  #: a log at all
     gyro: bool = False  #: turn of the run by a gyro
+    beside: bool = True  #: position and heading on corridor runs too, beside the laser
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
@@ -183,6 +185,14 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
     raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
 
 
+def size_of(route: Route) -> str:
+    """Return the lengths of the straights of a route and the radii of its bends in words."""
+    pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
+    straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
+    radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
+    return f"{straights} m" * bool(straights) + " and " * bool(straights and radii) + f"radius {radii} m" * bool(radii)
+
+
 def drive(
     campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
 ) -> Campaign:
@@ -206,10 +216,13 @@ def drive(
     if by_length.any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
     closed = np.array([run.loop == CLOSED for run in runs])
-    by_reference = {"ref_x_m": measured.position, "ref_y_m": measured.position, "ref_theta_rad": measured.heading}
+    # beside an instrument a tape gives the place of the end
+    seen = ~corridor | measured.beside
+    placed = (np.array([run.tape for run in runs]) & measured.distance) | (seen & (closed | measured.position))
+    by_reference = {"ref_x_m": placed, "ref_y_m": placed, "ref_theta_rad": seen & (closed | measured.heading)}
     for number, (name, known) in enumerate(by_reference.items()):
-        if known or closed.any():
-            numbers[name] = np.where(closed | known, ends[:, number], np.nan)
+        if known.any():
+            numbers[name] = np.where(known, ends[:, number], np.nan)
     if measured.gyro:
         sigma = campaign.runs.number(GYRO_SIGMA)
         usual = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else campaign.reference.sigma_theta_rad

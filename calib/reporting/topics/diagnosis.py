@@ -248,7 +248,8 @@ def promise_table(now: Promise | None, then: Promise) -> Table:
 
 
 def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
-    extra = [f"{run['stops']} stops"] if run.get("stops") else []
+    extra = [str(run["size"])] if run.get("size") else []
+    extra += [f"{run['stops']} stops"] if run.get("stops") else []
     extra += ["closed loop"] if run.get("loop") else []
     extra += ["by tape"] if run.get("tape") else []
     extra += [f"{run['count']} times"] if run.get("count") else []

@@ -16,7 +16,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from tests.blunders import plant
 from tests.blunders.blunders import axes_turned
-from tests.gap.effects.making import STRAIGHT, Run, campaign, rich_runs
+from tests.gap.effects.making import SQUARE, STRAIGHT, Motion, Run, campaign, rich_runs
 from tests.real.recordings import optiodom_differential
 
 
@@ -46,6 +46,33 @@ def test_the_angle_planted_is_found_and_put_right(yaw_rad: float, place_m: tuple
     assert abs(np.angle(np.exp(1j * (fault.yaw_rad - yaw_rad)))) < 1e-3
     right, alone = (predict(observations_of(case)) for case in (fault.correct(turned), mounted(sound, 0.0, *place_m)))
     np.testing.assert_allclose(residuals(right, right), residuals(alone, alone), atol=0.02)
+
+
+@pytest.mark.parametrize("exchanged", [True, False])
+def test_straight_runs_that_end_aside_tell_axes_exchanged_from_a_sensor_turned(exchanged: bool) -> None:
+    """Radii a hundredth off leave decimetres along; the side that each run ends on, by its heading, tells."""
+    rng = np.random.default_rng(5)
+
+    def bent(_: Run, now: Motion) -> None:
+        now.left = now.right = 1e-2
+        now.yaw_rad = np.full(len(now.ds_m), rng.normal(0.0, 1e-4))
+
+    sound = campaign([Run(STRAIGHT, front=False)] * 24, truth=bent)
+    numbers = dict(sound.runs.numbers)
+    turn_rad = rng.normal(0.0, 5e-3, 24)
+    # each ends as far aside as it turned on the way
+    x_m, y_m = numbers["ref_x_m"], numbers["ref_y_m"] + 5.0 * turn_rad + rng.normal(0.0, 5e-3, 24)
+    numbers |= {"ref_theta_rad": numbers["ref_theta_rad"] + turn_rad, "ref_x_m": y_m, "ref_y_m": x_m}
+    numbers["ref_x_m"] = y_m if exchanged else -y_m
+    fault = found(replace(sound, runs=replace(sound.runs, numbers=numbers)))
+    assert fault is not None and fault.mirrored == exchanged
+    assert ("x and y are exchanged" in fault.label) is exchanged
+
+
+def test_loops_that_close_on_their_mark_say_nothing_of_the_axes() -> None:
+    sound = campaign([Run(SQUARE, kind="square_ccw", front=False)] * 6)
+    closed = {name: np.zeros(6) for name in ("ref_x_m", "ref_y_m")}
+    assert found(replace(sound, runs=replace(sound.runs, numbers=dict(sound.runs.numbers) | closed))) is None
 
 
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.05])

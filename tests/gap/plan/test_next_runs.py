@@ -25,6 +25,7 @@ from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates
 from calib.gap.predict import predict, residuals
 from calib.plant.design import poor_design
 from calib.plant.make import make_campaign
+from tests.gap.effects.making import STRAIGHT, Run, campaign
 from tests.kinematics.campaigns import mecanum, tricycle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -208,7 +209,7 @@ def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
     s = observations_of(driven)
     chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
     by_content = {repr(run.to_dict()): run for run in offered}
-    told = {"why", "distance", "count"}
+    told = {"why", "distance", "count", "size"}
     planned = [{key: value for key, value in run.to_dict().items() if key not in told} for run in chosen]
     first = PlannedRun("corridor", "out", temperature_C=20.0)
 
@@ -246,3 +247,24 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day_first() -> None:
     assert "another day" in first.why
     assert len(sessions_of_loads(with_next(day, [first]))) == 2
     assert not any("another day" in each.why for each in calib.plan(crossed, most=2).runs)
+
+
+def test_where_the_repeat_alone_tells_it_is_what_is_proposed() -> None:
+    """At one temperature in a session to come wheels that wear go on, and those that follow the temperature do not."""
+    temperatures_C = {"s1": 16.0, "s2": 20.0, "s3": 24.0}
+    runs = [
+        Run(STRAIGHT, session=session, front=False, numbers={"temperature_C": each})
+        for session, each in temperatures_C.items()
+        for _ in range(4)
+    ]
+    driven = campaign(runs)
+    s, noise = noise_of(driven)
+    worn = next(
+        form for effect in library(s) if effect.id == "wear" for form in effect.forms(s) if "session" in form.label
+    )
+    known = fit(predict(s), noise, [worn])
+    fitted = replace(known, theta=(np.array([-1e-3, -1e-3]),))
+    ties, candidates = [("wear", "temperature_radius")], [PlannedRun("square_cw", temperature_C=20.0)]
+    (run,) = next_runs(driven, library(s), noise, ties, fitted, candidates=candidates)
+    assert (run.kind, run.direction, run.size) == ("corridor", "out", "10 m")
+    assert "wear from temperature_radius" in run.why
