@@ -15,7 +15,7 @@ import numpy as np
 from calib.campaign.model import Border, Logs
 from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -267,3 +267,79 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     total = np.cumsum(np.nan_to_num(step))
     total -= np.repeat(total[begin], logs.lengths[logs.lengths > 0])
     return np.where(np.isfinite(rate), total, np.nan)
+
+
+#: wheels that differ by no more than this share may have rolled a straight line
+MAX_WHEEL_DIFFERENCE: Final = 0.02
+#: the distance measured and that rolled agree to this share, on a straight line
+DISTANCE_AGREEMENT: Final = 0.05
+#: share of the way to which led wheels roll alike by chance once in fifty times, floor and rubber aside: of radii that
+#: are a thousandth apart, as those of a pair are. The smoothest real robot present parts by five times more over 40 m
+ALIKE_BY_CHANCE: Final = 2.5e-5
+#: fewer runs may roll equal wheels by chance
+MIN_GUIDED_RUNS: Final = 5
+
+
+def were_guided(
+    distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
+) -> BoolArray:
+    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,).
+
+    Parameters
+    ----------
+    distance_m : array of float, shape (n_obs,)
+        Measured length of the line, NaN where not measured.
+    path_m, turn_rad : array of float, shape (n_obs,)
+        What the wheels rolled, and turned.
+    track_m : float
+        Track.
+    posed : array of bool, shape (n_obs,)
+        Observations with a measured end pose or heading.
+    """
+    way = np.abs(path_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(distance_m) / way
+        # a radius that is off makes all ways too short or too long, alike
+        known = ratio[np.isfinite(ratio) & ~posed]
+        along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
+    guided: BoolArray = along & (np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way) & ~posed
+    return guided
+
+
+def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
+    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
+
+    A vehicle that steers by its own counts ends each run with the wheels alike, wherever it went: nothing then says
+    that the way was straight. Led along a line, the wheels part by their radii, and what floor and rubber make of it.
+    Where counting is coarser than that, the runs cannot say which it was, and are taken as guided.
+
+    `apart_m`, `way_m`: (n_obs,), what the right wheel rolled beyond the left, and the length of the way; `count_m`: way
+    of one count, left and right.
+    """
+    if len(apart_m) < MIN_GUIDED_RUNS:
+        return False
+    # the first and the last count are each off by a uniform share of a count
+    counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
+    alike = float(np.mean((ALIKE_BY_CHANCE * way_m) ** 2))
+    return counting < 4.0 * alike and float(np.mean(apart_m**2)) < counting + alike
+
+
+def steered_itself_m(campaign: Campaign) -> float:
+    """Return how far the wheels parted, root mean square, where the vehicle kept them alike itself, else NaN.
+
+    Looked at are runs along a measured line whose heading nothing measured; of these `steered_by_counts`, by equal
+    radii or by those of the model.
+    """
+    runs, model = campaign.runs, campaign.model
+    if odometry_source(campaign) != "rear":
+        return np.nan
+    turned = [runs.number(f"counts_{side}") * 2 * np.pi / campaign.encoder.per_rev(side) for side in ("left", "right")]
+    distance, posed = runs.number("distance_m"), np.isfinite(runs.number("ref_theta_rad"))
+    for radii in ((campaign.vehicle.wheel_radius_m,) * 2, (model.radius_left_m, model.radius_right_m)):
+        left, right = (angle * radius for angle, radius in zip(turned, radii, strict=True))
+        way, apart = 0.5 * (left + right), right - left
+        guided = were_guided(distance, way, apart, 1.0, posed)
+        counts = (2 * np.pi * radii[0] / campaign.encoder.per_rev("left"),) * 2
+        if steered_by_counts(apart[guided], way[guided], counts):
+            return float(np.sqrt(np.mean(apart[guided] ** 2)))
+    return np.nan

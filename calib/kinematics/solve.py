@@ -220,7 +220,9 @@ def solve(
         # a step of nothing is as long as it may be
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
         least_part = CLOSE / max(sigmas, CLOSE)
-        values, prediction, moved = _advance(model, (values, prediction), step, part, least_part, _judge(whitener, size))
+        values, prediction, moved = _advance(
+            model, (values, prediction), step, part, least_part, _judge(whitener, size)
+        )
         # the noise at this place first: by it there may be a step
         if not moved and number >= noise_rounds - 1:
             break
