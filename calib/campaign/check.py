@@ -156,7 +156,7 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
     poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
-    design.few_loads, model_against_vehicle, implausible,
+    design.columns_as_one, design.few_loads, model_against_vehicle, implausible,
 )  # fmt: skip
 #: name of a check -> function, in the order of the report
 CHECKS: Final[dict[str, Check]] = {check.__name__: check for check in _IN_ORDER}

@@ -46,6 +46,16 @@ def steered_by_itself(made: Campaign) -> Campaign:
     )
 
 
+def warmer_each_session(made: Campaign, within_K: float = 0.0) -> Campaign:
+    """Each session 2 K warmer than the one before, the runs within it by `within_K`."""
+    number = np.arange(len(made.runs))
+    return with_numbers(made, temperature_C=18.0 + 2.0 * (number // 6) + within_K * (number % 6 - 2.5))
+
+
+def faster_back(made: Campaign) -> Campaign:
+    return with_numbers(made, speed_mps=np.where(made.runs.label("direction") == "back", 0.6, 0.3))
+
+
 def _swap(made: Campaign, runs: slice, names: tuple[str, str] = ("counts_left", "counts_right")) -> Campaign:
     left, right = (made.runs.number(name).copy() for name in names)
     left[runs], right[runs] = right[runs].copy(), left[runs].copy()
@@ -309,6 +319,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ),
     ("load_and_session", "confounded_load", "suspicious", _sessions_of_one_load, ""),
     ("load_and_session", "ordered_load", "suspicious", _one_session_rising, ""),
+    ("columns_as_one", "columns_as_one", "suspicious", warmer_each_session, ""),
+    ("columns_as_one", "columns_as_one", "suspicious", faster_back, ""),
     ("few_loads", "few_loads", "suspicious", lambda m: m.select(m.runs.number("payload_kg") == 100), ""),
     (
         "model_against_vehicle",
