@@ -273,8 +273,8 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
 MAX_WHEEL_DIFFERENCE: Final = 0.02
 #: the distance measured and that rolled agree to this share, on a straight line
 DISTANCE_AGREEMENT: Final = 0.05
-#: share of the way to which led wheels roll alike by chance once in fifty times, floor and rubber aside: of radii that
-#: are a thousandth apart, as those of a pair are. The smoothest real robot present parts by five times more over 40 m
+#: share of the way to which a pair of wheels, a thousandth apart in radius, rolls alike once in fifty times; by floor
+#: and rubber alone those of the smoothest real robot present part by five times more over 40 m
 ALIKE_BY_CHANCE: Final = 2.5e-5
 #: fewer runs may roll equal wheels by chance
 MIN_GUIDED_RUNS: Final = 5
@@ -283,18 +283,10 @@ MIN_GUIDED_RUNS: Final = 5
 def were_guided(
     distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
 ) -> BoolArray:
-    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,).
+    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
 
-    Parameters
-    ----------
-    distance_m : array of float, shape (n_obs,)
-        Measured length of the line, NaN where not measured.
-    path_m, turn_rad : array of float, shape (n_obs,)
-        What the wheels rolled, and turned.
-    track_m : float
-        Track.
-    posed : array of bool, shape (n_obs,)
-        Observations with a measured end pose or heading.
+    `distance_m`: of the line, NaN where not measured; `path_m`, `turn_rad`: what the wheels rolled, and turned;
+    `posed`: with a measured end pose or heading.
     """
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -327,19 +319,22 @@ def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[flo
 def steered_itself_m(campaign: Campaign) -> float:
     """Return how far the wheels parted, root mean square, where the vehicle kept them alike itself, else NaN.
 
-    Looked at are runs along a measured line whose heading nothing measured; of these `steered_by_counts`, by equal
-    radii or by those of the model.
+    By runs along a line whose heading nothing measured, and equal radii or those of the model.
     """
     runs, model = campaign.runs, campaign.model
     if odometry_source(campaign) != "rear":
         return np.nan
-    turned = [runs.number(f"counts_{side}") * 2 * np.pi / campaign.encoder.per_rev(side) for side in ("left", "right")]
-    distance, posed = runs.number("distance_m"), np.isfinite(runs.number("ref_theta_rad"))
     for radii in ((campaign.vehicle.wheel_radius_m,) * 2, (model.radius_left_m, model.radius_right_m)):
-        left, right = (angle * radius for angle, radius in zip(turned, radii, strict=True))
+        sizes = [
+            2 * np.pi * radius / campaign.encoder.per_rev(side)
+            for side, radius in zip(("left", "right"), radii, strict=True)
+        ]
+        left, right = (
+            runs.number(f"counts_{side}") * size for side, size in zip(("left", "right"), sizes, strict=True)
+        )
         way, apart = 0.5 * (left + right), right - left
-        guided = were_guided(distance, way, apart, 1.0, posed)
-        counts = (2 * np.pi * radii[0] / campaign.encoder.per_rev("left"),) * 2
-        if steered_by_counts(apart[guided], way[guided], counts):
+        posed = np.isfinite(runs.number("ref_theta_rad"))
+        guided = were_guided(runs.number("distance_m"), way, apart, 1.0, posed)
+        if steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

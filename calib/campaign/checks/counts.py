@@ -51,9 +51,8 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
     apart_m = steered_itself_m(campaign)
     if apart_m >= 0.0:
         text = (
-            f"the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm, as no floor lets "
-            "them: the vehicle seems to have steered by its own counts, which hides what its radii differ by; measure "
-            "ref_theta_rad at the end of the runs, or guide the vehicle by a line"
+            f"the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to "
+            "have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"
         )
         yield column_note("counts_left, counts_right", text, "steered_by_itself")
 

@@ -48,12 +48,8 @@ Run = int | np.signedinteger[Any]
 def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, level: str = "suspicious") -> Note:
     """Return a note on one cell of the run table.
 
-    Parameters
-    ----------
-    campaign, run, column
-        Where the cell is, runs counted from 0.
-    text, code, level
-        What was found, what was expected, what to do; the name of the check; ``wrong``, ``suspicious`` or ``info``.
+    `campaign`, `run`, `column`: where the cell is, runs counted from 0; `text`, `code`, `level`: what was found,
+    what was expected, what to do; the name of the check; ``wrong``, ``suspicious`` or ``info``.
     """
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"
     return Note(level, where, text, code, str(campaign.runs.run_id[run]))
@@ -245,8 +241,8 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
                 told.append(np.corrcoef(a[known], b[known])[0, 1] ** 2)
         if (one, other) != ("load", "order of the sessions") and min(told, default=0.0) > _AS_ONE:
             text = (
-                f"{one} and {other} change together, so that no diagnosis tells what the one does from what the other "
-                "does; drive some runs that change one alone"
+                f"{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs "
+                "that change one alone"
             )
             yield column_note(f"{one} and {other}", text, "columns_as_one")
 
