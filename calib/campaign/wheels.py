@@ -280,13 +280,11 @@ ALIKE_BY_CHANCE: Final = 2.5e-5
 MIN_GUIDED_RUNS: Final = 5
 
 
-def were_guided(
-    distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
-) -> BoolArray:
+def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
     """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
 
-    `distance_m`: of the line, NaN where not measured; `path_m`, `turn_rad`: what the wheels rolled, and turned;
-    `posed`: with a measured end pose or heading.
+    `distance_m`: of the line, NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one
+    beyond the left; `posed`: with a measured end pose or heading.
     """
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -294,7 +292,7 @@ def were_guided(
         # a radius that is off makes all ways too short or too long, alike
         known = ratio[np.isfinite(ratio) & ~posed]
         along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
-    guided: BoolArray = along & (np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way) & ~posed
+    guided: BoolArray = along & (np.abs(apart_m) < MAX_WHEEL_DIFFERENCE * way) & ~posed
     return guided
 
 
@@ -334,7 +332,7 @@ def steered_itself_m(campaign: Campaign) -> float:
         )
         way, apart = 0.5 * (left + right), right - left
         posed = np.isfinite(runs.number("ref_theta_rad"))
-        guided = were_guided(runs.number("distance_m"), way, apart, 1.0, posed)
+        guided = were_guided(runs.number("distance_m"), way, apart, posed)
         if steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

@@ -204,7 +204,7 @@ def _guided(
     if one_sensor:
         # one sensor stands for both wheels: nothing can tell them apart
         posed[:] = True
-    guided = were_guided(measured[:, 0], path, turn, steps.track_m, posed)
+    guided = were_guided(measured[:, 0], path, turn * steps.track_m, posed)
     apart_m = turn[guided] * steps.track_m
     radius = campaign.vehicle.wheel_radius_m
     if steered_by_counts(apart_m, path[guided], (radius / setup.per_rad.left, radius / setup.per_rad.right)):
