@@ -237,10 +237,12 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
     def typical(part: FloatArray) -> float:
         return float(np.sqrt(np.mean(part**2)))
 
+    measured = np.isfinite(campaign.runs.number("ref_theta_rad")).any()
+    end = "and heading at the end" if measured else "taken for straight"
     what = {
         "rangefinder": ("normal", f"distance S_O, u = {1e3 * campaign.rangefinder.sigma_m:.2g} mm"),
         "quantisation": ("triangular", f"counts of a run, u = {QUANTISATION_COUNTS:.2f} counts"),
-        "path": ("normal", "length of each wheel's path against S_O, and heading at the end where measured"),
+        "path": ("normal", f"length of each wheel's path against S_O, {end}"),
         "weave": ("normal", "the same by logs, where every run may be off alike"),
     }
     return tuple(
