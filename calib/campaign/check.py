@@ -152,11 +152,11 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     counts.count_scale, counts.counts_against_log, settings.late_logs, settings.counts_per_revolution,
     settings.log_clock, settings.heading_turns, settings.pose_resolution, settings.rounded_values,
     settings.shifted_sessions, counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
-    counts.log_speed,
+    counts.log_speed, counts.steered_by_itself,
     design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
     poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
-    design.few_loads, model_against_vehicle, implausible,
+    design.columns_as_one, design.few_loads, model_against_vehicle, implausible,
 )  # fmt: skip
 #: name of a check -> function, in the order of the report
 CHECKS: Final[dict[str, Check]] = {check.__name__: check for check in _IN_ORDER}
@@ -231,7 +231,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
 #: checks whose findings a fit and a diagnosis report by themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
-    {"assumed_values", "missing_values", "load_and_session", "few_loads", "implausible", "clock"}
+    {"assumed_values", "missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}
 )
 #: findings of one check that a result lists
 _MOST_LISTED: Final = 3

@@ -15,7 +15,7 @@ import numpy as np
 from calib.campaign.model import Border, Logs
 from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -278,3 +278,72 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     total = np.cumsum(np.nan_to_num(step))
     total -= np.repeat(total[begin], logs.lengths[logs.lengths > 0])
     return np.where(np.isfinite(rate), total, np.nan)
+
+
+#: wheels that differ by no more than this share may have rolled a straight line
+MAX_WHEEL_DIFFERENCE: Final = 0.02
+#: the distance measured and that rolled agree to this share, on a straight line
+DISTANCE_AGREEMENT: Final = 0.05
+#: share of the way to which a pair of wheels, a thousandth apart in radius, rolls alike once in fifty times; by floor
+#: and rubber alone those of the smoothest real robot present part by five times more over 40 m
+ALIKE_BY_CHANCE: Final = 2.5e-5
+#: fewer runs may roll equal wheels by chance
+MIN_GUIDED_RUNS: Final = 5
+
+
+def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
+    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
+
+    `distance_m`: of the line, NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one
+    beyond the left; `posed`: with a measured end pose or heading.
+    """
+    way = np.abs(path_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(distance_m) / way
+        # a radius that is off makes all ways too short or too long, alike
+        known = ratio[np.isfinite(ratio) & ~posed]
+        along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
+    guided: BoolArray = along & (np.abs(apart_m) < MAX_WHEEL_DIFFERENCE * way) & ~posed
+    return guided
+
+
+def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
+    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
+
+    A vehicle that steers by its own counts ends each run with the wheels alike, wherever it went: nothing then says
+    that the way was straight. Led along a line, the wheels part by their radii, and what floor and rubber make of it.
+    Where counting is coarser than that, the runs cannot say which it was, and are taken as guided.
+
+    `apart_m`, `way_m`: (n_obs,), what the right wheel rolled beyond the left, and the length of the way; `count_m`: way
+    of one count, left and right.
+    """
+    if len(apart_m) < MIN_GUIDED_RUNS:
+        return False
+    # the first and the last count are each off by a uniform share of a count
+    counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
+    alike = float(np.mean((ALIKE_BY_CHANCE * way_m) ** 2))
+    return counting < 4.0 * alike and float(np.mean(apart_m**2)) < counting + alike
+
+
+def steered_itself_m(campaign: Campaign) -> float:
+    """Return how far the wheels parted, root mean square, where the vehicle kept them alike itself, else NaN.
+
+    By runs along a line whose heading nothing measured, and equal radii or those of the model.
+    """
+    runs, model = campaign.runs, campaign.model
+    if odometry_source(campaign) != "rear":
+        return np.nan
+    for radii in ((campaign.vehicle.wheel_radius_m,) * 2, (model.radius_left_m, model.radius_right_m)):
+        sizes = [
+            2 * np.pi * radius / campaign.encoder.per_rev(side)
+            for side, radius in zip(("left", "right"), radii, strict=True)
+        ]
+        left, right = (
+            runs.number(f"counts_{side}") * size for side, size in zip(("left", "right"), sizes, strict=True)
+        )
+        way, apart = 0.5 * (left + right), right - left
+        posed = np.isfinite(runs.number("ref_theta_rad"))
+        guided = were_guided(runs.number("distance_m"), way, apart, posed)
+        if steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
+            return float(np.sqrt(np.mean(apart[guided] ** 2)))
+    return np.nan

@@ -215,8 +215,8 @@ def _without_departure(fit: _Fit) -> Geometry:
         still = hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
         more = still[1] if still else score(other.fitted, departure)[1]
         corrected, settled = other.geometry, abs(more) < SIZE_FOUND * abs(size)
-        # near its size, and something else is left all the same
-        if settled or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
+        # near its size, and something else is left all the same; delays that it leaves are what it hid behind
+        if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
         size += more
     explained = departure.share or (geometry.misfit and not corrected.misfit)

@@ -212,16 +212,29 @@ def _at_times(
     shift = np.concatenate(([0.0], np.cumsum(t_s[recording.offsets[1:] - 1] + 1.0)))[:-1]
     clock = t_s + shift[recording.run]
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
-    following = np.minimum(at + 1, high)
-    span = t_s[following] - t_s[at]
-    share = np.where(span > 0.0, (wanted - t_s[at]) / np.where(span > 0.0, span, 1.0), 0.0)
-    step = path.pose[:, following] - path.pose[:, at]
-    pose = path.pose[:, at] + share * step
-    d_step = path.by_parameter[:, :, following] - path.by_parameter[:, :, at]
-    by_parameter = path.by_parameter[:, :, at] + share * d_step
+    near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
+    weights = _between(t_s[near], wanted)
+    pose, by_parameter = (
+        np.einsum("...in,in->...n", part[..., near], weights) for part in (path.pose, path.by_parameter)
+    )
     by_delay = -_velocity(path.pose, t_s, at, low, high)
     half = len(first)
     return pose, by_parameter, by_delay, inverse[:half], inverse[half:]
+
+
+def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Return the weights of four samples in the pose between the inner two: a cubic, shape (4, n) as `t_s`.
+
+    At each inner sample its velocity is the mean one of the steps on both sides. A chord would cut curves and lag
+    behind a vehicle that speeds up, by a constant share of a step wherever the delay is no whole number of steps.
+    """
+    before, span, after = np.diff(t_s, axis=0)
+    span = np.where(span > 0.0, span, np.inf)
+    share = (wanted_s - t_s[1]) / span
+    # a step of no length, at the end of a run, leaves the velocity of the step itself
+    begin, end = share * (1.0 - share) ** 2 / (1.0 + before / span), share**2 * (share - 1.0) / (1.0 + after / span)
+    step = share - begin * before / span - end * after / span
+    return np.stack([-begin, 1.0 + begin - step, step - end, end])
 
 
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:

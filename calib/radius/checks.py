@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from calib.radius.law import COVERAGE
-from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, distinct_loads, load_groups
+from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
 
@@ -23,6 +23,9 @@ UM: Final = 1e6
 MAX_SLOPE_WIDENING: Final = 1.25
 #: sessions beyond which no single one is omitted: too many to carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
+#: loads of sessions that are tried as misreported; share of the squares that the others then leave at the most
+MAX_CELLS: Final = 200
+MOST_OF_SQUARES: Final = 0.1
 #: the reference load may lie this share of the load range outside it without a note
 REFERENCE_MARGIN: Final = 0.02
 #: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
@@ -80,13 +83,48 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         few = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
         return Check("lack_of_fit", NOTE, few)
     statistic = (reduced - full) / dof_levels / (full / dof)
+    p_value = _p_of_f(statistic, dof_levels, dof)
+    found = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
         "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
-        "neighbouring measured loads only, or look for a load that is misreported.",
+        f"neighbouring measured loads only, or look for a load that is misreported.{found}",
     )
-    p_value = _p_of_f(statistic, dof_levels, dof)
     return tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+
+
+def _with_other_load(runs: _Residuals, *, several: bool) -> str:
+    """Return what load would explain the runs of one load and session, or the one run, that leave the line most.
+
+    They are held against sessions and line of all others. Empty where others leave it too, nobody has that load, or it
+    is not `several`.
+    """
+    fit, n = runs.fit, len(runs.x)
+    if fit.model != "line" or fit.design == "confounded":
+        return ""
+    cells = runs.groups.index * n + load_groups(fit.load_N)
+    alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
+    members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
+    line = np.column_stack((runs.x, runs.sessions))
+    basis = np.linalg.qr(line)[0]
+    own, residual = (part - basis @ (basis.T @ part) for part in (members, fit.residual_m))
+    norm = np.maximum(np.sum(own**2, axis=0), 1e-9)
+    gain, total = (residual @ own) ** 2 / norm, float(residual @ residual)
+    of = members[:, int(np.argmax(gain))]
+    if total - gain.max() > MOST_OF_SQUARES * total or n - line.shape[1] < 4 or (of.sum() > 1) != several:
+        return ""
+    slope, *_, moved = np.linalg.lstsq(np.column_stack((line, of)), fit.radius_m, rcond=None)[0]
+    stated, largest = float(fit.load_N[of].mean()), float(fit.load_N.max())
+    load = stated + moved / slope if slope else 0.0
+    # a wrong distance has such a load, too, but seldom that of other runs
+    if np.min(np.abs(fit.load_N[~of] - load)) > SAME_LOAD * largest:
+        return ""
+    session = runs.groups.names[runs.groups.index[of][0]]
+    whose = f"the {of.sum()} runs of session {session} from {runs.run_id[of][0]} on" if several else "this run"
+    return (
+        f" By the line through all others, the radius of {whose} is that at {load:.0f} N, a load of others, where "
+        f"{stated:.0f} N are stated: hold payload and loads against the notes of the day."
+    )
 
 
 def _curvature(runs: _Residuals) -> Check | None:
@@ -143,12 +181,14 @@ def _influence(runs: _Residuals) -> Check | None:
             f"{cook:.1f}): repeat its load."
         )
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
+    found = _with_other_load(runs, several=False) if p_value < NOTE_BELOW else ""
     # beyond a thousand the digits mean nothing
     times = f"{studentised[worst]:.1f}" if studentised[worst] < 1000.0 else "over 1000"
     sentences = (
         f"No single run stands out or carries the line (largest Cook's distance {cook:.2g}).",
         f"Run {runs.run_id[worst]} lies {UM * runs.residual_m[worst]:+.0f} um off, {times} standard "
-        "deviations of the others: look at it with 'calib check', and exclude it with a reason or repeat it.",
+        "deviations of the others: look at its load, distance and counts, and correct it, exclude it with a reason or "
+        f"repeat it.{found}",
     )
     name = f"largest studentised residual of {n}"
     return tested("influence", studentised[worst], name, p_value, sentences, fails=True)
@@ -193,11 +233,8 @@ def _range(fit: WheelFit) -> Check:
     margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
     if law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin:
-        return Check(
-            "range",
-            OK,
-            f"The law was measured for {span} a wheel; files of it hold 1 % of that span (at least 1 N) beyond.",
-        )
+        sentence = f"The law was measured for {span} a wheel; files of it hold 1 % of that span (at least 1 N) beyond."
+        return Check("range", OK, sentence)
     sentence = (
         f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
         "extrapolated; measure near it, or set reference_load_N in campaign.toml."

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
+from calib.campaign.wheels import SOURCE_NAMES, odometry_source, steered_itself_m, without_rear_wheels
 from calib.documents import plain
 from calib.errors import BadInputError, RefusedError
 from calib.radius import deviation
@@ -237,10 +237,12 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
     def typical(part: FloatArray) -> float:
         return float(np.sqrt(np.mean(part**2)))
 
+    measured = np.isfinite(campaign.runs.number("ref_theta_rad")).any()
+    end = "and heading at the end" if measured else "taken for straight"
     what = {
         "rangefinder": ("normal", f"distance S_O, u = {1e3 * campaign.rangefinder.sigma_m:.2g} mm"),
         "quantisation": ("triangular", f"counts of a run, u = {QUANTISATION_COUNTS:.2f} counts"),
-        "path": ("normal", "length of each wheel's path against S_O, and heading at the end"),
+        "path": ("normal", f"length of each wheel's path against S_O, {end}"),
         "weave": ("normal", "the same by logs, where every run may be off alike"),
     }
     return tuple(
@@ -305,7 +307,10 @@ class RunDeviations:
         if beyond:
             text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
         if unknown:
-            text += f"; of {unknown} the path is not known: add logs, or amplitude_m and wavelength_m"
+            remedy = "add logs, or amplitude_m and wavelength_m"
+            if (self.source[self.verdict == UNKNOWN] != "none").any():
+                remedy = "the wheels rolled as alike as steered by their own counts; measure ref_theta_rad at the end"
+            text += f"; of {unknown} the path is not known: {remedy}"
         curved = float(np.max(np.abs(self.arc_turn_rad)))
         return (
             f"{text}. Steered by its own odometry with the model's radii the vehicle would have turned by up to "
@@ -333,7 +338,9 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     runs, vehicle, model = campaign.runs, campaign.vehicle, campaign.model
     path = correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
-    known = path.source != "none"
+    # wheels that were kept alike say nothing of the path
+    unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
+    known = (path.source != "none") & ~unseen
     left, right = radius_error(path.left), radius_error(path.right)
     worse = np.maximum(np.abs(left), np.abs(right))
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)

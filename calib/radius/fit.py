@@ -14,10 +14,11 @@ from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.checks.design import assumed_settings
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
 from calib.radius.checks import on_one_load, with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
-from calib.radius.instrument_checks import with_instrument_checks, with_temperature_check
+from calib.radius.instrument_checks import with_instrument_checks, with_path_check, with_temperature_check
 from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, StrArray
@@ -83,7 +84,12 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     for name, line in fit.wheels.items():
         wheel = with_systematic(line if given else _without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *wheel.checks))
-        wheels[name] = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
+        wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
+        if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
+            # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each
+            per_bow = 4.0 * campaign.vehicle.track_m * wheel.radius_m / radii.distance_m**2
+            wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
+        wheels[name] = wheel
     static, notes = _static(campaign, reference)
     return replace(
         fit,
@@ -227,6 +233,7 @@ _WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
     ("rangefinder", "scale"): ("scale of the distance", "ppm", 1e6),
     ("rangefinder", "offset_m"): ("offset of the distance", "mm", 1e3),
     ("rangefinder", "beam_rad"): ("angle of the beam to the path", "mrad", 1e3),
+    ("path", "apart_m"): ("by how much the wheels' paths differ", "mm", 1e3),
     ("weighing", "scale"): ("scale of the wheel load", "%", 1e2),
     ("weighing", "offset_N"): ("offset of the wheel load", "N", 1.0),
 }
@@ -313,6 +320,8 @@ def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray)
             return std * _along(wheel, wheel.radius_m)
         case "rangefinder", "offset_m":
             return std * _along(wheel, wheel.radius_m / distance_m)
+        case "path", "apart_m":
+            return 0.5 * std * _along(wheel, wheel.radius_m / distance_m)
         case "rangefinder", "beam_rad":
             # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
             return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)

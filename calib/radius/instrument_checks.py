@@ -101,6 +101,27 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
+def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+    """Return `fit` with the check of what nothing measured: whether the paths are straight on the whole.
+
+    `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
+    """
+    moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
+    sentence = (
+        "No run's heading at the end was measured: the paths are taken for straight. A bow of 1 cm, the same in all "
+        f"runs, moves the radius by {moved}, and the other wheel's the other way, which no interval holds; measure "
+        "ref_theta_rad, or declare path.apart_m under [uncertainty]."
+    )
+    if apart_m >= 0.0:
+        level = FAILED
+        sentence = (
+            f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
+            "by its own counts. Then only the mean of both radii is known, what they differ by went into the arc of "
+            "the path; measure ref_theta_rad at the end, or guide the vehicle by a line."
+        )
+    return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
+
+
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
 

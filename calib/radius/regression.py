@@ -44,8 +44,8 @@ class Check:
     """One check of a fit: a statistic, and a sentence with its meaning and the remedy."""
 
     #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-    #: ``session_influence``, ``normality``, ``direction``, ``run_length``, ``scatter``, ``temperature``, ``range``,
-    #: ``plausible``
+    #: ``session_influence``, ``normality``, ``direction``, ``run_length``, ``scatter``, ``temperature``, ``path``,
+    #: ``range``, ``plausible``
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str

@@ -131,7 +131,7 @@ STEPS: Final = {
     "check lacks runs": "drive the runs that are missing, see above, then 'calib check {c}'.",
     "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
     "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
-    "fit failed": "correct or exclude what failed above, with 'calib check {c}', then 'calib fit {c}'.",
+    "fit failed": "correct in runs.csv, or exclude there, what failed above, then 'calib fit {c}'.",
     "fit lacks runs": "'calib plan {c}' names the runs that are missing; drive them, then fit again.",
     "geometry": "'calib geometry {c} --output coefficients.json' to use it.",
     "geometry failed": "correct what is named above, then 'calib geometry {c}'.",

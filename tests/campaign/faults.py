@@ -39,6 +39,23 @@ def without_logs(made: Campaign) -> Campaign:
     return replace(made, logs=Logs.empty(len(made.runs)))
 
 
+def steered_by_itself(made: Campaign) -> Campaign:
+    """Both wheels alike to within a count at all loads."""
+    return with_numbers(
+        without_logs(made), counts_right=made.runs.number("counts_left") + np.arange(len(made.runs)) % 2
+    )
+
+
+def warmer_each_session(made: Campaign, within_K: float = 0.0) -> Campaign:
+    """Each session 2 K warmer than the one before, the runs within it by `within_K`."""
+    number = np.arange(len(made.runs))
+    return with_numbers(made, temperature_C=18.0 + 2.0 * (number // 6) + within_K * (number % 6 - 2.5))
+
+
+def faster_back(made: Campaign) -> Campaign:
+    return with_numbers(made, speed_mps=np.where(made.runs.label("direction") == "back", 0.6, 0.3))
+
+
 def _swap(made: Campaign, runs: slice, names: tuple[str, str] = ("counts_left", "counts_right")) -> Campaign:
     left, right = (made.runs.number(name).copy() for name in names)
     left[runs], right[runs] = right[runs].copy(), left[runs].copy()
@@ -284,6 +301,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),
     ("dead_counters", "dead_counter", "suspicious", number("counts_left", lambda _: 0.0, 4), "r004"),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
+    ("steered_by_itself", "steered_by_itself", "suspicious", steered_by_itself, ""),
     ("log_speed", "speed_disagrees", "suspicious", number("speed_mps", lambda v: v * 3.6), ""),
     ("far_from_repeats", "far_from_repeats", "suspicious", number("distance_m", lambda d: d * 1.004, 4), "r004"),
     ("pasted_rows", "pasted_row", "suspicious", _pasted, "r007"),
@@ -301,6 +319,8 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ),
     ("load_and_session", "confounded_load", "suspicious", _sessions_of_one_load, ""),
     ("load_and_session", "ordered_load", "suspicious", _one_session_rising, ""),
+    ("columns_as_one", "columns_as_one", "suspicious", warmer_each_session, ""),
+    ("columns_as_one", "columns_as_one", "suspicious", faster_back, ""),
     ("few_loads", "few_loads", "suspicious", lambda m: m.select(m.runs.number("payload_kg") == 100), ""),
     (
         "model_against_vehicle",

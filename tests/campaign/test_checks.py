@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import CHECKS, check_campaign
-from tests.campaign.faults import FAULTS, Fault, in_feet, number, scaled, turning, wandering, without_logs
+from tests.campaign.faults import (
+    FAULTS,
+    Fault,
+    faster_back,
+    in_feet,
+    number,
+    scaled,
+    turning,
+    wandering,
+    warmer_each_session,
+    without_logs,
+)
 from tests.campaign.making import campaign, with_numbers
 
 
@@ -113,6 +124,15 @@ def test_one_load_a_session_is_said_to_be_inseparable() -> None:
     notes = [note.text for note in check_campaign(campaign(crossed=False)).suspicious]
     assert len(notes) == 1
     assert "cannot be told apart" in notes[0]
+
+
+def test_columns_that_change_apart_are_left_alone() -> None:
+    """Runs of a session at several temperatures, and both speeds in both directions."""
+    made = warmer_each_session(campaign(), within_K=1.0)
+    both = with_numbers(made, speed_mps=np.where(np.arange(len(made.runs)) % 4 < 2, 0.3, 0.6))
+    assert not list(CHECKS["columns_as_one"](both))
+    names = [note.where for note in CHECKS["columns_as_one"](faster_back(warmer_each_session(campaign())))]
+    assert names == ["runs, columns speed and direction", "runs, columns temperature and order of the sessions"]
 
 
 def test_the_summary_counts_what_is_there() -> None:

@@ -157,7 +157,9 @@ def test_what_a_failed_check_names_comes_before_runs_that_are_missing(
     distance[7] *= 1.01
     assert run(["fit", str(write_campaign(with_numbers(made, distance_m=distance), tmp_path / "outlier"))]) == 1
     out = capsys.readouterr().out
-    assert "influence" in out and "Next: correct or exclude what failed above, with 'calib check" in out
+    assert (
+        "influence" in out and "Next: correct in runs.csv, or exclude there, what failed above, then 'calib fit" in out
+    )
     one = np.full(len(made.runs), "s1")
     alone = replace(made, runs=replace(made.runs, labels={**made.runs.labels, "session": one}))
     assert run(["fit", str(write_campaign(alone, tmp_path / "one_session"))]) == 1

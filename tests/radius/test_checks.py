@@ -234,3 +234,21 @@ def test_one_load_on_another_day_is_a_remark_and_its_intervals_hold() -> None:
     both = np.where(names == "tue", np.resize([300.0, 1100.0], 26), load)
     again = fit_wheel("left", both, radius, names, reference_load_N=300.0)
     assert with_checks(again, names, names, names).checks[0].level == OK
+
+
+@pytest.mark.parametrize("whose", ["run", "session"])
+def test_a_misreported_load_is_named_with_the_load_that_explains_it(whose: str) -> None:
+    """Driven at 1100 N and noted as 800 N: the line through all others gives 1100 N, a load of theirs."""
+    rng, session = np.random.default_rng(3), np.repeat(["a", "b", "c"], 20)
+    load = np.tile(np.repeat(LOADS, 4), 3)
+    radius = 0.1 - 1.3e-6 * (load - 300) + rng.normal(0, 3e-6, N)
+    wrong = np.flatnonzero((load == 1100.0) & (session == "b"))[: 1 if whose == "run" else None]
+    stated = np.where(np.isin(np.arange(N), wrong), 800.0, load)
+    names = np.array([f"r{run:02d}" for run in range(N)])
+    fit = with_checks(fit_wheel("left", stated, radius, session, reference_load_N=300.0), session, names, names)
+    check = next(check for check in fit.checks if check.name == ("influence" if whose == "run" else "lack_of_fit"))
+    assert check.level == FAILED
+    explained = check.sentence.partition("is that at ")[2]
+    assert float(explained.partition(" N")[0]) == pytest.approx(1100.0, abs=10.0)
+    assert "a load of others, where 800 N are stated" in explained
+    assert ("Run r36" if whose == "run" else "the 4 runs of session b from r36 on") in check.sentence

@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.campaign.model import Campaign
 from calib.radius.checks import with_checks
+from calib.radius.effective import UNKNOWN, judge_runs
 from calib.radius.fit import fit_campaign
 from calib.radius.instrument_checks import with_instrument_checks
 from calib.radius.regression import FAILED, NOTE, OK, Check, fit_wheel
+from tests.campaign.faults import steered_by_itself, without_logs
+from tests.campaign.making import campaign, with_numbers
 from tests.radius.campaigns import straight
 
 N = 40
@@ -118,3 +122,43 @@ def test_loads_that_nobody_gave_are_not_said_to_be_one() -> None:
     assert "No run's load is given" in checks["design"].sentence
     assert "load_left_N" in checks["scatter"].sentence
     assert not checks["scatter"].passed
+
+
+def path_check(made: Campaign) -> Check | None:
+    return next((check for check in fit_campaign(made).left.checks if check.name == "path"), None)
+
+
+def test_a_vehicle_that_steered_by_its_own_counts_gets_no_law() -> None:
+    """Its radii, 3e-3 apart, went into the arc of the path: none of the logs says so, and no run's path is known."""
+    made = steered_by_itself(campaign())
+    check = path_check(made)
+    assert check is not None
+    assert check.level == FAILED
+    assert "only the mean of both radii is known" in check.sentence
+    listed = with_numbers(made, amplitude_m=np.full(len(made.runs), 0.01), wavelength_m=np.full(len(made.runs), 8.0))
+    judged = judge_runs(listed, 5e-4)
+    assert (judged.verdict == UNKNOWN).all()
+    assert "ref_theta_rad" in judged.summary
+
+
+def test_headings_at_the_end_leave_nothing_open() -> None:
+    made = steered_by_itself(campaign())
+    assert path_check(with_numbers(made, ref_theta_rad=np.full(len(made.runs), 2e-3))) is None
+
+
+def test_a_bow_that_all_runs_have_moves_the_radius_as_stated() -> None:
+    """An arc that bows by h over S turns by 8 h / S, and the right wheel rolls b times that beyond the left."""
+    made = without_logs(campaign())
+    check = path_check(made)
+    assert check is not None
+    assert check.level == NOTE
+    stated_m = 1e-6 * float(check.sentence.partition("radius by ")[2].partition(" um")[0])
+    apart_m = made.vehicle.track_m * 8 * 0.01 / made.runs.number("distance_m")
+    left, right = (made.runs.number(f"counts_{side}") for side in ("left", "right"))
+    per_m = made.encoder.counts_per_rev_left / (2 * np.pi * 0.1)
+    bowed = with_numbers(made, counts_left=left - 0.5 * apart_m * per_m, counts_right=right + 0.5 * apart_m * per_m)
+    before, after = (float(fit_campaign(one).left.radius_m.mean()) for one in (made, bowed))
+    assert after - before == pytest.approx(stated_m, rel=0.05)
+    declared = replace(made, extra={"uncertainty": {"path": {"apart_m": {"std": float(apart_m.mean())}}}})
+    assert path_check(declared) is None
+    assert fit_campaign(declared).left.estimate.systematic[0, 0] == pytest.approx(stated_m, rel=0.05)

@@ -14,7 +14,7 @@ from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.campaign.wheels import odometry_source, on_one_axle
+from calib.campaign.wheels import odometry_source, on_one_axle, steered_itself_m
 from calib.types import BoolArray, FloatArray
 
 #: a radius of one run this far from nominal is reported
@@ -44,6 +44,17 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
                 "check whether the vehicle drove backward"
             )
             yield cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
+
+
+def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
+    """Find wheels that rolled alike in every run: steered by them, a vehicle draws the arc that its radii make."""
+    apart_m = steered_itself_m(campaign)
+    if apart_m >= 0.0:
+        text = (
+            f"the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to "
+            "have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"
+        )
+        yield column_note("counts_left, counts_right", text, "steered_by_itself")
 
 
 def _reference_rad(campaign: Campaign) -> FloatArray:

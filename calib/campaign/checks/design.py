@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -213,6 +214,41 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
             "cannot be told apart; drive some loads again at the end, or in mixed order"
         )
         yield column_note("order and load", text, "ordered_load")
+
+
+#: squared correlation from which on two columns are one: the intervals of both effects are five times as wide
+_AS_ONE: Final = 0.96
+#: least change of a column that a diagnosis explains runs by: a hall's temperature changes by a kelvin from day to day
+_CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
+
+
+def columns_as_one(campaign: Campaign) -> Iterator[Note]:
+    """Say where two of load, speed, temperature, order of the sessions and direction change together.
+
+    Directions are looked at in runs of one kind. Load and session have a check of their own.
+    """
+    runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
+    _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
+    values = (
+        runs.number("load_left_N") + runs.number("load_right_N"),
+        np.abs(runs.number("speed_mps")),
+        runs.number("temperature_C"),
+        np.argsort(np.argsort(first))[session].astype(float),
+        np.where(way == "out", 0.0, np.where(way == "back", 1.0, np.nan)),
+    )
+    for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
+        told = []
+        for _, of in groups_of(runs.label("kind") if other == "direction" else np.full(len(a), "")):
+            known = of[np.isfinite(a[of] + b[of])]
+            changed = np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other] if len(known) else False
+            if len(known) >= LEAST_RUNS and changed:
+                told.append(np.corrcoef(a[known], b[known])[0, 1] ** 2)
+        if (one, other) != ("load", "order of the sessions") and min(told, default=0.0) > _AS_ONE:
+            text = (
+                f"{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs "
+                "that change one alone"
+            )
+            yield column_note(f"{one} and {other}", text, "columns_as_one")
 
 
 #: loads driven -> what they leave open

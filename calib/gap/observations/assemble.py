@@ -8,10 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import steered_by_counts, were_guided
 from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.observation import Observation, Setup, let_go, step_array
-from calib.gap.observations.routes import WheelTravel, replicates, steered_by_counts, weave_of_log, were_guided
+from calib.gap.observations.routes import WheelTravel, replicates, weave_of_log
 from calib.radius.path_length import looks_ahead
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import wheel_loads_N
@@ -198,7 +199,7 @@ def _guided(
     if one_sensor:
         # one sensor stands for both wheels: nothing can tell them apart
         posed[:] = True
-    guided = were_guided(measured[:, 0], path, turn, steps.track_m, posed)
+    guided = were_guided(measured[:, 0], path, turn * steps.track_m, posed)
     apart_m = turn[guided] * steps.track_m
     radius = campaign.vehicle.wheel_radius_m
     if steered_by_counts(apart_m, path[guided], (radius / setup.per_rad.left, radius / setup.per_rad.right)):

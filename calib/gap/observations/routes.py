@@ -215,59 +215,6 @@ def _column_width(values: FloatArray) -> float:
 
 #: how far a run guided along a corridor is taken to stray from its line, where unspecified
 ASSUMED_LATERAL_M: Final = 0.05
-#: wheels that differ by no more than this share may have rolled a straight line
-MAX_WHEEL_DIFFERENCE: Final = 0.02
-#: the distance measured and that rolled agree to this share, on a straight line
-DISTANCE_AGREEMENT: Final = 0.05
-#: wheels on a smooth floor part by so much over a square root of a metre at least; of the real robots present the
-#: smoothest parts by 9e-4
-MIN_WALK_PER_SQRT_M: Final = 1e-4
-#: fewer runs may roll equal wheels by chance
-MIN_GUIDED_RUNS: Final = 5
-
-
-def were_guided(
-    distance_m: FloatArray, path_m: FloatArray, turn_rad: FloatArray, track_m: float, posed: BoolArray
-) -> BoolArray:
-    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,).
-
-    Parameters
-    ----------
-    distance_m : array of float, shape (n_obs,)
-        Measured length of the line, NaN where not measured.
-    path_m, turn_rad : array of float, shape (n_obs,)
-        What the wheels rolled, and turned.
-    track_m : float
-        Track.
-    posed : array of bool, shape (n_obs,)
-        Observations with a measured end pose or heading.
-    """
-    way = np.abs(path_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.abs(distance_m) / way
-        # a radius that is off makes all ways too short or too long, alike
-        known = ratio[np.isfinite(ratio) & ~posed]
-        along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
-    guided: BoolArray = along & (np.abs(turn_rad) * track_m < MAX_WHEEL_DIFFERENCE * way) & ~posed
-    return guided
-
-
-def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
-    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
-
-    A vehicle that steers by its own counts ends each run with the wheels alike to within a count, wherever it went:
-    nothing then says that the way was straight. Led along a line, the wheels part by what floor and rubber make of it.
-    Where counting is coarser than that, the runs cannot say which it was, and are taken as guided.
-
-    `apart_m`, `way_m`: (n_obs,), what the right wheel rolled beyond the left, and the length of the way; `count_m`: way
-    of one count, left and right.
-    """
-    if len(apart_m) < MIN_GUIDED_RUNS:
-        return False
-    # the first and the last count are each off by a uniform share of a count
-    counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
-    walk = MIN_WALK_PER_SQRT_M**2 * float(np.mean(np.abs(way_m)))
-    return counting < walk and float(np.mean(apart_m**2)) < counting + 0.25 * walk
 
 
 def heading_by_straightness(

@@ -5,19 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.campaign.wheels import steered_by_counts
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.observations.routes import (
-    ASSUMED_LATERAL_M,
-    MIN_WALK_PER_SQRT_M,
-    WheelTravel,
-    steered_by_counts,
-    weave_of_log,
-)
+from calib.gap.observations.routes import ASSUMED_LATERAL_M, WheelTravel, weave_of_log
 from calib.gap.predict import predict, residuals
 from tests.gap.observations.paths import TRACK_M, Truth, campaign_of
 
 
-def corridor(unequal: float = 1e-5, length: float = 40.0, n: int = 12, **columns: np.ndarray) -> dict:
+def corridor(unequal: float = 1e-4, length: float = 40.0, n: int = 12, **columns: np.ndarray) -> dict:
     straight = Truth([(length, 0.0)])
     counts = straight.counts()
     counts["counts_left"] = counts["counts_left"] * (1 + unequal)
@@ -45,7 +40,8 @@ def test_without_a_log_or_a_stated_weave_the_uncertainty_is_assumed_and_said() -
     counts = {name: np.array([log[name][-1] for log in made["logs"]]) for name in ("counts_left", "counts_right")}
     empty = [{name: column[:1] for name, column in log.items()} for log in made["logs"]]
     observations = observations_of(campaign_of(empty, numbers=made["numbers"] | counts))
-    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * ASSUMED_LATERAL_M / 40.0, rtol=1e-5)
+    middle_m = 40.0 * (1 + 0.5e-4)
+    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * ASSUMED_LATERAL_M / middle_m, rtol=1e-5)
     assert any("assumed" in note for note in observations.notes)
 
 
@@ -84,7 +80,7 @@ COUNT_M = (1.5e-4, 1.5e-4)
     ("walk", "mean_m", "count_m", "expected"),
     [
         (0.0, 0.0, COUNT_M, True),
-        (MIN_WALK_PER_SQRT_M, 0.0, COUNT_M, False),
+        (3e-4, 0.0, COUNT_M, False),
         (9e-4, 0.0, COUNT_M, False),
         (0.0, 0.02, COUNT_M, False),
         (0.0, 0.0, (2e-3, 2e-3), False),
