@@ -12,26 +12,17 @@ import numpy as np
 from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
 from calib.gap.observations.arrays import STRAIGHT_RAD, Channel
 from calib.gap.observations.routes import ROUTE_LENGTH_SHARE, lane_names
-from calib.gap.predict import predict
+from calib.gap.predict import GUIDED_TURN_RAD, predict
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray, IntArray
 
 
-def placed(observations: Observations) -> BoolArray:
-    """Return which observations have a place on the floor, shape (n_obs,): in a map, or out and back on one corridor.
+def common_frame(observations: Observations) -> bool:
+    """Return whether a place on the floor is the same place in every run: in a map, or from one mark, out and back.
 
-    Other runs begin wherever they do, each in a frame of its own, and so do windows of recordings.
+    A window of a recording has a place in a map only.
     """
-    along = ~_is_bent(observations) & np.isin(observations.labels["direction"], ("out", "back"))
-    known = np.isfinite(observations.start_pose).all(axis=1)
-    return np.asarray(known if observations.windowed else known | along)
-
-
-def _is_bent(observations: Observations) -> BoolArray:
-    turned, swung = (
-        np.abs(observations.total(turn)) for turn in (observations.turn_rad, np.abs(observations.turn_rad))
-    )
-    return np.asarray((turned > STRAIGHT_RAD) | (swung > MAX_LANE_TURN_RAD))
+    return observations.common_frame and (not observations.windowed or bool(np.isfinite(observations.start_pose).all()))
 
 
 def is_back(observations: Observations) -> FloatArray:
@@ -46,7 +37,8 @@ def far_end_m(observations: Observations) -> FloatArray:
     """
     distance, along = observations.measured[:, Channel.DISTANCE], np.abs(observations.measured[:, Channel.ALONG])
     length = np.where(np.isfinite(distance), distance, np.where(np.isfinite(along), along, observations.length_m))
-    back, out = (~_is_bent(observations) & (observations.labels["direction"] == label) for label in ("back", "out"))
+    straight = np.abs(observations.total(observations.turn_rad)) < GUIDED_TURN_RAD
+    back, out = straight & (observations.heading_sign < 0), straight & (observations.labels["direction"] == "out")
     start = np.zeros(len(observations))
     for route in np.unique(observations.kind[back]):
         mine = back & (observations.kind == route)
@@ -117,17 +109,16 @@ class FloorZone(Effect):
         A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
         runs cross is omitted, and what tells runs apart best is kept.
         """
-        there = observations.from_log & placed(observations)
-        if np.count_nonzero(there) < MIN_RUNS_IN_CELL:
+        if not common_frame(observations) or np.count_nonzero(observations.from_log) < MIN_RUNS_IN_CELL:
             return []
         lane, far_end = lanes(observations), far_end_m(observations)
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return x (nowhere without a place), y and the cosine of the heading on the floor, as every cell asks."""
+            """Return x (nowhere without a log), y and the cosine of the heading on the floor, as every cell asks."""
             if path not in places:
                 x, y = floor_place(path, path.s.here(far_end))
-                x[~path.s.here(there)[path.s.unit]] = np.inf
+                x[~path.s.from_log[path.s.unit]] = np.inf
                 places[path] = x, y, np.cos(map_heading_rad(path))
             return places[path]
 
@@ -170,8 +161,7 @@ def _cells(
 ) -> list[tuple[int, float, float, bool]]:
     """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
     flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP_LANE)
-    on = (observations.from_log & placed(observations))[observations.unit]
-    aside = len(np.unique(lane[on])) > 1 or bool((np.abs(y[on]) > 0.5 * CELL_M).any())
+    aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
     # where all runs keep to one line, its cells are strips
     grids = [(one_lane, flat), (lane, y)] if aside else [(one_lane, flat)]
     kept: list[tuple[int, float, float, bool]] = []
@@ -190,8 +180,7 @@ def _grid(
     observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
 ) -> list[tuple[float, tuple[int, float, float, bool]]]:
     """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
-    there = observations.from_log & placed(observations)
-    way = np.where(there[observations.unit], np.abs(observations.path_m), 0.0)
+    way = np.where(observations.from_log[observations.unit], np.abs(observations.path_m), 0.0)
     column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
     row = np.floor(y / CELL_M + 0.5).astype(np.int64)
     code = lane + 1
@@ -202,14 +191,13 @@ def _grid(
     flat = observations.unit * shape[1] + cell
     in_cell, heading = (np.bincount(flat, part, shape[0] * shape[1]).reshape(shape) for part in (way, way * cosine))
     visits = in_cell > 0.25 * CELL_M
-    # beside runs that nobody knows the place of, what all others cross is no place: it is their route
-    by_heading = bool(observations.usable[:, Channel.LATERAL].any() and placed(observations).all())
+    lateral = bool(observations.usable[:, Channel.LATERAL].any())
     zones = []
     for number in np.flatnonzero(visits.sum(axis=0) >= MIN_RUNS_IN_CELL):
-        seen, ways = visits[:, number], in_cell[there, number]
+        seen, ways = visits[:, number], in_cell[observations.from_log, number]
         both_ways = bool(np.ptp(heading[seen, number] / in_cell[seen, number]) > BOTH_WAYS_COSINE)
         spread, mean = float(np.std(ways)), float(np.mean(ways))
-        if spread < 0.05 * mean and not (both_ways and by_heading):
+        if spread < 0.05 * mean and not (both_ways and lateral):
             continue
         first = firsts[number]
         centre = (float(column[first] + shift) * CELL_M, float(row[first]) * CELL_M)
@@ -239,9 +227,11 @@ class FloorUndulation(Effect):
         groups: list[tuple[str, BoolArray]] = []
         if varies(lane, 0.0, observations):
             groups = [(f"lane {value:g}", lane == value) for value in np.unique(lane)]
-        elif placed(observations).any():
+        elif common_frame(observations):
             # only routes that run straight along the hall are lanes
-            kind, bent = observations.labels["kind"], _is_bent(observations)
+            kind, turn = observations.labels["kind"], observations.turn_rad
+            swings = observations.total(np.abs(turn)) > MAX_LANE_TURN_RAD
+            bent = swings | (np.abs(observations.total(turn)) > STRAIGHT_RAD)
             names = [name for name in np.unique(kind) if not bent[kind == name].any()]
             groups = [(f"route {name}", kind == name) for name in names]
         if not 1 < len(groups) <= MAX_LANES:
@@ -319,6 +309,7 @@ class TravelDirection(Effect):
             return []
         labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
+
         senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
         if labelled.all():
             senses = {"": sigma}
@@ -352,12 +343,13 @@ class FloorSlope(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
-        there = placed(observations)
+        if not common_frame(observations):
+            return []
         heading = predict(observations).of_parts(map_heading_rad)
-        way = np.where(there[observations.unit], np.abs(observations.path_m), 0.0)
+        way = np.abs(observations.path_m)
         length = np.maximum(observations.length_m, 1e-9)
-        along, across = ((observations.total(way * part(heading)) / length)[there] for part in (np.cos, np.sin))
-        if not there.any() or not (varies(along, 0.2, observations) or varies(across, 0.2, observations)):
+        along, across = (observations.total(way * part(heading)) / length for part in (np.cos, np.sin))
+        if not (varies(along, 0.2, observations) or varies(across, 0.2, observations)):
             return []
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
@@ -366,23 +358,21 @@ class FloorSlope(Effect):
             (np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
         )
 
-        def share(part: Callable[[FloatArray], FloatArray], path: Path) -> FloatArray:
-            return np.where(path.s.here(there)[path.s.unit], part(map_heading_rad(path)), 0.0)
-
         def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(left=(shared := share(part, path)), right=shared)
+            share = part(map_heading_rad(path))
+            return Perturbation(left=share, right=share)
 
         def pull_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(heading_rad=np.abs(path.s.path_m) * share(part, path))
+            return Perturbation(heading_rad=np.abs(path.s.path_m) * part(map_heading_rad(path)))
 
         def drift_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(lateral_m=np.abs(path.s.path_m) * share(part, path))
+            return Perturbation(lateral_m=np.abs(path.s.path_m) * part(map_heading_rad(path)))
 
         def with_pull(path: Path) -> list[Perturbation]:
             return [radii_by(np.cos, path), pull_by(np.sin, path)]
 
-        def any_drift(path: Path) -> list[Perturbation]:
-            return [drift_by(_to_the_right, path), drift_by(np.cos, path)]
+        def any_direction(path: Path) -> list[Perturbation]:
+            return [radii_by(np.cos, path), radii_by(np.sin, path)]
 
         offered: list[tuple[str, tuple[Parameter, ...], Perturbations]] = [
             ("along x, radii alone", (radii,), lambda path: [radii_by(np.cos, path)]),
@@ -392,9 +382,13 @@ class FloorSlope(Effect):
         if sided:
             both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
             offered.append(("along x, radii and pull", (radii, pull), with_pull))
-            offered.append(
-                ("any direction, radii alone", both, lambda path: [radii_by(np.cos, path), radii_by(np.sin, path)])
-            )
+            offered.append(("any direction, radii alone", both, any_direction))
             drifts = (replace(drift, name="drift_x"), replace(drift, name="drift_y"))
-            offered.append(("any direction, drift alone", drifts, any_drift))
+            offered.append(
+                (
+                    "any direction, drift alone",
+                    drifts,
+                    lambda path: [drift_by(_to_the_right, path), drift_by(np.cos, path)],
+                )
+            )
         return [Form(self.id, *each, tries=len(offered), by_parts=True) for each in offered]

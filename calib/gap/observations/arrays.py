@@ -144,6 +144,7 @@ class Observations:
     window: IntArray
     #: shape (n_obs, 3): where each observation starts in the frame common to all; NaN where that is not known
     start_pose: FloatArray
+    common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
     by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured
     sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle

@@ -96,6 +96,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
+        common_frame=setup.in_map or (campaign.reference.frame is None and _both_ways(campaign)),
         guided=guided,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
@@ -103,6 +104,10 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         by_shaft=stands_in and campaign.odometry.source == "shaft",
         aside_m=_aside(units),
     )
+
+
+def _both_ways(campaign: Campaign) -> bool:
+    return bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
 
 
 def _aside(units: Sequence[Observation]) -> FloatArray | None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import Reference
-from calib.gap.effects.floor import far_end_m, floor_place, map_heading_rad, placed
+from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from tests.gap.observations.paths import ROUTE, Truth, campaign_of, seen
@@ -27,7 +27,7 @@ def test_runs_anywhere_in_a_map_end_as_seen_from_their_own_start(frame: str | No
     truths = routes(n)
     logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
     observations = observations_of(campaign_of(logs, Reference(frame=frame)))  # type: ignore[arg-type]
-    assert placed(observations).all()
+    assert observations.common_frame
     whole = observations.window == 0
     np.testing.assert_allclose(observations.start_pose[whole, 2], [h for _, h in STARTS[:n]], atol=ROUNDING)
     if n >= 12:
@@ -47,7 +47,7 @@ def test_a_sensor_anywhere_on_the_vehicle_tells_the_axle(in_map: bool, place: co
     where = {"sensor_x_m": complex(place).real, "sensor_y_m": complex(place).imag, "sensor_yaw_rad": yaw}
     observations = observations_of(campaign_of(logs, Reference(frame="map" if in_map else "start", **where)))
     np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
-    assert placed(observations).all() == in_map
+    assert observations.common_frame == in_map
 
 
 def test_end_poses_of_the_table_know_the_sensor_too() -> None:
@@ -131,7 +131,7 @@ def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
     truths = routes(n)
     logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
     observations = observations_of(campaign_of(logs, Reference(frame="map")))
-    assert placed(observations).all()
+    assert common_frame(observations)
     path = predict(observations)
     x, y = floor_place(path, far_end_m(path.s))
     heading = map_heading_rad(path)
@@ -144,14 +144,12 @@ def test_places_on_the_floor_are_those_of_the_map(n: int) -> None:
         assert np.abs(turned).max() < 0.05
 
 
-@pytest.mark.parametrize("frame", [None, "start"])
-def test_starts_of_their_own_have_no_common_floor(frame: str | None) -> None:
-    """The default frame written out is the default: routes have no place under any label."""
+def test_starts_of_their_own_have_no_common_floor() -> None:
     truths = routes()
     logs = [truth.counts() | seen(truth, in_map=False) for truth in truths]
-    for direction in ("out", "back", ""):
+    for frame, direction, common in (("start", "out", False), (None, "", False), (None, "out", True)):
         made = campaign_of(logs, Reference(frame=frame), direction=[direction] * 15)  # type: ignore[arg-type]
-        assert not placed(observations_of(made)).any()
+        assert common_frame(observations_of(made)) is common
 
 
 def test_journeys_of_which_none_was_driven_twice_are_cut_into_windows() -> None:

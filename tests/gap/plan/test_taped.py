@@ -29,8 +29,11 @@ def by_laser(taped: int = 0) -> Campaign:
 
     turned = [(length, -kappa) for length, kappa in SQUARE]
     straights = [Run([(length, 0.0)], direction="", front=False) for length in (10.0, 20.0)]
-    squares = [Run(SQUARE, kind="square_ccw", front=False), Run(turned, kind="square_cw", front=False)]
-    made = campaign([*[*straights, *squares] * 6, *[Run(STRAIGHT, front=False)] * taped], truth=truth)
+    squares = [
+        Run(pieces, kind=kind, direction="", front=False)
+        for pieces, kind in ((SQUARE, "square_ccw"), (turned, "square_cw"))
+    ]
+    made = campaign([*[*straights, *squares] * 6, *[Run(STRAIGHT, direction="", front=False)] * taped], truth=truth)
     bare = np.isfinite(made.runs.number("distance_m")) & (np.arange(len(made.runs)) < 24)
     unseen = {name: np.where(bare, np.nan, made.runs.number(name)) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")}
     return replace(made, runs=replace(made.runs, numbers=dict(made.runs.numbers) | unseen))
