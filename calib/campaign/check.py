@@ -1,7 +1,6 @@
-"""What was found in a campaign, what is wrong, what is suspicious: said before anyone computes.
+"""What a campaign holds, what is wrong and what is suspicious, said before anyone computes.
 
-Wrong are blunders in units and settings: a factor far beyond what wear, load or a poor nominal value explain. The other
-checks find smaller deviations.
+Wrong are blunders in units and settings: a factor beyond what wear, load or a poor nominal value explain.
 """
 
 from __future__ import annotations
@@ -26,10 +25,7 @@ from calib.vehicle import Usual, Vehicle
 
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
-    """Yield what cannot be, as notes of level ``wrong``; nothing for a campaign within all bounds.
-
-    `campaign`: rows that are flagged as excluded are passed over.
-    """
+    """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
     kept = campaign.included()
     for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
         yield from check(kept)
@@ -110,7 +106,7 @@ def _model(campaign: Campaign) -> Iterator[Note]:
         yield implausible_setting("model.reference_load_N", text)
 
 
-#: column -> what a run can have, and what lies behind another value; 1e-9: anything above zero
+#: column -> what a run can have, what lies behind another value; 1e-9: above zero
 _COLUMNS: Final[dict[str, tuple[Usual, str]]] = {
     "temperature_C": (Usual(-50.0, 60.0), "is it in Fahrenheit or kelvin?"),
     "speed_mps": (Usual(-20.0, 20.0), "is it in mm/s?"),
@@ -143,7 +139,6 @@ Span = tuple[float, float]
 _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature_C", "counts_left", "counts_right")
 
 
-#: Looks at a campaign and yields what it finds.
 Check = Callable[[Campaign], Iterator[Note]]
 
 _IN_ORDER: Final[tuple[Check, ...]] = (
@@ -191,7 +186,7 @@ class CheckReport:
     """What was found, and the notes by level."""
 
     campaign: str
-    #: whether a program made the data
+    #: a program made the data
     simulated: bool
     found: CampaignContents
     #: faults to correct; things to look at; what was recognised and converted
@@ -211,10 +206,10 @@ class CheckReport:
 
 
 def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
-    """Run every check; nothing is changed or deleted.
+    """Run every check; nothing is changed.
 
-    `campaign`: read leniently, so that faults of single runs are among its notes. The notes of the reading and of every
-    check, those of a run that is flagged as excluded omitted but for faults.
+    `campaign`: read leniently, so that faults of single runs are among its notes. Reported are these and the checks'
+    notes; of runs flagged as excluded, faults alone.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     kept = campaign.included()
@@ -229,7 +224,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
 
 #: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
-#: checks whose findings a fit and a diagnosis report by themselves, or that change neither
+#: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
     {"assumed_values", "missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}
 )
@@ -264,7 +259,7 @@ def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
 
 
 def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:
-    """Return the runs whose counters jump, were reset or do not count, as the checks name them."""
+    """Return the runs whose counters jump, were reset or do not count."""
     kept = campaign.included()
     notes = (*counts.dead_counters(kept), *counts.count_jumps(kept))
     return tuple(sorted({note.run_id for note in notes if note.run_id}))

@@ -1,6 +1,6 @@
-"""Read the logs of a campaign: several at once, and unchanged large ones from the cache.
+"""Read the logs of a campaign: several at once, unchanged large ones from the cache.
 
-The cache holds one file of plain columns a log, under the hash of its content; it may be deleted at any time.
+The cache holds a file of plain columns a log, under its content's hash; it may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 #: environment variable: a folder for the cache, or ``off``
 CACHE: Final = "CALIB_CACHE"
-#: smaller campaigns are read in less time than it takes to ask
+#: reading smaller campaigns takes less time than asking
 WORTH_BYTES: Final = 16 << 20
-#: the oldest files go where all together are larger than this
+#: the oldest files go where all exceed this
 MOST_BYTES: Final = 8 << 30
-#: what reads a log, whose change makes what was kept worthless
+#: reads a log: its change makes what was kept worthless
 _READ_BY: Final = ("settings.py", "log_reading.py", "logs.py", "readers/*.py")
 
 
 @dataclass(frozen=True, slots=True)
 class ReadLog:
-    """A log as read: its columns by calib's names and what was noted; or why it cannot be used."""
+    """A log as read: its columns and notes; or why it cannot be used."""
 
     columns: Mapping[str, FloatArray]
     notes: tuple[Note, ...]
-    #: hash of the file's bytes; empty where it cannot be read
+    #: of the file's bytes; empty where it cannot be read
     sha256: str = ""
     error: BadFileError | None = None
 
@@ -61,7 +61,7 @@ def _kept(path: Path, sha256: str) -> ReadLog | None:
 
 
 def _keep(path: Path, log: ReadLog) -> None:
-    """Keep a log at `path`, whole or not at all; where that cannot be done it is read again the next time."""
+    """Keep a log at `path`, whole or not at all; it is read again where that fails."""
     data = io.BytesIO()
     notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
     np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
@@ -71,7 +71,7 @@ def _keep(path: Path, log: ReadLog) -> None:
 
 
 def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
-    """Remove the oldest files of a cache until all together are at most `most_bytes`."""
+    """Remove the oldest files of a cache until it has at most `most_bytes`."""
     files = []
     for path in folder.glob("*/*"):
         with suppress(OSError):
@@ -87,7 +87,7 @@ def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
 
 
 def cache_folder(name: str) -> Path | None:
-    """Return the user's folder for a cache, that of the environment variable itself; None where it says ``off``."""
+    """Return the user's cache folder, or that of the environment variable; None where it says ``off``."""
     chosen = os.environ.get(CACHE, "")
     if chosen:
         return None if chosen == "off" else Path(chosen)
@@ -112,14 +112,14 @@ def _read_by() -> str:
     return digest.hexdigest()
 
 
-#: parsers and hashes release the interpreter; beyond some threads what holds it is all that is left
+#: parsers and hashes release the interpreter; beyond some threads only what holds it is left
 MOST_THREADS: Final = 8
-#: fewer logs are read sooner than threads are started
+#: fewer logs are read sooner than threads start
 MANY: Final = 8
-#: smaller logs are parsed some at a time as one, by two threads: what holds the interpreter would block more of them
+#: smaller logs are parsed together, by two threads: what holds the interpreter would block more
 LARGE_BYTES: Final = 512 << 10
 TOGETHER: Final = 16
-#: where all of them are fewer bytes, each is read by numpy before what parses many as one is imported
+#: where all are fewer bytes, numpy reads each before the parser of many is imported
 MANY_BYTES: Final = 16 << 20
 
 
@@ -128,14 +128,14 @@ def read_logs(
 ) -> tuple[Logs, dict[str, str]]:
     """Read the logs of a campaign and undo the overflow of their counters.
 
-    Returned are the logs of all runs end to end, and the SHA-256 of each by its name.
+    Returns the logs end to end, and the SHA-256 of each by name.
 
     Parameters
     ----------
     files, n_runs
-        Logs there are, in the order of the runs, and rows of the run table.
+        Logs in the order of the runs, and rows of the run table.
     encoder
-        ``wrap_bits`` where the settings name it; else overflows are looked for.
+        Without ``wrap_bits`` overflows are looked for.
     border, progress
         Takes notes and faults in the order of the runs (a log that cannot be used is a fault); see
         `calib.types.Progress`.
@@ -192,14 +192,14 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
     logs = [_kept(place, sha256) if place else None for place, sha256 in zip(places, hashes, strict=True)]
     new = [number for number, log in enumerate(logs) if log is None]
     raws: dict[int, RawTable | None] = {}
-    # an odd log may have asked for the parser of many already
+    # an odd log may have asked for the parser of many
     if (together or "pandas" in sys.modules) and len(new) > 1:
         raws = dict(zip(new, read_batch([files[number][2:] for number in new], in_log), strict=True))
     for number in new:
         path, place = files[number][2], places[number]
         log = _parsed(files[number], hashes[number], raws.get(number))
         if _state(path) != states[number]:
-            # a file that changed while it was read is neither kept nor named under the hash of what it was
+            # a file that changed while read is not kept, nor named under its earlier hash
             log = replace(log, sha256=_sha256(path))
         elif place is not None and log.error is None:
             _keep(place, log)
@@ -224,7 +224,7 @@ def _sha256(path: Path) -> str:
 
 
 def _state(path: Path) -> tuple[int, ...]:
-    """Return inode, size and times of the last change of a file: any writing to it changes them; empty without it."""
+    """Return inode, size and change times of a file: any writing changes them; empty without it."""
     with suppress(OSError):
         status = path.stat()
         return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns

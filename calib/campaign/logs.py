@@ -1,4 +1,4 @@
-"""Logs: which file is whose, how one is read, and all of them end to end with the overflow of their counters undone."""
+"""Logs: which is whose, how one is read, and all end to end with their counters' overflow undone."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from calib.io import inside
 from calib.types import FloatArray, IntArray
 
 _MAX_PATH: Final = 500
-#: widths that are looked for where the settings name none
+#: widths looked for where the settings name none
 WIDTHS: Final = (13, 16, 32)
-#: share of the counter's span up to which a step leaves no doubt which way around it goes
+#: up to this share of the counter's span a step's direction is beyond doubt
 _CLEAR_STEP: Final = 0.4
-#: an overflow, undone, is at most so many times the largest other step: the wheel may be fastest just then
+#: an overflow, undone, is at most so many times the largest other step: the wheel may just be fastest
 _LIKE_OTHERS: Final = 2.0
-#: time between samples below which nothing is divided by it
+#: nothing is divided by less time between samples
 _SHORTEST_STEP_S: Final = 1e-9
-#: how the width of a counter is known
+#: how a counter's width is known
 _STATED: Final = "as the settings say"
 #: seconds that 32 bits of milliseconds and microseconds hold
 _FULL_CLOCKS_S: Final = (2**32 / 1e3, 2**32 / 1e6)
 _DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
-#: samples by which the columns grow at least, and the share of what they hold
+#: least growth of the columns in samples, and as a share
 _GROWTH: Final = 1 << 16
 _GROWTH_SHARE: Final = 0.125
-#: a log whose first sample is later than this is noted: its times count from the first sample
+#: a log with a later first sample is noted: its times count from that
 LATE_START_S: Final = 1.0
 
 
@@ -57,7 +57,7 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[
         if "log" in runs.labels:
             relative = str(runs.labels["log"][index])
         else:
-            # a run id that is no plain file name has no log of that name
+            # a run id that is no plain file name has no such log
             candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
             relative = next((name for name in candidates if name in plain or (folder / name).exists()), "")
         if not relative:
@@ -79,9 +79,9 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[
 
 
 def _plain_logs(folder: Path) -> dict[str, Path]:
-    """Return the files of the folder ``logs`` to which no link leads, by their names in a run table.
+    """Return the files of ``logs`` to which no link leads, by their names in a run table.
 
-    They are found in one go; what is not among them is looked into one by one.
+    Found in one go; all others are looked into one by one.
     """
     logs = folder.resolve() / "logs"
     try:
@@ -124,7 +124,7 @@ def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None
 
 
 def in_log(name: str) -> bool:
-    """Return whether a column of this name may be one of a log."""
+    """Return whether a log may have a column of this name."""
     return log_column(name).name in LOG_COLUMNS
 
 
@@ -138,11 +138,11 @@ def add_recognised(
     Parameters
     ----------
     columns
-        Columns that are there already, by calib's names, each of shape (n_samples,); changed in place.
+        By calib's names, shape (n_samples,) each; changed in place.
     raw, shown
         The log as read, and its name in messages.
     border, mapped
-        Takes what was converted; columns of `raw` that are not looked at.
+        Takes conversions; columns of `raw` to pass over.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():
@@ -159,7 +159,7 @@ def add_recognised(
 
 
 def from_first_sample(columns: dict[str, FloatArray], shown: str, border: Border) -> float:
-    """Let times that begin later than `LATE_START_S` count from the first sample, in place; return its time.
+    """Let times that begin after `LATE_START_S` count from the first sample, in place; return its time.
 
     Clocks of 32 bits, in ms or us, go on where they start again.
     """
@@ -176,9 +176,9 @@ def from_first_sample(columns: dict[str, FloatArray], shown: str, border: Border
 
 
 def log_column(name: str) -> Recognised:
-    """Return what a column of a log is, by its whole name or, in a recording, by the part after its stream or group.
+    """Return what a log's column is, by its whole name or, in a recording, the part after stream or group.
 
-    `name`: as found: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
+    `name`: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
     """
     whole = recognise(name, LOG_COLUMNS, further=False)
     if whole.name in LOG_COLUMNS:
@@ -198,7 +198,7 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
             expected = f"t_s with {' or '.join(' and '.join(names) for names in WHEEL_SETS)}"
             remedy = "name the columns so in the header line; a unit may differ if it is named (t_ms)"
             raise BadFileError(shown, "no such column", expected, remedy, row=1, column=name)
-        # the sum of a column without a gap is a number: one pass
+        # one pass: the sum is a number only without a gap
         if np.isnan(columns[name].sum()) and len(gaps := np.flatnonzero(np.isnan(columns[name]))):
             remedy = "remove the row; a gap in time is found and said"
             row = int(line[gaps[0]])
@@ -211,10 +211,10 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
     """Find the width of a counter that overflows inside the logs.
 
     All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
-    step over a gap in time may hold as many times the counts of another one as it lasts usual steps.
+    step over a gap in time may hold the counts of as many usual steps.
 
-    `counts`, `time_s` (shape (n_samples,)): logs laid end to end, and their times where known; `offsets` (shape
-    (n_runs + 1,)): where each log begins. 13, 16 or 32, or None where nothing overflows.
+    `counts`, `time_s` (shape (n_samples,)): logs end to end, and their times where known; `offsets` (shape (n_runs +
+    1,)): where each log begins. 13, 16 or 32, or None where nothing overflows.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -237,11 +237,11 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
 
 
 def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
-    """Undo overflows: every step is taken as the shortest one around the counter.
+    """Undo overflows: every step is the shortest around the counter.
 
-    `counts` (shape (n_samples,)): logs laid end to end; `offsets` (shape (n_runs + 1,)): where each log begins; `bits`:
-    width of the counter. Returns `counts` (shape (n_samples,)): each log continues from its own first value; `wraps`
-    (shape (n_runs,)): overflows undone in each log.
+    `counts` (shape (n_samples,)): logs end to end; `offsets` (shape (n_runs + 1,)): where each log begins; `bits`:
+    width of the counter. Returns `counts` (shape (n_samples,)): each log from its own first value; `wraps` (shape
+    (n_runs,)): overflows undone in each log.
     """
     full = 2.0**bits
     step = _steps(counts, offsets)
@@ -256,9 +256,9 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
 
 
 def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
-    """Return how many full counters to add to `total` so that it meets `expected`; 0 where none fits.
+    """Return how many full counters to add to `total` to meet `expected`; 0 where none fits.
 
-    `total`, `expected`, `tolerance` (shape (n_runs,)): counts found, counts expected, and how far they may be apart;
+    `total`, `expected`, `tolerance` (shape (n_runs,)): counts found and expected, and how far they may be apart;
     `bits`: width of the counter. Shape (n_runs,): whole numbers.
     """
     full = 2.0**bits
@@ -274,10 +274,7 @@ def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 class LogStack:
-    """Columns that grow as logs come, one array each, so that no log is held twice.
-
-    `n_runs`: rows of the run table.
-    """
+    """Columns that grow as logs come, an array each, so that no log is held twice."""
 
     def __init__(self, n_runs: int) -> None:
         self._lengths = np.zeros(n_runs, dtype=np.int64)
@@ -285,7 +282,7 @@ class LogStack:
         self._size = 0
 
     def add(self, run: int, columns: Mapping[str, FloatArray]) -> None:
-        """Add the log of a run, whose columns each have shape (n_samples,); runs come in their order."""
+        """Add the log of the next run, columns of shape (n_samples,)."""
         begin = self._size
         self._lengths[run] = n_samples = len(columns["t_s"])
         self._size += n_samples
@@ -294,15 +291,14 @@ class LogStack:
                 self._columns[name] = np.full(begin, np.nan)
         for name, column in self._columns.items():
             if len(column) < self._size:
-                # not copied where the system can move pages
+                # in place where the system can move pages
                 column.resize(self._size + max(_GROWTH, int(_GROWTH_SHARE * self._size)), refcheck=False)
             column[begin : self._size] = columns.get(name, np.nan)
 
     def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
-        """Return the logs of all runs with the overflow of their counters undone; the stack is empty afterwards.
+        """Return all runs' logs, end to end, their counters' overflow undone; the stack is empty afterwards.
 
-        `encoder`: ``wrap_bits`` where the settings name it; else overflows are looked for; `names`: run id and name of
-        the log, for messages. Of all runs, end to end.
+        `encoder`: without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))

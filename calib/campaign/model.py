@@ -1,6 +1,6 @@
 """Campaign, run table and logs: the one contract that every later stage reads.
 
-Arrays over all runs, and logs of all runs laid end to end, so that later stages work on whole campaigns at once.
+Arrays over all runs, and all logs end to end, so that later stages work on whole campaigns at once.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 #: text columns of ``runs.csv``
 LABEL_COLUMNS: Final = ("run_id", "session", "kind", "direction", "loop", "log", "exclusion_reason")
 
-#: columns of tables and logs: a pose by the reference, and by an outside simulator
+#: of tables and logs: a pose by the reference, and by an outside simulator
 REFERENCE_POSE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 SIMULATED_POSE: Final = ("sim_x_m", "sim_y_m", "sim_theta_rad")
 
-#: numeric columns of ``runs.csv`` that have a meaning of their own; any further numeric column is a covariate
+#: numeric columns of ``runs.csv`` with a meaning of their own; all others are covariates
 NUMERIC_COLUMNS: Final = (
     *("payload_kg", "payload_x_m", "payload_y_m", *WHEEL_LOADS),
     *("speed_mps", "temperature_C", "minutes_under_load"),
@@ -42,8 +42,8 @@ NUMERIC_COLUMNS: Final = (
     *(*REFERENCE_POSE, "gyro_theta_rad", "gyro_sigma_rad", *SIMULATED_POSE, "sim_distance_m"),
 )
 
-#: what a log needs of the wheels: both rear wheels, or the driven front wheel and its steering, or four (mecanum), or
-#: the rear axle and the steering (Ackermann); each of the rear as counts or as speeds
+#: what a log needs of the wheels: both rear wheels, or the driven front wheel and steering, or four (mecanum), or the
+#: rear axle and steering (Ackermann); of the rear as counts or speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
     ("steer_rad", "counts_front"),
@@ -65,23 +65,23 @@ class Note:
 
     #: ``info`` (recognised or converted), ``suspicious`` or ``wrong``
     level: str
-    #: file, row, column as one text
+    #: file, row, column
     where: str
-    #: what was found, what was expected, what to do, in one sentence
+    #: what was found, what was expected, what to do: one sentence
     text: str
-    #: stable name of the check, for example ``swapped_wheels``
+    #: name of the check: ``swapped_wheels``
     code: str = ""
     #: the run concerned, or empty
     run_id: str = ""
 
     @property
     def sentence(self) -> str:
-        """Where and what, with the mark that ends it."""
+        """Where and what, with its full stop."""
         return f"{self.where}: {self.text}{'' if self.text.endswith('?') else '.'}"
 
 
 class Border:
-    """Notes made while reading; a fault is raised, or in a lenient reading kept as a note of level ``wrong``."""
+    """Notes made while reading; a fault is raised or, leniently, kept as a note of level ``wrong``."""
 
     def __init__(self, *, lenient: bool) -> None:
         self.lenient = lenient
@@ -101,12 +101,12 @@ class Border:
         level
             ``wrong``, ``suspicious`` or ``info``.
         run_id
-            The run concerned; empty where it is none.
+            The run concerned, or empty.
         """
         self.notes.append(Note(level, where, text, code, run_id))
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:
-        """Raise `error`, or keep it where the reading is lenient."""
+        """Raise `error`, or keep it in a lenient reading."""
         if not self.lenient:
             raise error
         where, _, text = str(error).partition(": found ")
@@ -117,13 +117,13 @@ class Border:
 class RunTable:
     """The run table as arrays over runs, in the order driven."""
 
-    #: text columns present in the file (of `LABEL_COLUMNS`); ``run_id`` always is, shape (n_runs,)
+    #: text columns present (of `LABEL_COLUMNS`), always ``run_id``, shape (n_runs,)
     labels: Mapping[str, StrArray]
-    #: numeric columns present, NaN where a cell is empty; SI units, shape (n_runs,)
+    #: numeric columns present, in SI units, NaN where empty, shape (n_runs,)
     numbers: Mapping[str, FloatArray]
     #: rows flagged out; they stay in the table, shape (n_runs,)
     excluded: BoolArray
-    #: line of each row in the file, counted from 1, header included, shape (n_runs,)
+    #: of each row in the file, from 1, header included, shape (n_runs,)
     line: IntArray
 
     def __len__(self) -> int:
@@ -135,11 +135,11 @@ class RunTable:
         return self.labels["run_id"]
 
     def label(self, name: str) -> StrArray:
-        """Return a text column, shape (n_runs,); empty texts where the table lacks it."""
+        """Return a text column, shape (n_runs,); empty texts without it."""
         return self.labels[name] if name in self.labels else np.full(len(self), "", dtype=np.str_)
 
     def number(self, name: str) -> FloatArray:
-        """Return a numeric column, shape (n_runs,); NaN where the table lacks it."""
+        """Return a numeric column, shape (n_runs,); NaN without it."""
         return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
 
     @property
@@ -153,7 +153,7 @@ class RunTable:
         return RunTable({"run_id": np.zeros(0, np.str_)}, {}, np.zeros(0, np.bool_), np.zeros(0, np.int64))
 
     def frame(self) -> DataFrame:
-        """Return a pandas table, a row a run in the order driven; SI units, NaN where unknown."""
+        """Return a pandas table, a row a run as driven; SI units, NaN where unknown."""
         from pandas import DataFrame
 
         return DataFrame({**self.labels, **self.numbers, "excluded": self.excluded})
@@ -173,7 +173,7 @@ class RunTable:
 
 
 def stacked(tables: Sequence[RunTable]) -> RunTable:
-    """Return the runs of several tables, one after another; empty cells where one lacks a column of another."""
+    """Return the runs of several tables, one after another; columns that one lacks are empty there."""
 
     def whole(names: Iterable[str], column: Callable[[RunTable, str], NDArray[Any]]) -> dict[str, NDArray[Any]]:
         return {name: np.concatenate([column(runs, name) for runs in tables]) for name in dict.fromkeys(names)}
@@ -186,21 +186,21 @@ def stacked(tables: Sequence[RunTable]) -> RunTable:
     )
 
 
-#: columns that come to more are kept in a temporary file
+#: larger columns are kept in a temporary file
 HELD_BYTES: Final = 128 << 20
 
 
 class LogColumns(Mapping[str, FloatArray]):
-    """Columns of logs laid end to end, shape (n_samples,) each: in memory, or large ones in a temporary file.
+    """Columns of logs end to end, shape (n_samples,) each: in memory, or large ones in a temporary file.
 
-    What is in the file is read anew each time, so that no more is held than was asked for. `n_columns` may come.
+    The file is read anew each time: no more is held than was asked for. `n_columns` may come.
     """
 
     def __init__(self, n_samples: int, n_columns: int) -> None:
         self._n_samples, self._file = n_samples, -1
         self._columns: dict[str, FloatArray | int] = {}
         if 8 * n_samples * n_columns > HELD_BYTES and hasattr(os, "preadv"):
-            # where nothing can be written, or the disk is full, columns are held
+            # columns are held where nothing can be written
             with suppress(OSError), TemporaryFile() as file:
                 self._file = os.dup(file.fileno())
                 finalize(self, os.close, self._file)
@@ -245,15 +245,14 @@ def _all_bytes(column: FloatArray, move: Callable[[memoryview, int], int]) -> No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Logs:
-    """The logs of all runs laid end to end."""
+    """All runs' logs, end to end."""
 
-    #: samples of run i stand at ``offsets[i]:offsets[i + 1]``; an empty stretch means that the run has no log, shape
-    #: (n_runs + 1,)
+    #: samples of run i are ``offsets[i]:offsets[i + 1]``, none without a log, shape (n_runs + 1,)
     offsets: IntArray
-    #: columns of `LOG_COLUMNS` that any log has, NaN in the stretches of logs that lack one. Counts are unwrapped and
-    #: start at the log's own first value; times are seconds from the run's start, shape (n_samples,)
+    #: columns of `LOG_COLUMNS` that any log has, NaN for logs without it. Counts are unwrapped from the log's own first
+    #: value; times are seconds from the run's start, shape (n_samples,)
     columns: Mapping[str, FloatArray]
-    #: columns of speeds that counts were integrated from
+    #: of speeds that counts were integrated from
     speeds: tuple[str, ...] = ()
 
     @property
@@ -267,7 +266,7 @@ class Logs:
         return self.lengths >= 2
 
     def of(self, run: int) -> dict[str, FloatArray]:
-        """Return the columns of run number `run`, each of shape (n_samples_of_run,); columns it lacks are omitted."""
+        """Return the columns of run number `run`, shape (n_samples_of_run,) each, without those it lacks."""
         part, columns = slice(int(self.offsets[run]), int(self.offsets[run + 1])), self.columns
         read = columns.part if isinstance(columns, LogColumns) else lambda name, part: columns[name][part]
         cut = {name: read(name, part) for name in columns}
@@ -280,7 +279,7 @@ class Logs:
         if np.array_equal(index, np.arange(len(self.lengths))):
             return self
         offsets = np.concatenate(([0], np.cumsum(self.lengths[index]))).astype(np.int64)
-        # runs that stand together are copied together
+        # neighbouring runs are copied together
         parts = np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)
         ends = [(runs[0], runs[-1] + 1) for runs in parts if len(runs)]
         stretches = [slice(int(self.offsets[first]), int(self.offsets[end])) for first, end in ends]
@@ -291,7 +290,7 @@ class Logs:
 
     @staticmethod
     def empty(n_runs: int) -> Logs:
-        """Return the logs of `n_runs` runs that have none."""
+        """Return `n_runs` runs without logs."""
         return Logs(offsets=np.zeros(n_runs + 1, dtype=np.int64), columns={})
 
 
@@ -306,7 +305,7 @@ class Campaign:
     name : str
         Name of the campaign.
     simulated : bool
-        True where a program made the data; every report then says so.
+        True where a program made the data, which every report says.
     vehicle, encoder, model, rangefinder, reference
         Sections of ``campaign.toml``.
     runs : RunTable
@@ -316,13 +315,13 @@ class Campaign:
     notes : tuple of Note
         What was recognised and converted on the API.
     hashes : mapping of str to str
-        SHA-256 of every file read, by path relative to the folder.
+        SHA-256 of every file read, by path in the folder.
     extra : mapping
         Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
     odometry : Odometry
         What the vehicle's own odometry runs on.
     assumed : tuple of str
-        Keys of ``campaign.toml`` whose values nobody stated: a program filled them in (``rangefinder.sigma_m``).
+        Keys of ``campaign.toml`` that a program filled in (``rangefinder.sigma_m``).
     """
 
     root: Path | None
@@ -354,9 +353,9 @@ class Campaign:
         return self.runs.frame()
 
     def log(self, run_id: str) -> DataFrame:
-        """Return the log of a run as a pandas table, a row a sample: seconds from the run's start, unwrapped counts.
+        """Return a run's log as a pandas table, a row a sample: seconds from the run's start, unwrapped counts.
 
-        Raises BadInputError where the campaign has no such run, or the run no log.
+        Raises BadInputError without such a run or log.
         """
         from pandas import DataFrame
 

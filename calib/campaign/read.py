@@ -26,20 +26,20 @@ from calib.types import FloatArray, IntArray, Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"
-#: counts that a total and the log of the same run may differ by, since they are not read at the same instant
+#: a total and its run's log may differ by so many counts: they are not read at the same instant
 _SAME_COUNTS: Final = 50.0
 _COUNTS: Final = ("counts_left", "counts_right")
 GYRO: Final = "gyro_z_radps"
-#: turn of a run by the gyro, and its standard uncertainty without that of the gyro's scale
+#: a run's turn by the gyro, and its standard uncertainty without the gyro's scale
 GYRO_TURN: Final = "gyro_theta_rad"
 GYRO_SIGMA: Final = "gyro_sigma_rad"
-#: a vehicle turns before the first count and rocks after the last one
+#: a vehicle turns before the first count and rocks after the last
 SETTLING_S: Final = 0.1
-#: label of a run that ends on the mark where it began
+#: label of a run that ends on its start mark
 CLOSED: Final = "closed"
-#: a standstill lasts so long at least: samples enough for a bias
+#: a shorter standstill has too few samples for a bias
 STANDSTILL_S: Final = 0.5
-#: a closed loop whose wheels turn the vehicle by this much more or less than whole turns is doubtful
+#: a closed loop whose wheels turn further off whole turns is doubtful
 WHOLE_TURN_RAD: Final = 0.8
 
 
@@ -90,8 +90,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
 def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, FloatArray]:
     """Return left and right wheel load of each run from its payload, shape (n_runs,) each, in N.
 
-    NaN where the payload, or the place of a payload, is not given. A payload of 0 needs no place; a missing
-    ``payload_y_m`` column means the centre line.
+    NaN where a payload or its place is not given. A payload of 0 needs no place; without ``payload_y_m`` it is on the
+    centre line.
     """
     mass, x, y = (runs.number(name) for name in ("payload_kg", "payload_x_m", "payload_y_m"))
     if "payload_y_m" not in runs.numbers:
@@ -145,7 +145,7 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
 
 def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> FloatArray:
-    """Undo overflows of the table's totals: against the log, or against the distance where the width is given."""
+    """Undo overflows of the table's totals: against the log, or the distance where the width is given."""
     runs, encoder = campaign.runs, campaign.encoder
     total, logged = runs.number(name), log_totals(campaign.logs, name)
     driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * encoder.per_rev(name)
@@ -170,7 +170,7 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
 
 
 def log_totals(logs: Logs, name: str) -> FloatArray:
-    """Return last minus first of a log column for each run, shape (n_runs,); NaN where there is none."""
+    """Return last minus first of a log column for each run, shape (n_runs,); NaN without it."""
     return np.asarray(_sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1]))
 
 
@@ -186,7 +186,7 @@ class Bias:
     """What a gyro reads at rest."""
 
     radps: float
-    #: standard deviation of one sample, and samples at rest
+    #: of one sample, and samples at rest
     sample_std_radps: float
     samples: int
 
@@ -197,9 +197,9 @@ class Bias:
 
 
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with the turns by a gyro, and the end poses of closed loops, in its run table.
+    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table.
 
-    `shown` is the name of its run table in messages; `border` takes what was done.
+    `shown`: the run table's name in messages; `border` takes what was done.
     """
     if GYRO in campaign.logs.columns:
         campaign = _with_gyro(campaign, shown, border)
@@ -223,7 +223,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
         border.say(f"logs, column {GYRO}", text, "gyro_bias", level="suspicious")
         return campaign
     sessions = runs.label("session")
-    # a bias wanders from run to run: what it scatters by counts where a run has no standstill of its own
+    # a bias wanders from run to run: its scatter counts where a run has no standstill of its own
     wander = float(np.std([bias.radps for bias in known.values()], ddof=1)) if len(known) > 1 else 0.0
     for run in measured:
         bias, more = known.get(run), 0.0
@@ -240,7 +240,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
 
 def bias_of(campaign: Campaign, run: int) -> Bias | None:
-    """Return what the gyro of a run reads while no wheel counts; None without a standstill of `STANDSTILL_S`."""
+    """Return what a run's gyro reads while no wheel counts; None without a standstill of `STANDSTILL_S`."""
     log = campaign.logs.of(run)
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
     wheels = [log[name] for name in WHEEL_COLUMNS[source] if name in log]
@@ -310,12 +310,11 @@ def _with_numbers(runs: RunTable, numbers: dict[str, FloatArray]) -> RunTable:
 def read_or_ingest(
     path: Path, *, mapping: Path | None = None, lenient: bool = False, progress: Progress = silent
 ) -> Campaign:
-    """Read a campaign folder, or make a campaign out of a recording or table as `ingest` would, and read that.
+    """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
 
-    `path`: a campaign folder; or a file, or the folder of a rosbag2 recording; `mapping`: the mapping of a file; a
-    campaign folder takes none; `lenient`: as for `read_campaign`. Without a folder of its own (``root`` is None) where
-    it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
-    used.
+    `path`: a campaign folder; or a file, or a rosbag2 folder; `mapping`: of a file; a campaign folder takes none;
+    `lenient`: as for `read_campaign`. ``root`` is None where it was made on the way. Raises BadInputError where a
+    campaign folder is given with a mapping, or the file cannot be used.
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:

@@ -21,7 +21,7 @@ Frame = Literal["start", "map"]
 OdometrySource = Literal["rear", "front", "wheels", "shaft"]
 EncoderKind = Literal["counts", "speed"]
 
-#: distance of a count where the logs have speeds: far below what any reference can tell
+#: distance of a count where the logs have speeds: below what any reference can tell
 SPEED_COUNT_M: Final = 1e-6
 #: widths of counters
 _WIDTHS: Final = range(8, 33)
@@ -40,11 +40,11 @@ class Encoder:
     #: counts a revolution of the rear wheels
     counts_per_rev_left: Positive = 4096.0
     counts_per_rev_right: Positive = 4096.0
-    #: width of the counter; None where it does not wrap or unspecified
+    #: width of the counter; None: it does not wrap, or unspecified
     wrap_bits: Annotated[int, AfterValidator(_width)] | None = None
-    #: counts a revolution of the front wheel; None where the left wheel's value holds for it too
+    #: counts a revolution of the front wheel; None: the left wheel's value
     counts_per_rev_front: Positive | None = None
-    #: speed: the logs have speeds in m/s by the nominal radii; they are integrated to counts of `SPEED_COUNT_M`
+    #: speed: the logs have speeds in m/s by the nominal radii, integrated to counts of `SPEED_COUNT_M`
     kind: EncoderKind = "counts"
 
     @property
@@ -53,7 +53,7 @@ class Encoder:
         return self.counts_per_rev_left if self.counts_per_rev_front is None else self.counts_per_rev_front
 
     def per_rev(self, column: str) -> float:
-        """Return the counts a revolution of the wheel that a column counts; of a drive shaft, of the rear wheels."""
+        """Return the counts a revolution of the wheel in a column; of a drive shaft, of the rear wheels."""
         if column == "counts_front":
             return self.front
         return self.counts_per_rev_right if column.endswith("right") else self.counts_per_rev_left
@@ -63,7 +63,7 @@ class Encoder:
 class FrontModel:
     """What the simulator believes of a steered vehicle; the true angle is scale times the sensor's, plus zero."""
 
-    #: of the wheel that is counted: the front wheel, or with an Ackermann drive the rear wheels
+    #: of the counted wheel: the front wheel, or with an Ackermann drive the rear wheels
     radius_m: float
     wheelbase_m: float
     zero_rad: float = 0.0
@@ -92,8 +92,7 @@ class MecanumModel:
 class OdometryModel:
     """What the simulator believes of the wheels: r = radius + slope (F - reference_load), and the track.
 
-    `front` and `mecanum` are what it believes of a front wheel or of four wheels that alone drive the odometry; None
-    where that is the nominal vehicle.
+    `front` and `mecanum`: of a front wheel or of four wheels that alone drive the odometry; None: the nominal vehicle.
     """
 
     radius_left_m: Positive
@@ -108,14 +107,14 @@ class OdometryModel:
 
 @dataclass(frozen=True, slots=True)
 class Rangefinder:
-    """Laser rangefinder: standard uncertainty of one distance, and the span of distances that it can measure."""
+    """Laser rangefinder: standard uncertainty of a distance, and the span that it can measure."""
 
     sigma_m: Annotated[Positive, Usual(0.0, 0.5)] = 0.0015
     min_m: float = 0.05
     max_m: float = 250.0
 
 
-#: beyond it the key's unit is another one
+#: beyond it the key's unit is another
 SensorPlace = Annotated[float, Field(ge=-100.0, le=100.0)]
 
 
@@ -123,15 +122,15 @@ SensorPlace = Annotated[float, Field(ge=-100.0, le=100.0)]
 class Reference:
     """Pose reference: its uncertainties, where its frame sits on the vehicle, and the frame its poses stand in."""
 
-    #: standard uncertainties of position (each axis) and heading
+    #: standard, of position (each axis) and heading
     sigma_xy_m: Annotated[Positive, Usual(0.0, 0.5)] = 0.002
     sigma_theta_rad: Annotated[Positive, Usual(0.0, 0.2)] = 0.0008
-    #: place of the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, and turned
-    #: counter-clockwise against the vehicle's heading
+    #: the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, turned counter-clockwise
+    #: against the vehicle's heading
     sensor_x_m: SensorPlace = 0.0
     sensor_y_m: SensorPlace = 0.0
     sensor_yaw_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
-    #: start: poses in each run's own start frame; map: in one frame common to all runs; None where unspecified
+    #: start: poses in each run's start frame; map: in one frame common to all runs; None: unspecified
     frame: Frame | None = None
 
 
@@ -139,15 +138,15 @@ class Reference:
 class Odometry:
     """What the vehicle's own odometry runs on."""
 
-    #: rear: the two rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: shaft: the distance at the rear axle or drive shaft and the steering angle (Ackermann); None where unspecified
+    #: rear: both rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
+    #: shaft: distance at the rear axle or drive shaft, and steering angle (Ackermann); None: unspecified
     source: Annotated[OdometrySource | None, Field(validation_alias="from")] = None
 
 
 #: columns of the run table that are often weighed in kilograms
 WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
-# units that a further column may be converted from; the one-letter ones are left alone, since names end in letters
+# units of further columns; without one-letter ones, since names end in letters
 _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
 
 
@@ -168,7 +167,7 @@ class Recognised:
 
 
 def spelled(found: str) -> str:
-    """Return a column name with blanks as underscores and a unit in brackets as its suffix."""
+    """Return a column name with underscores for blanks and a bracketed unit as its suffix."""
     name, (stem, inside) = found.strip(), bracketed(found)
     if inside is not None:
         unit = unit_named(inside)
@@ -177,24 +176,24 @@ def spelled(found: str) -> str:
 
 
 def bracketed(name: str) -> tuple[str, str | None]:
-    """Return a column's name without the brackets at its end, and what stands in them; None where there are none."""
+    """Return a column's name without the brackets at its end, and their content, or None."""
     match = _BRACKETS.fullmatch(name.strip())
     return (match[1], match[2]) if match else (name.strip(), None)
 
 
 def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
-    """Match one column name against the known ones.
+    """Match a column name against the known ones.
 
-    `found`: name as it stands in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with
-    calib's unit suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name
-    too. With ``name`` equal to `found` (cleaned of blanks) where nothing matches.
+    `found`: as in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit
+    suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name, too.
+    ``name`` is `found` (cleaned of blanks) where nothing matches.
     """
     return _recognise(found, tuple(known), further)
 
 
 @lru_cache(maxsize=1024)
 def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
-    # tables of a fleet, and logs of a campaign, have the same names over and over
+    # a fleet's tables, and a campaign's logs, repeat the same names
     if (name := found.strip()) in known:
         return Recognised(found, name)
     clean = spelled(name)
@@ -223,16 +222,16 @@ def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
     return Recognised(found, clean)
 
 
-#: short forms of the words in column names
+#: short forms in column names
 _WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "distance"} | dict.fromkeys(
     ("cnt", "count"), "counts"
 )
-#: words that say how or where a value was had, or of what it is, and not what it is
+#: words for how or where a value was had, or of what, and not what it is
 _BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
 
 
 def look_alike(name: str, missing: Iterable[str]) -> str | None:
-    """Return the known column, of those that a table lacks, that an unknown name seems to mean; None for most names."""
+    """Return the known column, of those missing, that an unknown name seems to mean; None for most names."""
     words = _words(name)
     return next((wanted for wanted in missing if words == _words(wanted)), None)
 
@@ -244,10 +243,9 @@ def _words(name: str) -> tuple[str, ...]:
 
 
 def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:
-    """Return ``factor * values + offset`` as decimal arithmetic would give it: 0.4348 kN is 434.8 N, not 434.79999999.
+    """Return ``factor * values + offset`` as in decimal arithmetic: 0.4348 kN is 434.8 N, not 434.79999999.
 
-    `factor`, `offset`: the conversion. Rounded to 15 significant digits, which is more than any decimal number in a
-    file holds.
+    Rounded to 15 significant digits, more than any decimal number in a file has.
     """
     if factor == 1.0 and not offset:
         return values
@@ -259,7 +257,7 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
 
 
 def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
-    """Return the error of a column that means what another one of the same file means already.
+    """Return the error of a second column of the same meaning.
 
     `column`: its name in the file.
     """

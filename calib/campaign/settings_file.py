@@ -41,11 +41,11 @@ _SECTIONS: Final[Mapping[str, type]] = {
 }
 #: keys that hold a word
 _WORDS: Final = frozenset({"drive", "frame", "kind", "from"})
-#: fields of the sections' classes that are no keys, and keys that are no fields
+#: fields of the sections' classes that are no keys, and the reverse
 _NO_KEYS: Final = frozenset({"front", "mecanum", "source"})
 _FURTHER_KEYS: Final = {"encoder": ("counts_per_rev",), "odometry": ("from",)}
 
-#: what a laboratory has to state, by section; results lean on each of them
+#: what a laboratory has to state, by section: results lean on it
 STATED: Final[Mapping[str, tuple[str, ...]]] = {
     "vehicle": ("track_m", "wheelbase_m", "wheel_radius_m", "mass_kg", "cog_x_m"),
     "encoder": ("counts_per_rev",),
@@ -58,21 +58,21 @@ class _Heading(BaseModel):
     format: Literal["calib-campaign/1"] | None = None
     name: Annotated[str, Field(max_length=errors.LABEL_CHARACTERS)]
     simulated: StrictBool = False
-    #: keys whose values an earlier program filled in
+    #: keys that an earlier program filled in
     assumed: list[str] = []
 
 
 def read_settings(path: Path, shown: str) -> Campaign:
-    """Read and check ``campaign.toml``; returns a campaign that has no runs yet.
+    """Read and check ``campaign.toml``; returns a campaign without runs.
 
-    With defaults where keys are missing; without ``[model]`` the simulator believes in the nominal vehicle. Raises
-    BadFileError where the file is missing, is no TOML, or holds a value of the wrong kind or range.
+    Missing keys have defaults; without ``[model]`` the simulator believes in the nominal vehicle. Raises BadFileError
+    where the file is missing, is no TOML, or holds a value of the wrong kind or range.
     """
     return parse_settings(load_toml(path, shown), shown, path.parent.resolve().name)
 
 
 def parse_settings(document: dict[str, object], shown: str, default_name: str) -> Campaign:
-    """Check a settings document; see `read_settings`. The keys above its sections are taken out."""
+    """Check a settings document; see `read_settings`. Takes out the keys above its sections."""
     heading = {key: document.pop(key) for key in _Heading.model_fields if key in document}
     try:
         head = _Heading.model_validate({"name": default_name, **heading})
@@ -83,7 +83,7 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
         part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
     vehicle: Vehicle = part.checked("vehicle")
     if vehicle.cog_x_m > vehicle.wheelbase_m and "vehicle.cog_x_m" in not_stated(document):
-        # the default one is that of a longer vehicle
+        # the default is a longer vehicle's
         vehicle = replace(vehicle, cog_x_m=vehicle.cog_x_m * vehicle.wheelbase_m)
     encoder = part.checked("encoder", _counts(part, vehicle))
     radii = dict.fromkeys(("radius_left_m", "radius_right_m"), vehicle.wheel_radius_m)
@@ -116,7 +116,7 @@ class _Sections:
         self.unknown: dict[str, dict[str, object]] = {}
 
     def keys(self, section: str) -> dict[str, object]:
-        """Return the known keys of a section: numbers in SI units, words as they are."""
+        """Return a section's known keys: numbers in SI units, words as they are."""
         self.read.add(section)
         table = self.document.get(section, {})
         if not isinstance(table, dict):
@@ -174,7 +174,7 @@ def _known(section: str) -> tuple[str, ...]:
 def _refused(
     error: ValidationError, shown: str, section: str, table: Mapping[str, Any], names: Mapping[str, str] | None = None
 ) -> BadFileError:
-    """Return the first fault of a section; `names`: key as calib has it -> as it stands in the file's `table`."""
+    """Return a section's first fault; `names`: key as calib has it -> as in the file's `table`."""
     fault = error.errors(include_url=False)[0]
     name, limits = str(fault["loc"][0]), fault.get("ctx", {})
     key = (names or {}).get(name, name)
@@ -200,7 +200,7 @@ def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
     values = part.keys("encoder")
     both = values.pop("counts_per_rev", None)
     if both is None and values.get("kind") == "speed":
-        # speeds have no counts: the distance is kept in counts of SPEED_COUNT_M
+        # speeds have no counts: the distance is in counts of SPEED_COUNT_M
         both = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M
     sides = ("counts_per_rev_left", "counts_per_rev_right")
     if both is not None:
@@ -224,7 +224,7 @@ def _check_together(settings: Campaign, shown: str) -> None:
 
 
 def not_stated(document: Mapping[str, Any]) -> list[str]:
-    """Return the keys of `STATED` that a settings document leaves out, no matter what unit it gives the others in."""
+    """Return the keys of `STATED` that a settings document lacks in any unit."""
     missing = []
     for section, keys in STATED.items():
         part = document.get(section, {})
@@ -237,9 +237,9 @@ def not_stated(document: Mapping[str, Any]) -> list[str]:
 
 
 def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
-    """Return a TOML file as read, within the sizes of `calib.errors`, with errors that name the place.
+    """Return a TOML file as read, within the sizes of `calib.errors`; errors name the place.
 
-    `remedy`: what to do where there is none; without it, how to make a campaign.
+    `remedy`: what to do without a file; by default, how to make a campaign.
     """
     if not path.is_file():
         found, expected = "a folder" if path.is_dir() else "no such file", "a settings file"
@@ -265,7 +265,7 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
 
 
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
-#: keys that are written only where they differ from their default, so that a plain campaign stays plain
+#: written only where they differ from their default
 _WHERE_GIVEN: Final = frozenset({"drive", "kind", "sensor_x_m", "sensor_y_m", "sensor_yaw_rad"})
 
 

@@ -1,4 +1,4 @@
-"""A raw run table becomes the `RunTable` that later stages read; a campaign a folder, of the same bytes each time."""
+"""A raw run table becomes the `RunTable` of later stages; a campaign a folder, of the same bytes each time."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _SUMMARY_NAMES: Final = (
     *("mean", "average", "avg", "sum", "total", "std"),
     *("mittel", "mittelwert", "summe", "moyenne", "media"),
 )
-#: columns whose mean or sum, to the whole count, no run has by chance in both
+#: no run has their mean or sum, to the whole count, by chance in both
 _COUNTED: Final = ("counts_left", "counts_right")
 _LEAST_COUNTED: Final = 2
-#: counts of different runs scatter by more than this
+#: different runs' counts scatter by more
 _LEAST_SPREAD: Final = 5.0
 #: of two runs each is the sum of the others where they are alike
 _LEAST_ROWS: Final = 4
-#: label -> what it may be, since checks and end poses rest on it, and what to do about another word
+#: label -> what it may be, since checks and end poses rest on it, and what to do about others
 _CHOICES: Final = {
     "direction": (("out", "back"), 'map it when ingesting: direction = {column = "...", values = {"..." = "out"}}'),
     "loop": (("closed", "open"), "write closed where the vehicle ended on its mark"),
@@ -44,10 +44,10 @@ _FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
 
 
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
-    """Recognise columns, convert units, and check what every later stage relies on.
+    """Recognise columns, convert units, and check what later stages rely on.
 
     Rows in the file's order, SI units. Raises BadFileError where run_id is missing, a cell is no number, or (not
-    lenient) a run_id stands twice.
+    lenient) a run_id repeats.
     """
     matched = _match(raw, shown, border)
     line = raw.line
@@ -165,7 +165,7 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
 
 def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> StrArray:
     texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
-    # all at once first: a fleet's run tables are many and small
+    # all at once first: a fleet has many small run tables
     if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:
         for text, row in zip(texts, map(int, line), strict=True):
             if any(ord(letter) < 32 for letter in text):
@@ -206,7 +206,7 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str
         first.setdefault(run_id, row)
 
 
-#: what a campaign folder is made of; ``ingest`` adds its record and the recordings it cut
+#: parts of a campaign folder; ``ingest`` adds its record and the recordings it cut
 _OURS: Final = ("campaign.toml", "runs.csv", "logs", "ingest.json")
 _RECORDINGS: Final = "recordings"
 _INTEGER: Final = 2.0**53
@@ -222,12 +222,12 @@ def write_campaign(
 ) -> Path:
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
-    Raises BadInputError where a campaign stands there and `force` is False, or the folder cannot be written.
+    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written.
 
     Parameters
     ----------
     campaign, folder, force
-        What is written and where (other files there are left alone); whether it replaces a campaign that stands there.
+        What is written and where (other files there stay); whether it replaces a campaign there.
     log_decimals
         Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
         back exactly, and times to the nanosecond.
@@ -246,7 +246,7 @@ def write_campaign(
 
     folder = Path(folder)
     ingested = (folder / _OURS[-1]).is_file() or any(name.startswith(_RECORDINGS) for name in beside or ())
-    # a folder of that name which no ingestion made is the user's own
+    # a folder of that name that no ingestion made is the user's
     return write_folder(folder, (*_OURS, _RECORDINGS) if ingested else _OURS, fill, force=force)
 
 
@@ -284,7 +284,7 @@ def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
 
 
 def csv_bytes(columns: Mapping[str, Any]) -> bytes:
-    """Return columns, shape (n_rows,) each, as a table in the form that calib writes: CSV with line feeds, UTF-8."""
+    """Return columns, shape (n_rows,) each, as a table of calib's form: CSV with line feeds, UTF-8."""
     import pandas as pd
 
     text: str = pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
@@ -301,7 +301,7 @@ def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -
             values = np.round(values, decimals[name])
         elif name == "t_s":
             values = np.round(values, 9)
-        # minus zero has no integer form, and would read back as plus zero
+        # minus zero has no integer form and would read back as plus zero
         whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
         frame[name] = values.astype(np.int64) if whole else values + 0.0
     return csv_bytes(frame)

@@ -1,8 +1,7 @@
 """Which wheels drive a vehicle's odometry, and the two wheels on one axle that they amount to.
 
-Everything downstream that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads a vehicle
-whose odometry comes from its front wheel alone, from its drive shaft and steering, or from four mecanum wheels,
-through `on_one_axle`.
+All that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads a vehicle whose odometry runs
+on its front wheel alone, its drive shaft and steering, or four mecanum wheels, through `on_one_axle`.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
     "wheels": ("counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"),
     "shaft": ("counts_rear",),
 }
-#: odometry that needs the steering angle
+#: needs the steering angle
 STEERED: Final = ("front", "shaft")
 #: what drives the odometry -> its name in messages
 SOURCE_NAMES: Final = {
@@ -40,12 +39,12 @@ SOURCE_NAMES: Final = {
     "wheels": "four wheels",
     "shaft": "the drive shaft and the steering",
 }
-#: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, in m
+#: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, m
 ASIDE: Final = "aside_m"
 
 
 def odometry_source(campaign: Campaign) -> OdometrySource:
-    """Return what drives the odometry, one of `WHEEL_COLUMNS`; the settings' word, else what was logged."""
+    """Return what drives the odometry, one of `WHEEL_COLUMNS`: as the settings say, else as logged."""
     stated = campaign.odometry.source
     if stated is not None:
         return stated
@@ -57,12 +56,12 @@ def odometry_source(campaign: Campaign) -> OdometrySource:
 
 
 def without_rear_wheels(campaign: Campaign) -> bool:
-    """Return whether the odometry runs on other wheels than two on an axle, and no rear wheel was counted by itself."""
+    """Return whether the odometry runs on other wheels than two on an axle, and no rear wheel is counted by itself."""
     return odometry_source(campaign) != "rear" and _lacks_rear(campaign)
 
 
 def on_its_source_alone(campaign: Campaign) -> Campaign:
-    """Return the campaign without the counts of rear wheels where its odometry is said to run on others."""
+    """Return the campaign without rear wheels' counts where its odometry is said to run on others."""
     if campaign.odometry.source in (None, "rear"):
         return campaign
     rear = WHEEL_COLUMNS["rear"]
@@ -158,12 +157,12 @@ def _motion(
 
 
 def counts_per_rev(encoder: Encoder, source: str) -> tuple[float, ...]:
-    """Return the counts per revolution of the wheels of `WHEEL_COLUMNS`; of a drive shaft: of the rear wheels."""
+    """Return the counts per revolution of the wheels of `WHEEL_COLUMNS`; of a drive shaft, the rear wheels'."""
     return tuple(map(encoder.per_rev, WHEEL_COLUMNS[source]))
 
 
 def mecanum_model(campaign: Campaign) -> MecanumModel:
-    """Return what the campaign's model, else its vehicle, says of four mecanum wheels.
+    """Return the four mecanum wheels of the campaign's model, else of its vehicle.
 
     Raises BadInputError where neither says l + w.
     """
@@ -193,7 +192,7 @@ def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
     return ahead, 0.5 * ahead * (np.tan(before) + np.tan(angle)) / front.wheelbase_m
 
 
-#: time over which a speed is taken: longer than a count, shorter than a change of speed
+#: a speed is taken over this: longer than a count, shorter than a change of speed
 SPEED_SPAN_S: Final = 0.2
 
 
@@ -236,7 +235,7 @@ def shaft_motion(
     return ahead, -model.side_slip_s2_per_m * square * turn, turn
 
 
-#: columns of speeds, which counts replace in memory
+#: replaced by counts in memory
 SPEEDS: Final = ("speed_left_mps", "speed_right_mps", "speed_rear_mps", "v_mps", "omega_radps")
 
 
@@ -280,14 +279,14 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     return np.where(np.isfinite(rate), total, np.nan)
 
 
-#: wheels that differ by no more than this share may have rolled a straight line
+#: wheels within this share may have rolled a straight line
 MAX_WHEEL_DIFFERENCE: Final = 0.02
-#: the distance measured and that rolled agree to this share, on a straight line
+#: on a straight line the distances measured and rolled agree to this share
 DISTANCE_AGREEMENT: Final = 0.05
 #: share of the way to which a pair of wheels, a thousandth apart in radius, rolls alike once in fifty times; by floor
 #: and rubber alone those of the smoothest real robot present part by five times more over 40 m
 ALIKE_BY_CHANCE: Final = 2.5e-5
-#: fewer runs may roll equal wheels by chance
+#: fewer may roll equal wheels by chance
 MIN_GUIDED_RUNS: Final = 5
 
 
@@ -300,7 +299,7 @@ def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray,
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.abs(distance_m) / way
-        # a radius that is off makes all ways too short or too long, alike
+        # a radius that is off makes all ways too short or long
         known = ratio[np.isfinite(ratio) & ~posed]
         along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
     guided: BoolArray = along & (np.abs(apart_m) < MAX_WHEEL_DIFFERENCE * way) & ~posed
@@ -319,7 +318,7 @@ def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[flo
     """
     if len(apart_m) < MIN_GUIDED_RUNS:
         return False
-    # the first and the last count are each off by a uniform share of a count
+    # the first and the last count are each off by a uniform share
     counting = (count_m[0] ** 2 + count_m[1] ** 2) / 6.0
     alike = float(np.mean((ALIKE_BY_CHANCE * way_m) ** 2))
     return counting < 4.0 * alike and float(np.mean(apart_m**2)) < counting + alike

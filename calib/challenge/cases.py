@@ -36,7 +36,7 @@ class Recipe:
     """One case to make."""
 
     case: str  #: its neutral name
-    number: int  #: its place in the unshuffled list, which with the seed determines everything drawn
+    number: int  #: place in the unshuffled list, which with the seed determines all that is drawn
     group: str  #: one of `GROUPS`
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
@@ -53,7 +53,7 @@ class Truth:
     #: from the seeds file
     seed: int
     max_runs: int
-    redraw: int  #: how often the pair was drawn again because its two effects hid in one another
+    redraw: int  #: times the pair was drawn again as its effects hid in one another
     causes: tuple[Cause, ...]  #: what is wrong, at its size
     typical: tuple[float, ...]
     #: signal of each alone, and after what the other could imitate was projected out
@@ -92,7 +92,7 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
         n_runs = int(rng.choice([20, 120, 160]))
     n_runs = min(n_runs, max_runs)
     if recipe.group == "empty":
-        # what an empty campaign has besides its runs varies as in the others
+        # what it has besides its runs varies as in the others
         needs |= {str(need) for need in rng.choice(["front", "slope", "lanes", "flying", "stops"], 2, replace=False)}
     if recipe.design == "good":
         weighed = "slope" not in needs and bool(rng.random() < 0.15)
@@ -177,7 +177,7 @@ def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
     recipe = truth.recipe
     design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
-    # both are called what the case is called: a name must not tell them apart
+    # a name must not tell them apart
     names = (recipe.case, recipe.case)
     campaign, fresh = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
     return campaign, fresh
@@ -189,7 +189,7 @@ ALARMS: Final = 0.05
 DRAWS: Final = 800
 #: directions weaker than this, relative to the strongest, are rounding
 RANK: Final = 1e-9
-#: evidences that differ by less are the same but for rounding
+#: evidences nearer than this are the same but for rounding
 ALIKE_NATS: Final = 1e-6
 
 
@@ -204,7 +204,7 @@ class Ceiling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Space:
-    """What one form of an effect can do: an orthonormal basis (n_rows, n_directions), by one sign only or by both."""
+    """What one form of an effect can do: an orthonormal basis (n_rows, n_directions)."""
 
     effect: int
     basis: FloatArray
@@ -307,7 +307,7 @@ def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) 
 
 
 def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray, signal: float) -> FloatArray:
-    """Return the log of each effect's likelihood against noise alone, its direction averaged out, (n, n_effects)."""
+    """Return each effect's log likelihood against noise alone, its direction averaged out, (n, n_effects)."""
     by_effect: list[list[FloatArray]] = [[] for _ in range(n_effects)]
     for space in spaces:
         by_effect[space.effect].append(_log_likelihood(space, readings, signal))
@@ -317,7 +317,7 @@ def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray
 def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> FloatArray:
     """Return the log likelihood ratio (n,) of a signal of this norm, its direction uniform on the sphere.
 
-    The mean of exp(z cos) over the sphere in k dimensions is a Bessel function: Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z).
+    The mean of exp(z cos) in k dimensions is Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z).
     """
     from scipy.special import gammaln, ive
 

@@ -65,7 +65,7 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
     return compared
 
 
-#: two causes nearer than this, in standard deviations of the noise, form one group: no diagnosis can tell them apart
+#: two causes nearer than this, in standard deviations of the noise, form one group
 APART: Final = 3.0
 #: an effect of a crowded case that shows by so much has to be named
 STRONG: Final = 20.0
@@ -122,19 +122,19 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
     word = str(given.get("verdict", "missing"))
-    crowded = recipe.group == "crowded"  # its outside cause is there to disturb: it is the rest, and none can name it
+    crowded = recipe.group == "crowded"  # its outside cause is the rest: none can name it
     effects = tuple(c.effect for c in truth.causes if not (crowded and c.effect.startswith("outside:")))
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
     groups = _groups_of(given, causes)
-    # an effect too near for any diagnosis to tell, and the exact aliases of the recipe
+    # too near for any diagnosis to tell, and exact aliases
     near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
     both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
     strong = tuple(_grouped(effect, named, groups) for effect in _strong(truth))
     sets = [set(credible) for credible in given.get("credible_sets", [])]
-    # neither true, nor in a group with a true one by the verdict or by the plant's own measure
+    # neither true nor in a group with a true one, by verdict or plant
     sure = [cause for cause in named if cause not in near and not _grouped(cause, effects, groups)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}

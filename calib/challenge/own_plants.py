@@ -99,7 +99,7 @@ def _left_turns(world: World, size: float) -> None:
 
 
 def _unlogged(drawn: FloatArray, condition: IntArray) -> SizedAct:
-    """Something nobody wrote down: another pull in each condition, the same in its repeats."""
+    """Another pull in each condition, the same in its repeats."""
     left, right = drawn[0, condition], 0.7 * (drawn[0, condition] + drawn[1, condition])
     return lambda world, size: world.enlarge(size * left, size * right)
 
@@ -110,13 +110,13 @@ NOT_PLANTED: Final = {
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
 }
-#: share of what an effect does that is left beside a recalibration, below which it cannot be asked for
+#: share of an effect left beside a recalibration, below which it cannot be asked for
 ABSORBED: Final = 0.02
 #: what is planted where the front wheel alone drives the odometry, which is calibrated by them
 STEERED: Final = ("steering_zero", "steering_scale")
 #: what only the front wheel shows, and its odometry where no rear wheel is counted
 OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
-#: a planted change of so much of the path driven, or of the heading, is no small effect any more
+#: a planted change of so much of the path, or of the heading, is no small effect
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
 _SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
 _RELATIVE_STEP: Final = 1e-4
@@ -254,7 +254,7 @@ def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
 
 
 def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
-    """Turn x and y of a change (n_units, 6) into the frame in which the noise is stated, NaN where not measured."""
+    """Turn x and y of a change (n_units, 6) into the frame of the noise, NaN where not measured."""
     frame = diagnosis.nominal.frame
     cos, sin = np.cos(frame), np.sin(frame)
     turned = change.copy()
@@ -283,7 +283,7 @@ def _sized(
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
     for size in sizes:
-        # an outside cause has no unit of its own that a size could be in
+        # an outside cause has no unit
         if given.outside and size.scale != "s":
             continue
         value = {"s": given.typical * size.value / left, "x": given.typical * size.value}.get(size.scale, size.value)

@@ -14,7 +14,7 @@ from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
 from calib.types import BoolArray, FloatArray, IntArray, floats
 
-#: with fewer units to draw from, the draws repeat one another: the next wider circle is taken
+#: with fewer units the draws repeat one another: the next wider circle is taken
 ENOUGH: Final = 8
 
 
@@ -23,7 +23,7 @@ class OwnNoise:
     """Whitened residuals of each observation after the fit of the diagnosis, and which observations are exchangeable.
 
     A unit's channels stay together: tails and correlations are the real ones. What the repeats of a condition have in
-    common is no noise and is taken out; a unit without repeats keeps what is left of it, with either sign.
+    common is taken out; a unit without repeats keeps what is left of it, with either sign.
     """
 
     #: shape (n_units, 6): residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own
@@ -67,7 +67,7 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     return OwnNoise(whitened, root, group, size > 1)
 
 
-#: the sensor has turned round once it came back by this, or by so many standard deviations of its noise
+#: the sensor turned round once it came back by this, or so many standard deviations of its noise
 TURNED_RAD: Final = 2e-3
 TURNED_STD: Final = 6.0
 
@@ -75,7 +75,7 @@ TURNED_STD: Final = 6.0
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
     """Return the wheel's true angles, shape (n_steps_most, n_units): what the world's sensor would read as logged.
 
-    Zero, scale, play and delay of the sensor are the world's. Beyond the end of a log the last angle holds.
+    Beyond the end of a log the last angle holds.
     """
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():
@@ -90,7 +90,7 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:
-    """Return to which side each angle last moved: beyond the play the wheel is ahead of its sensor there."""
+    """Return to which side each angle last moved: beyond the play the wheel is ahead there."""
     side = np.zeros_like(angle)
     bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
     noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
@@ -108,7 +108,7 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
     return side
 
 
-#: the log's speed is smoothed over so long before it is differentiated: counters come in whole steps
+#: the speed is smoothed over so long before it is differentiated: counters come in whole steps
 SMOOTH_S: Final = 0.5
 #: a unit that turns by less goes straight
 STRAIGHT_RAD: Final = 0.5
@@ -222,7 +222,7 @@ def world_of(observations: Observations, design: Design) -> World:
     """Return the world in which the model is right, with the loads that the campaign states."""
     world = build_world(design, observations.model)
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
-    # where payloads are stated the plant's own statics stay, so that a payload that is other than stated changes both
+    # where payloads are stated the plant's own statics stay: another payload changes both
     stated = np.isfinite(left) & np.isfinite(right) & (np.ptp(design.payload_kg) == 0)
     world.load_left_N = np.where(stated, left, world.load_left_N)
     world.load_right_N = np.where(stated, right, world.load_right_N)
@@ -234,9 +234,9 @@ def world_of(observations: Observations, design: Design) -> World:
 class Replay:
     """A campaign's route, ready to be driven in other worlds."""
 
-    observations: Observations  #: what was driven
+    observations: Observations
     design: Design  #: the same, as the plant's forms ask for it
-    route: Route  #: its steps
+    route: Route
 
     @staticmethod
     def of(observations: Observations) -> Replay:
@@ -267,7 +267,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
     angles = true_angles(route.steer_rad, route.time_s, route.last, world) if replay.observations.by_front else None
-    # a count that is lost was rolled all the same: what the wheel did is more than what was logged
+    # a count that is lost was rolled all the same
     left_m, right_m = world.believed_left_m * world.left, world.believed_right_m * world.right
     track_m = world.model.track_m * world.track
     for step in range(len(route.time_s)):
@@ -300,9 +300,9 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by what the way ahead is multiplied where the front wheel's angle is other than read, and what it turns.
+    """Return the factor of the way ahead where the front wheel's angle is other than read, and the turn.
 
-    The turn comes on top of the one that is read, multiplied alike (Eqs 12 to 14).
+    The turn comes on top of the one read, multiplied alike (Eqs 12 to 14).
     """
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m

@@ -26,7 +26,7 @@ from calib.types import FloatArray, Progress, silent
 SILENT: Final = ("no_gap", "undecided", "unknown")
 #: verdicts that see no gap
 UNSEEN: Final = ("no_gap", "undecided")
-#: families whose members have nothing in common but the name
+#: families with nothing in common but the name
 NO_FAMILY: Final = ("own", "covariate", "")
 
 
@@ -59,7 +59,7 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
         first=named[:1] == [effect],
         in_group=together,
         open=word in ("unknown", "partly_explained"),
-        # of an outside cause no name is right: wrong is what would be acted upon
+        # of an outside cause wrong is what would be acted upon
         wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
 
@@ -205,12 +205,12 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
     """Plant known effects on a campaign's own noise and route, and diagnose each.
 
     The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
-    its own. The same answer comes out for any number of workers, as long as the time is enough.
+    its own. The answer is the same for any number of workers, as long as the time is enough.
     """
     asked = asked or Asked()
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
-    # what is named and stands in no library was found before the search: a blunder
+    # a cause of no library was found before the search: a blunder
     if {cause.effect for cause in diagnosis.causes} - {effect.id for effect in diagnosis.effects}:
         raise RefusedError(
             f"{campaign.name}: the counters have a blunder ({diagnosis.sentence}); expected counts "

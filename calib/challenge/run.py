@@ -77,7 +77,7 @@ def _forms_there(
         nearest = matching_form(alike, wanted.label, wanted.settings)
         if nearest is None:
             return None
-        # the fitted fix as it stands: zero where it was zero on the runs it was fitted to
+        # as it stands: zero where it was zero on its own runs
         matches.append(nearest.centred_at(wanted.centre))
     return tuple(matches)
 
@@ -121,7 +121,7 @@ def run_case(
 ) -> bool:
     """Diagnose one case and write ``verdicts/<case>.json``; return whether it ended without an error; see `Diagnoser`.
 
-    An error of the diagnosis is written down as such: it is a miss of the case, not an end of the run.
+    An error of the diagnosis is written down: it is a miss of the case.
     """
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
     again = folder / "fresh" / case

@@ -99,8 +99,8 @@ class Score:
     truth_sha256: str  #: hash of the truth, checked
     board: Mapping[str, Share]  #: the lines that have a target, and others
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
-    #: target signal -> ``free`` and ``gated``, the share that the best rule names on these campaigns, and
-    #: ``hits_over_gated``, and the same with ``own`` for the true effect; None where the ceiling was not taken
+    #: target signal -> ``free`` and ``gated``, what the best rule names on these campaigns, ``hits_over_gated``, and
+    #: these with ``own`` for the true effect; None where the ceiling was not taken
     ceilings: Mapping[str, Mapping[str, float | None]]
     reliability: tuple[Bin, ...]  #: stated probability against how often it was true
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases

@@ -43,7 +43,7 @@ _PAIRED: Final = (
     "reference_lever_arm", "session_step", "curve_load_transfer",
 )  # fmt: skip
 
-#: exact aliases: the truth, the design on which it cannot be told from the others, and the others
+#: exact aliases: truth, design on which it cannot be told from the others, and these
 _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
     ("radius_scale", "laser_only", ("rangefinder_scale", "beam_misalignment")),
     ("rangefinder_scale", "laser_only", ("radius_scale", "beam_misalignment")),
@@ -99,11 +99,11 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
         for place, name in enumerate(_library()):
-            # constant lost counts are an alias by construction, and have their own group
+            # constant lost counts have their own group
             forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
             strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
     if count < len(strong) + len(faults):
-        # a small set: other effects each time, strong ones first
+        # other effects each time, strong ones first
         names = [str(item) for item in rng.permutation(_library())]
         return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
     whole = strong + faults
@@ -163,7 +163,7 @@ HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"
 TRUTH_FORMAT: Final = "calib-challenge-truth/1"
 
-#: pieces of work that a case counts as beside the reading of a file: a batch has one
+#: pieces of work that a case counts as: a batch has one
 WEIGHT: Final = 64
 
 T = TypeVar("T")

@@ -30,13 +30,13 @@ from calib.vehicle import Vehicle
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
-# Defaults for numbers that a corridor campaign does not measure; the file states each, so that it can be replaced.
+# Defaults for what a corridor campaign does not measure; the file states each.
 TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4
 HEADING_RAD_PER_SQRT_M: Final = 5e-4
 COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
 # The valid range reaches beyond the loads measured by this part of their span, and by 1 N at least: weighing scatters
-# by newtons, and a vehicle with the payload of the campaign must not be refused.
+# by newtons, and the campaign's own payload must not be refused.
 LOAD_MARGIN: Final = 0.01
 MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
@@ -92,8 +92,8 @@ def from_fit(
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the load points of runs as lines of a load table: name -> mean wheel loads left and right in N.
 
-    Runs whose loads agree to a newton are one point; runs without loads are ignored. Empty where there are more than
-    `LOAD_TABLE_LINES` points: no table is then meant.
+    Runs whose loads agree to a newton are one point; runs without loads are ignored. Empty beyond `LOAD_TABLE_LINES`
+    points: no table is then meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -172,7 +172,7 @@ def from_law(
 
 
 def _max_step_m(law: RadiusLaw, encoder: Encoder) -> float:
-    """Return the longest step between two samples, a quarter of the counter's range: its wrap stays unambiguous."""
+    """Return the longest step between samples, a quarter of the counter's range: no ambiguous wrap."""
     if encoder.wrap_bits is None:
         return MAX_STEP_M
     left, right = law.left.radius_ref_m, law.right.radius_ref_m
@@ -187,7 +187,7 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
         law,
         **sections.variances(law.covariance),
         strata=None if law.strata is None else sections.StrataSection.of_estimate(law.strata),
-        # outwards to whole millinewtons: a load computed by another program must not fall out by its last bit
+        # outwards to whole millinewtons: a load computed elsewhere must not fall out by its last bit
         valid_load=sections.LoadRange.of(
             min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
             max=math.ceil((law.load_max_N + margin) * 1e3) / 1e3,
@@ -200,9 +200,8 @@ def from_geometry(
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
-    Where no loads were driven the slope is 0 and its standard deviation what is usual (1 % of the radius per kN), about
-    the mean load of the runs, and valid is all that the vehicle may carry. Lengths that were not determined keep their
-    nominal value, with 1 %.
+    Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`, about the mean load of the runs, and valid is all that
+    the vehicle may carry. Lengths not determined keep their nominal value, with 1 %.
 
     Raises ImplausibleError where the geometry is doubtful or wrong and no reason to `accept` it is given.
     """
@@ -301,8 +300,8 @@ def coefficients_of(
     A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
     `outside`, `created`: see `Header`; None: as the coefficient file says, else refuse and no date; `accept`: why a law
-    beyond the bounds of its vehicle is passed on all the same; empty: it is refused. Raises BadInputError where one of
-    them cannot be used; RefusedError where the campaign allows no law.
+    beyond the bounds of its vehicle is passed on; empty: refused. Raises BadInputError where one of them cannot be
+    used; RefusedError where the campaign allows no law.
     """
     path = Path(path)
     if outside not in (None, *get_args(Outside)):

@@ -29,7 +29,7 @@ FORMAT: Final = "calib-coefficients/1"
 
 Outside = Literal["refuse", "clamp"]
 
-#: not written into the section of the vehicle: the defaults
+#: defaults, not written
 USUAL_VEHICLE: Final = {"drive": "tricycle", "front_wheel_radius": None}
 
 #: a coefficient file has some 10 kB
@@ -114,7 +114,7 @@ class CoefficientFile(Section):
 
     @property
     def law(self) -> RadiusLaw:
-        """The laws of both wheels as arrays compute with them; they ignore the valid range."""
+        """The laws of both wheels, for arrays; they ignore the valid range."""
         return RadiusLaw(left=self.wheels.left.law, right=self.wheels.right.law, joint=self._joint())
 
     @property

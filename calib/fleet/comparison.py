@@ -14,19 +14,19 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats
 
 COVERAGE: Final = 0.95
-#: of those named, this share may be named wrongly (Benjamini and Hochberg); a vehicle named costs a visit, and at a
-#: hundredth a list of twenty holds a wrong one in one fleet of five
+#: share of those named that may be wrong (Benjamini and Hochberg); a vehicle named costs a visit, and at a hundredth a
+#: list of twenty has a wrong one in one fleet of five
 FALSE_SHARE: Final = 0.01
-#: chance that any of a short list is named wrongly (Holm): one wrong name among five is no small share
+#: chance that any of a short list is wrong (Holm): one wrong name among five is no small share
 FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
 MEDIAN_ABS: Final = 0.6744897501960817
 #: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread; a median deviation of
 #: some tens of vehicles may be a third too small, and 5 of those is still what one normal vehicle in a thousand reaches
 FAR: Final = 5.0
-#: median deviations to which values are drawn in before labels are compared, so that no vehicle speaks for all
+#: values are drawn in to so many median deviations before labels are compared: no vehicle speaks for all
 DRAWN_IN: Final = 4.0
-#: a variance that keeps quotients finite where all vehicles and their uncertainties are equal
+#: variance that keeps quotients finite where all vehicles and uncertainties are equal
 SMALLEST_VARIANCE: Final = 1e-300
 
 
@@ -43,7 +43,7 @@ class Population:
 
 
 def population(values: FloatArray, std: FloatArray) -> Population | None:
-    """Return mean and spread of a quantity over vehicles, with its standard uncertainty; None with fewer than three."""
+    """Return a quantity's mean and spread over vehicles, with its standard uncertainty; None with fewer than three."""
     from scipy.special import chdtri, stdtrit
 
     n = len(values)
@@ -68,19 +68,19 @@ def population(values: FloatArray, std: FloatArray) -> Population | None:
 
 
 def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
-    """Return the variance between vehicles at which Cochran's Q is `target`; 0 where Q is below it already."""
+    """Return the variance between vehicles at which Cochran's Q is `target`; 0 where Q is below that."""
     variance = np.maximum(variance, 1e-30 + 1e-12 * float(np.max(variance)))
 
     def excess(between: float) -> float:
         weight = 1.0 / (between + variance)
         return float(weight @ (values - weight @ values / weight.sum()) ** 2) - target
 
-    # with weights of at most 1 / between, Q is at most the sum of squares over it
+    # with weights up to 1 / between, Q is at most the sum of squares over it
     return _root(excess, float(np.sum((values - values.mean()) ** 2)) / target)
 
 
 def _root(falling: Callable[[float], float], high: float) -> float:
-    """Return where a falling function is zero, from 0 to `high`; 0 where it is negative there already."""
+    """Return a falling function's zero from 0 to `high`; 0 where it is negative there."""
     from scipy.optimize import brentq
 
     if falling(0.0) <= 0.0:
@@ -89,7 +89,7 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and the p-value of that.
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value.
 
     Median and median deviation find those that may stand apart, so that they do not hide themselves; mean and spread of
     the others, better known than a median deviation, then judge every vehicle by Student's t.
@@ -129,7 +129,7 @@ def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What the vehicles of a label have more than the others: size, its interval, Welch's p, how many show it."""
+    """What a label's vehicles have more than the others: size, its interval, Welch's p, how many show it."""
 
     size: float
     ci95: tuple[float, float] = field(metadata={"json": "size_ci95"})
@@ -156,7 +156,7 @@ def _drawn_in(values: FloatArray) -> FloatArray:
     return np.clip(values, median - width, median + width)
 
 
-#: fewest vehicles that are judged against each other, and that a label must have in common
+#: fewest vehicles judged against each other, or with a label
 FEWEST_COMPARED: Final = 5
 #: fewest vehicles that share a finding before it is reported of them together
 FEWEST_SHARING: Final = 3
@@ -183,7 +183,7 @@ Labels = Mapping[str, Mapping[str, str]]
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A vehicle that stands apart in a quantity, `z` standard deviations from the fleet's mean."""
+    """A vehicle `z` standard deviations from the fleet's mean in a quantity."""
 
     vehicle: str = field(metadata={"json": "id"})
     quantity: str
@@ -205,7 +205,7 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class LabelDifference:
-    """A quantity in which the vehicles of a label differ from the others."""
+    """A quantity in which a label's vehicles differ from the others."""
 
     label: str
     value: str
@@ -238,7 +238,7 @@ class Quantities:
     common: tuple[LabelDifference, ...]
 
 
-#: quantity -> its values or standard uncertainties, shape (n_vehicles,), NaN where a vehicle does not have it
+#: quantity -> values or standard uncertainties, shape (n_vehicles,), NaN where a vehicle lacks it
 Columns = Mapping[str, FloatArray]
 
 
@@ -247,7 +247,7 @@ def quantities_of(
 ) -> Quantities:
     """Return what a fleet shows in its vehicles' quantities; see `Columns` and `Labels`.
 
-    That the vehicles named as `drifting` have moved is no second finding.
+    That vehicles in `drifting` have moved is no second finding.
     """
     compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
     common = _differences(vehicles, {name: values[name] for name in compared}, labels)
@@ -305,7 +305,7 @@ def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns)
 
 
 def shown_quantity(quantity: str) -> tuple[str, float, str]:
-    """Return a quantity's name for people, the factor to its unit there, and that unit."""
+    """Return a quantity's name for people, the factor to its unit there, that unit."""
     for suffix, scale, unit in (("_m_per_N", 1e9, "nm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
         if quantity.endswith(suffix):
             return quantity.removesuffix(suffix).removesuffix("_ref").replace("_", " "), scale, unit
@@ -314,7 +314,7 @@ def shown_quantity(quantity: str) -> tuple[str, float, str]:
 
 @dataclass(frozen=True, slots=True)
 class SharedCause:
-    """A finding that many vehicles share, of the whole fleet or of those with one label."""
+    """A finding that many vehicles share, of the whole fleet or of a label."""
 
     what: str
     label: str
@@ -335,7 +335,7 @@ class SharedCause:
 
 
 def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[SharedCause, ...]:
-    """Return what many vehicles share, the whole fleet first, then labels that stand out (Fisher's exact test)."""
+    """Return what many vehicles share, the whole fleet first, then labels (Fisher's exact test)."""
     done = [record for record in records if record.status == "done"]
     names = [record.name for record in done]
     findings = _findings(done)
@@ -369,10 +369,10 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
 
 
 def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
-    """Return, for each effect that lies at a place, the x of the places where several vehicles have it.
+    """Return, for each effect at a place, the x of the places where several vehicles have it.
 
-    The floor is asked about in cells; one zone may show in neighbouring cells. Places are taken where most vehicles
-    name them first, each with all that lie within a cell of it.
+    The floor is asked about in cells; one zone may show in neighbouring ones. Places are taken where most vehicles name
+    them first, each with all within a cell of it.
     """
     named: dict[str, list[tuple[float, float]]] = {}
     for record in records:

@@ -36,14 +36,14 @@ from calib.radius.effective import effective_radii
 from calib.radius.fit import fit_law
 from calib.types import FloatArray, Progress, StrArray, silent
 
-#: column of the run table that gives the day of a run, from any origin
+#: the day of a run, from any origin
 DAY: Final = "day"
 
 
 def sums_of_parts(parts: Sequence[Part]) -> list[Kept]:
-    """Read files of journeys and add the runs of each up by session; settings that several share are read once.
+    """Read files of journeys and sum each one's runs by session; shared settings are read once.
 
-    Never raises for bad input: what is wrong is in `why`, so that one vehicle's data never stop the fleet.
+    Never raises for bad input: `why` says what is wrong, so that one vehicle's data never stop the fleet.
     """
     settings: dict[Path, Campaign] = {}
     keys = Keys()
@@ -63,7 +63,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     session = np.where(radii.session == "", part.name, radii.session)
     left = WheelSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
     right = WheelSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
-    # the runs of a campaign folder are all of a vehicle's, so that the checks of a law can be made of them
+    # a campaign folder has all runs of a vehicle: a law's checks can be made of them
     doubtful = part.path.parent == part.settings and fit_law(radii, reference_load_N=reference).failed
     return PartSums(part.name, key, reference, nominal, left, right, doubtful=doubtful or ())
 
@@ -71,7 +71,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
     """Return the campaign of a file of journeys; tables of a dataset take the fleet's settings and have no logs.
 
-    `settings`: those read before, by folder; those read now are added.
+    `settings`: those read, by folder; added to.
     """
     if part.path.parent == part.settings:
         return read_campaign(part.settings, lenient=lenient)
@@ -99,12 +99,12 @@ def sums_given_up(part: Part, why: str) -> Kept:
     return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
 
 
-#: a vehicle's id, and what is kept of its files
+#: a vehicle's id, and the records of its files
 Vehicle = tuple[str, Sequence[Kept]]
 
 
 def records_of(vehicles: Sequence[Vehicle]) -> list[VehicleRecord]:
-    """Return the records of vehicles from the sums of their files."""
+    """Return vehicles' records from the sums of their files."""
     return [record_of(name, [PartSums.from_dict(kept.values()) for kept in parts]) for name, parts in vehicles]
 
 
@@ -136,29 +136,29 @@ class Fleet:
 def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
     """Fit every vehicle of a fleet, with the same result for any engine, number of workers and order.
 
-    `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, which holds the sums of what
-    was read, so that only new or changed files are read the next time.
+    `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, whose sums of what was read
+    leave only new or changed files to the next time.
     """
-    # workers start while this process lists the files
+    # workers start while this process lists files
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
         sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
-        # a record is made in a fraction of the time that a file takes to read
+        # a record takes a fraction of the time of reading a file
         records = {record.vehicle: record for record in opened.run(records_of, vehicles, record_given_up)}
     by_id = tuple(records[member.vehicle] for member in members)
     return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, len(parts) - n_new)
 
 
-#: relative change of a radius from which on a vehicle is due for recalibration: the share by which the deviation check
-#: of a single radius is held (0.05 %), 5 mm over 10 m
+#: a vehicle whose radius changed by this share is due for recalibration: that of the deviation check of a single radius
+#: (0.05 %), 5 mm over 10 m
 DUE_RELATIVE: Final = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class DriftingVehicle:
-    """A vehicle whose radius drifts: how fast, and when it is due for recalibration, in the count of its days."""
+    """A vehicle whose radius drifts: how fast, and when its recalibration is due, in its days."""
 
     vehicle: str = field(metadata={"json": "id"})
     wheel: str
@@ -230,7 +230,7 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     return tuple(sorted(drifting.values(), key=lambda one: (one.due_day, one.vehicle)))
 
 
-#: what a vehicle's task weighs beside the reading of one file: from ten times as long (a check) to a thousand times
+#: weight of a vehicle's task beside reading a file: from ten times as long (a check) to a thousand times
 WEIGHT: Final = 64
 
 

@@ -93,7 +93,7 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
     with os.scandir(folder) as entries:
         of_vehicles = [entry for entry in entries if _PARTITION.fullmatch(entry.name) and entry.is_dir()]
     for entry in sorted(of_vehicles, key=lambda entry: entry.name):
-        # a million files: paths are put together as text, and only what may lead elsewhere is resolved one by one
+        # a million files: paths are joined as text, and only what may lead elsewhere is resolved one by one
         parts = tuple(
             Part(name, top / name, folder, _day_of(partition))
             if plain
@@ -122,12 +122,12 @@ def _day_of(partition: str) -> float | None:
 
 
 def any_simulated(folder: Path) -> bool:
-    """Return whether the settings of any vehicle of a fleet say that a program made its data."""
+    """Return whether any vehicle's settings say that a program made its data."""
     import tomllib
 
     for settings in {part.settings for member in members_of(folder) for part in member.parts}:
         path = settings / SETTINGS
-        # a device or a pipe may have no end; a vehicle whose settings cannot be read is listed as failed
+        # a device or a pipe may have no end; unreadable settings are listed as failed
         with suppress(OSError, ValueError):
             if path.is_file() and tomllib.loads(path.read_text(encoding="utf-8")).get("simulated") is True:
                 return True
@@ -135,7 +135,7 @@ def any_simulated(folder: Path) -> bool:
 
 
 def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, str]]:
-    """Return the labels of vehicles in ``vehicles.csv`` (hall, type, ...): column -> label of each that has one."""
+    """Return the labels of vehicles in ``vehicles.csv`` (hall, type, ...): column -> label by vehicle."""
     path = folder / LABELS
     if not path.is_file():
         return {}
@@ -162,13 +162,13 @@ def one_line(error: Exception) -> str:
 
 SUMS: Final = "sums.jsonl"
 Source = TypeVar("Source", Part, Member)
-#: key of a line's seal: a digest of its other values, so that a damaged line is read anew
+#: a digest of the line's other values, so that a damaged line is read anew
 SEAL: Final = "seal"
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """A record as it is kept: its unique name, the key of its source (empty: to be made anew), its line with a seal."""
+    """A kept record: its unique name, the key of its source (empty: to be made anew), its line with a seal."""
 
     name: str
     key: str
@@ -182,7 +182,7 @@ class Kept:
         return Kept(record.name, record.key, line)
 
     def values(self) -> dict[str, Any]:
-        """Return the values of the line; raises ValueError where they are not what was written."""
+        """Return the line's values; raises ValueError where they are not as written."""
         values = dict(json.loads(self.line))
         if values.pop(SEAL, "") != _seal(values):
             raise ValueError("a kept line was changed")
@@ -203,17 +203,17 @@ def renewed(
     stage: str,
     weigh: Callable[[Source], int] = lambda _source: 1,
 ) -> tuple[dict[str, Kept], int]:
-    """Do a task for each source that is new or has changed; return the records of all, and how many were done now.
+    """Do a task for each new or changed source; return all records, and how many were done now.
 
     `path`: file of records, a line each, appended as they come: an interrupted run goes on where it was. In the end in
-    the order of their names, so that the bytes are the same for any order of arrival. `sources`: by the names of their
-    records; for `task`, `given_up` and `weigh` see `Engine.run`.
+    the order of their names: the same bytes for any order of arrival. `sources`: by their records' names; for `task`,
+    `given_up` and `weigh` see `Engine.run`.
     """
     before, keys = _read(path), Keys()
     records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}
     todo = [source for name, source in sources.items() if name not in records]
     with path.open("ab") as stream:
-        # after an interruption the last line may lack its end
+        # an interruption may cut the last line
         if stream.tell() and not _ends_whole(path):
             stream.write(b"\n")
         for number, record in enumerate(opened.run(task, todo, given_up, weigh), 1):
@@ -235,7 +235,7 @@ def _read(path: Path) -> dict[str, Kept]:
     if path.exists() and not path.is_file():
         raise BadInputError(f"{path}: found no regular file; expected one, or none; take it away")
     kept: dict[str, Kept] = {}
-    # bytes that are no UTF-8 break the seal of their line, and of no other
+    # bytes that are no UTF-8 break their line's seal alone
     with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="surrogateescape") as stream:
         for line in stream:
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -250,14 +250,14 @@ def _ends_whole(path: Path) -> bool:
         return stream.read(1) == b"\n"
 
 
-#: bytes of a digest in a key: chance makes two alike in no fleet
+#: bytes of a digest in a key: no fleet has two alike by chance
 DIGEST_BYTES: Final = 16
 
 
 class Keys:
-    """Makes keys of files: of the bytes and the version of calib that a result follows from, never of a file's time.
+    """Makes keys of files: of the bytes and calib's version that a result follows from, never of a file's time.
 
-    Settings that several files share are read once.
+    Shared settings are read once.
     """
 
     def __init__(self) -> None:
@@ -290,7 +290,7 @@ def _lines(folder: Path) -> Iterator[str]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_symlink():
-            # what it leads to within the folder has a line of its own
+            # targets within the folder have lines of their own
             yield f"{name} -> {path.readlink()}\n"
         elif path.is_file():
             yield f"{name} {sha256_file(path)}\n"

@@ -1,9 +1,9 @@
 """The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
 
-The sums by session can be added, and a wheel's line follows from them. Intervals allow for autocorrelated runs as those
-of `calib.radius.sessions` do: a first-order autoregression within each session, its lag-one autocorrelation freed of
-the bias that the session means give it. The slope's variance is that of two autoregressive series, ``(1 + rho phi) / (1
-- rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
+Sums by session add, and a wheel's line follows from them. Intervals allow for autocorrelated runs as those of
+`calib.radius.sessions` do: a first-order autoregression within each session, its lag-one autocorrelation freed of the
+bias by the session means. The slope's variance is that of two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``,
+``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class WheelLine:
 
 @dataclass(frozen=True)
 class VehicleRecord:
-    """What is known of one vehicle; `why` says in one line what went wrong where `left` and `right` are None."""
+    """What is known of a vehicle; `why` says in one line what went wrong where `left` and `right` are None."""
 
     vehicle: str
     n_runs: int
@@ -105,7 +105,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
 
     Failed where a file could not be used, files count from different origins, or the runs carry no line.
     """
-    # sums shall not depend on who read what first
+    # sums shall not depend on the order of reading
     parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")
     origins = {(part.reference_load_N, part.radius_m) for part in parts}
@@ -146,7 +146,7 @@ def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
 
 
 def _drift(sums: SessionSums, slope: float) -> Drift | None:
-    """Return the drift of session means, what the law says of their loads removed; sessions scatter freely."""
+    """Return the session means' drift, the law's share of their loads removed; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
         return None
@@ -160,18 +160,17 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     return Drift(rate, float(np.sqrt(float(weight @ residuals**2) / dof / info)), dof, float(day.max()))
 
 
-#: columns of a row of `WheelSums.order`
+#: columns of `WheelSums.order`
 N_ORDER: Final = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelSums:
-    """Sums over the runs of a wheel, which add."""
+    """Sums over a wheel's runs, which add."""
 
     runs: SessionSums
-    #: shape (n_sessions, 6): over pairs of runs that follow each other in a session: their number; sums of the
-    #: products of load and load, load and radius (half of either way), radius and radius; sums of both loads, of both
-    #: radii
+    #: shape (n_sessions, 6): over pairs of successive runs in a session: their number; sums of the products of load and
+    #: load, load and radius (half of either way), radius and radius; sums of both loads, of both radii
     order: FloatArray
     whole: FloatArray  #: shape (6,): the same over all runs of a file, sessions disregarded
 
@@ -198,7 +197,7 @@ class WheelSums:
         return WheelSums(runs, order, np.array(value["whole"], dtype=np.float64))
 
     def added(self, other: WheelSums) -> WheelSums:
-        """Return the sums of both, sessions of the same label as one."""
+        """Return the sums of both, sessions of one label joined."""
         runs = self.runs.added(other.runs)
         order = np.zeros((len(runs.session), N_ORDER))
         for part in (self, other):
@@ -213,10 +212,10 @@ def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Residuals in blocks that are independent of each other, each about its own mean, the loads' slope removed."""
+    """Residuals in independent blocks, each about its mean, the loads' slope removed."""
 
     sizes: FloatArray
-    #: lag-one autocorrelation of the residuals, and of the loads where a slope is fitted to them, else None
+    #: lag-one autocorrelation of the residuals, and of the loads where a slope is fitted, else None
     lag_one: float
     of_loads: float | None
 
@@ -225,11 +224,11 @@ class _Blocks:
         return (1.0 + product) / (1.0 - product)
 
     def expected(self, rho: float) -> tuple[float, float, float]:
-        """Return what the lag-one product, the square, and the squared covariance of the residuals amount to."""
+        """Return the expected lag-one product, square, and squared covariance of the residuals."""
         product = square = squared = 0.0
         for n, count in zip(*np.unique(self.sizes, return_counts=True), strict=True):
             powers = rho ** np.arange(n)
-            # sums of the rows of the correlation matrix
+            # row sums of the correlation matrix
             rows = np.cumsum(powers) + np.cumsum(powers)[::-1] - 1.0
             total, alike = float(rows.sum()), float((n - np.arange(n)) @ (powers**2) * 2.0 - n)
             product += count * ((n - 1) * rho - 2.0 / n * (total - rows[0]) + (n - 1) * total / n**2)
@@ -250,9 +249,9 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
+    """Return an estimate with intervals that allow for autocorrelated runs, and their autocorrelation.
 
-    It is 0 where none is significant, else its upper bound of one standard deviation.
+    0 where none is significant, else its upper bound of one standard deviation.
     """
     from scipy.special import ndtr
 
@@ -273,7 +272,7 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
     of_slope = blocks.loads_ratio(high) * dof / square
     scale = np.array([of_slope, of_slope])
     if not by_session:
-        # the mean of the runs and the slope make up the radius at the reference load
+        # the runs' mean and the slope make up the radius at the reference load
         n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
         of_mean = float(2.0 * np.cumsum(high ** np.arange(n)).sum() - n) / n * dof / square
         lever = (x / n) ** 2 / (float(sums.runs.table[:, 3].sum()) - x**2 / n)
@@ -285,7 +284,7 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
 
 
 def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
-    """Return the residuals' blocks: sessions where there are several, else all runs; None where nothing scatters."""
+    """Return the residuals' blocks: several sessions, else all runs; None where nothing scatters."""
     n, x, y, xx, xy, yy = sums.runs.table[:, :6].T
     pairs, xx1, xy1, yy1, x_both, y_both = sums.order.T
     if not estimate.dof_between > 0:
@@ -306,21 +305,20 @@ def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
     return _Blocks(n[n > 1.0], lag_one, float(near_xx / info) if with_slope else None)
 
 
-#: sums of squares counted from a reference load count as zero below this share: rounding
+#: sums of squares from a reference load count as zero below this share: rounding
 ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionSums:
-    """Sums over the runs of each session, for one wheel."""
+    """Sums over each session's runs, for one wheel."""
 
-    #: labels, each once, in order, shape (n_sessions,)
+    #: each once, in order, shape (n_sessions,)
     session: StrArray
-    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, and day squared.
-    #: Loads are counted from a reference load (N), radii from a nominal radius (m), days from any common day, shape
-    #: (n_sessions, 8)
+    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, day squared. Loads
+    #: count from a reference load (N), radii from a nominal radius (m), days from any common day, shape (n_sessions, 8)
     table: FloatArray
-    #: span of the loads, counted from the same reference load; inf and -inf where there are no runs
+    #: loads' span, from the same reference load; inf and -inf without runs
     load_min_N: float
     load_max_N: float
 
@@ -334,7 +332,7 @@ class SessionSums:
         return SessionSums(labels, table, float(load_N.min(initial=np.inf)), float(load_N.max(initial=-np.inf)))
 
     def added(self, other: SessionSums) -> SessionSums:
-        """Return the sums of both, sessions of the same label as one."""
+        """Return the sums of both, sessions of one label joined."""
         labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
         table = np.zeros((len(labels), self.table.shape[1]))
         np.add.at(table, index, np.concatenate([self.table, other.table]))

@@ -24,19 +24,18 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Task = Callable[[Sequence[Item]], list[Result]]
 
-#: a batch is at most this part of a worker's share of the remaining work: the last ones are small, so that all workers
-#: end together
+#: largest part of a worker's share of the remaining work in a batch: the last are small, and all workers end together
 PARTS_OF_A_SHARE: Final = 2
-#: pieces of work in a batch, least and most. Here: between two progress reports. In processes: a file takes 3 ms or
-#: more and a hand-over 2 ms. By Dask: a task costs client, scheduler and worker 8 ms together
+#: pieces of work in a batch, least and most. Here: between progress reports. In processes: a file takes 3 ms or more, a
+#: hand-over 2 ms. By Dask: a task costs client, scheduler and worker 8 ms together
 SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
 DASK_BATCH: Final = (8, 256)
-#: what nearly every task needs and the parent too: imported before processes are made of it
+#: needed by nearly every task and the parent: imported before processes are made of it
 SHARED_MODULES: Final = ("calib.fleet.run", "scipy.special")
-#: what nearly every task needs and what starts threads: imported by each worker
+#: needed by nearly every task, but starts threads: imported by each worker
 WORKER_MODULES: Final = ("pyarrow.parquet",)
-#: how long a scheduler may take to answer and to close, and how long nothing may come back before it is asked
+#: a scheduler may take so long to answer and to close; it is asked after so long without results
 ANSWER_S: Final = 10.0
 CLOSE_S: Final = 2.0
 QUIET_S: Final = 20.0
@@ -59,10 +58,10 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
-    """Cut items into batches in their order, none of them empty; for `weigh` see `Engine.run`.
+    """Cut items into batches in order, none empty; for `weigh` see `Engine.run`.
 
-    `largest`, `smallest`: pieces of work in a batch, at most (a single item may stand for more) and at least (but for
-    the last); `workers`: how many share them.
+    `largest`, `smallest`: pieces of work in a batch, at most (but for a single larger item) and at least (but for the
+    last); `workers`: how many share them.
     """
     weights = [max(weigh(item), 1) for item in items]
     remaining = sum(weights)
@@ -81,7 +80,7 @@ def batches(
 
 
 class Engine:
-    """Runs tasks in this process; the engines below submit to others, whose workers stay between two calls."""
+    """Runs tasks in this process; the engines below submit to others, whose workers stay between calls."""
 
     #: least and most pieces of work in a batch
     batch: tuple[int, int] = SERIAL_BATCH
@@ -113,7 +112,7 @@ class Engine:
         """Replace the workers after one has died."""
 
     def ask(self) -> None:
-        """Raise RefusedError where no worker is there any more; called when nothing comes back for `QUIET_S`."""
+        """Raise RefusedError where no worker is left; called after `QUIET_S` without results."""
 
     def run(
         self,
@@ -148,7 +147,7 @@ class Engine:
     def _completed(
         self, task: Task[Item, Result], cut: Sequence[Sequence[Item]], at_once: int
     ) -> Iterator[tuple[Sequence[Item], list[Result] | None]]:
-        """Yield batches with their results as they are done, None where the worker died; others then go on."""
+        """Yield finished batches with results, None where the worker died; others then go on."""
         queue, running, broken = deque(cut), dict[Future[list[Result]], Sequence[Item]](), False
         while queue or running:
             while queue and not broken and len(running) < at_once:
@@ -170,7 +169,7 @@ class Engine:
 
 
 class ProcessEngine(Engine):
-    """Processes of this machine, started at once: they import what they need while their parent lists the work."""
+    """Processes of this machine, started at once: they import while their parent lists the work."""
 
     batch = PROCESS_BATCH
 
@@ -179,7 +178,7 @@ class ProcessEngine(Engine):
         if _may_fork():
             import_modules(SHARED_MODULES)
         self._pool = self._started()
-        # the first task makes the workers, as long as this process has no other thread
+        # the first task makes the workers, while this process has no other thread
         self._pool.submit(int)
 
     @property
@@ -196,7 +195,7 @@ class ProcessEngine(Engine):
         return self._pool.submit(task, batch)
 
     def renew(self) -> None:
-        """Start other processes; raises RefusedError where they die before their first task: no item is to blame."""
+        """Start other processes; raises RefusedError where they die before their first task: no item's fault."""
         self.close()
         self._pool = self._started()
         try:
@@ -213,7 +212,7 @@ class ProcessEngine(Engine):
 
 
 def _may_fork() -> bool:
-    """Return whether this process may be copied: no other thread runs in it, a library's own included."""
+    """Return whether this process may be copied: it has no other thread, not even a library's."""
     try:
         return "fork" in get_all_start_methods() and len(list(Path("/proc/self/task").iterdir())) == 1
     except OSError:
@@ -229,7 +228,7 @@ def _server() -> Any:
 
 
 def _begin_worker() -> None:
-    """Begin a worker: its parent acts on an interruption, and it ends when its parent has ended."""
+    """Leave interruptions to the parent, and end when it has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import_modules(WORKER_MODULES)
@@ -243,15 +242,15 @@ def _end_with_parent() -> None:
 
 
 def import_modules(modules: Sequence[str]) -> None:
-    """Import modules, so that the first task need not; those that are not installed are skipped."""
+    """Import modules before the first task; those not installed are skipped."""
     for module in modules:
-        # an extra that is not installed: the task reports it where it needs it
+        # a missing extra is reported by the task that needs it
         with suppress(ImportError):
             importlib.import_module(module)
 
 
 class DaskEngine(Engine):
-    """The workers of a Dask scheduler, which moves the tasks of a worker that dies to another."""
+    """The workers of a Dask scheduler, which moves tasks of a dead worker to another."""
 
     batch = DASK_BATCH
     most_submitted = 1_000_000
@@ -266,7 +265,7 @@ class DaskEngine(Engine):
             from distributed import Client, fire_and_forget
         except ImportError as error:
             raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
-        # what goes wrong is said once, by the error
+        # the error says once what goes wrong
         for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._address = scheduler
@@ -275,7 +274,7 @@ class DaskEngine(Engine):
             self._client = Client(scheduler, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise self._lost(error) from error
-        # the workers import what they need while this process lists the work
+        # the workers import while this process lists the work
         modules = (*SHARED_MODULES, *WORKER_MODULES)
         for worker in self._client.nthreads():
             fire_and_forget(
@@ -327,7 +326,7 @@ class DaskEngine(Engine):
 
 
 def _identify(address: str) -> None:
-    """Ask an address for its identity as a scheduler; a client that waits in vain could not be closed."""
+    """Ask an address for its identity as scheduler: a client that waits in vain could not be closed."""
     from distributed import rpc
 
     async def identity() -> None:

@@ -24,13 +24,13 @@ from calib.errors import BadInputError
 from calib.odometry.poses import Poses, sinc
 from calib.types import FloatArray, IntArray, floats
 
-#: scheme -> share of a step's turn by which the heading used lies behind the heading at its end
+#: scheme -> share of a step's turn by which the heading used lies behind that at its end
 HEADING_BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}
 
 #: ``end_point`` is Eq. 7 as printed: the heading at the end of the step
 SCHEMES: Final = tuple(HEADING_BEHIND)
 
-#: steps from which on a second thread, and machine code, are worth their start
+#: steps that make a second thread, and machine code, worth their start
 MANY_STEPS: Final = 1_000_000
 #: steps a block: its arrays stay in the second-level cache, and no BLAS starts threads for its products
 BLOCK: Final = 16_384
@@ -98,10 +98,10 @@ def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, 
 
 
 def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
-    """Turn the length of arcs (n,) into that of their chords, in place, for turns (n,); two arrays are overwritten."""
+    """Turn arc lengths (n,) into those of chords, in place, for turns (n,); two arrays are overwritten."""
     np.multiply(turn, turn, out=square)
     if float(square.max()) <= _SMALL_TURN_RAD**2:
-        # the series of sin(u) / u for half the turn
+        # by the series of sin(u) / u
         np.multiply(square, 1.0 / 1920.0, out=work)
         work -= 1.0 / 24.0
         work *= square
@@ -114,8 +114,7 @@ def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: Float
 def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatArray) -> None:
     """Write running sums of steps (n,) that begin anew at steps `begins`, from `start`, each of shape (pieces,).
 
-    The steps are used up. Sums of `_ROW` steps are a product with a triangle of ones, which takes half the time of
-    adding one step after the other.
+    The steps are used up. Sums of `_ROW` steps are a product with a triangle of ones, in half the time of additions.
     """
     if len(begins) > 1:
         ends = start + np.add.reduceat(steps, begins)
@@ -143,7 +142,7 @@ _SMALL_HALVES_RAD: Final = 0.125
 _SINE: Final = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362_880, -1 / 39_916_800)
 _COSINE: Final = (-1 / 2, 1 / 24, -1 / 720, 1 / 40_320, -1 / 3_628_800)
 
-#: two threads that come first together do not both ask for machine code
+#: two threads do not both ask for machine code
 _ONE_AT_A_TIME: Final = Lock()
 
 
@@ -161,7 +160,7 @@ def machine_code() -> Callable[..., None]:
 
 @cache
 def _machine_code() -> Callable[..., None]:
-    """Return the loop in machine code, kept on disk where a folder can be written to."""
+    """Return `_loop` compiled, kept on disk where possible."""
     import numba
 
     try:
@@ -273,7 +272,7 @@ def _laid_flat(
 
 
 def _halved(flat: Flat) -> tuple[Flat, ...]:
-    """Return the steps in two parts, cut between two runs; whole where no such cut halves the work fairly."""
+    """Return the steps in two parts, cut between runs; whole where no cut halves the work fairly."""
     middle = len(flat.left) // 2
     run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
     step = int(flat.starts[run]) if run else 0

@@ -26,7 +26,7 @@ BANDS: Final = ("mean", "prediction")
 class TableRow:
     """Radii at one load (Table 1), with the 95 % half-widths of the mean and of a single run (Fig. 15).
 
-    `extrapolated_left`, `extrapolated_right`: the load lies outside those for which the wheel's law holds.
+    `extrapolated_left`, `extrapolated_right`: the load lies outside the range of the wheel's law.
     """
 
     load_N: float
@@ -88,7 +88,7 @@ class Journey:
     #: distance that 95 % of the draws stay below
     without_95_m: float
     corrected_95_m: float
-    #: ratio of the two root mean squares; its interval says how well the fit's degrees of freedom know the scatter
+    #: ratio of the two root mean squares, with an interval by the fit's degrees of freedom
     ratio: float
     ratio_ci95: tuple[float, float]
     journeys_ratio: tuple[float, float, float]  #: ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
@@ -244,7 +244,7 @@ def sweep_loads(
     if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
         raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
     loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
-    # name the first payload that cannot be carried, not the extremes of all of them
+    # name the first payload that cannot be carried
     bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
     if bad.any():
         k = int(np.argmax(bad))

@@ -129,16 +129,16 @@ class Driven:
 
     poses: Poses  #: real poses for the law's mean radii, shape (n,)
     errors: PoseErrors  #: real minus route, shape (n,)
-    #: shape (n, 3, 3): covariance of the real pose (x in m, y in m, theta in rad) by what is the same all along a
-    #: journey: the law, the scatter of single runs about it, the track
+    #: shape (n, 3, 3): covariance of the real pose (x in m, y in m, theta in rad) by law, scatter of single runs and
+    #: track, the same all along a journey
     systematic: FloatArray
     #: shape (n, 3, 3): the same by what is new with every metre: the floor, and the readings of the encoders
     random: FloatArray
     #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
     std: dict[str, FloatArray]
     half: dict[str, float]  #: half width of the 95 % interval of each of `COMPONENTS` at the end
-    #: shape (2,): what the law of the left and of the right wheel adds to the mean square of the distance at the end,
-    #: and the degrees of freedom behind it
+    #: shape (2,): part of each wheel's law in the mean square of the distance at the end, and the degrees of freedom
+    #: behind it
     by_wheel_m2: FloatArray
     dof: FloatArray
 
@@ -167,7 +167,7 @@ class LawPath:
     #: with the radii of the reference loads, and with radii that follow the load
     without: Driven
     corrected: Driven
-    #: 95 % interval of `ratio`: how well the fit's degrees of freedom know the scatter; None where nothing was drawn
+    #: 95 % interval of `ratio`, by the fit's degrees of freedom; None where nothing was drawn
     ratio_ci95: tuple[float, float] | None = None
 
     @property
@@ -235,8 +235,8 @@ def law_path(
 ) -> LawPath:
     """Drive a route under a law, closed on the odometry, with and without the correction; see `LawPath`.
 
-    `loading`, `reference_N`: loads carried along it, and those (left, right) whose radii the uncorrected odometry uses
-    all along. Raises BadInputError where the load changes beyond the end of the route.
+    `loading`, `reference_N`: loads carried along it, and those (left, right) of the uncorrected odometry's radii.
+    Raises BadInputError where the load changes beyond the end of the route.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(
@@ -274,9 +274,9 @@ def law_path(
 
 
 def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what each wheel's law adds to the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
+    """Return each wheel's part of the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
 
-    `slopes` (5, 5): change of these by the parameters whose covariance is `spread`, a single run's.
+    `slopes` (5, 5): change of these by the parameters; `spread`: covariance of these, of a single run.
     """
     variance, dof = [], []
     for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
@@ -302,7 +302,7 @@ def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.rand
 
 
 def _frame(heading_rad: FloatArray) -> FloatArray:
-    """Return what each of `COMPONENTS` takes of x, y and theta at headings (n,), shape (n, 5, 3)."""
+    """Return the derivatives of `COMPONENTS` by x, y and theta at headings (n,), shape (n, 5, 3)."""
     rows = np.zeros((len(heading_rad), len(COMPONENTS), 3))
     rows[:, 0, 0] = rows[:, 1, 1] = np.cos(heading_rad)
     rows[:, 0, 1] = np.sin(heading_rad)

@@ -229,7 +229,7 @@ def jacobian(
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
     offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
     track = path.track_m
-    # by radius and slope of either wheel, and by the track: along the path, and in heading
+    # by radius and slope of either wheel, and the track
     parts = [
         (0.5 * turned * times, sign * turned * times / track)
         for sign, turned, offset in ((-1.0, turn_left, offset_left), (1.0, turn_right, offset_right))
@@ -265,14 +265,13 @@ class RandomWalk:
     def covariance(self, path: PathSteps) -> FloatArray:
         """Return the covariance of the pose after each step, shape (..., n, 3, 3).
 
-        A heading error in a step moves every later point about that step's centre; running sums over the noise, times
-        the centre and times its squares, make that one pass.
+        A heading error in a step moves every later point about that step's centre: running sums over noise, times
+        centre and times its squares.
         """
         distance = np.abs(0.5 * (path.left_m + path.right_m))
         along = self.sigma_along_m_per_sqrt_m**2 * distance
         heading = self.sigma_heading_rad_per_sqrt_m**2 * distance
         x, y = path.poses.x_m, path.poses.y_m
-        # centre about which the turn of each step carries the later points
         cx, cy = x - path.by_turn[1], y + path.by_turn[0]
         q, qx, qy, qxx, qxy, qyy = (
             np.cumsum(part, axis=-1)
@@ -300,7 +299,7 @@ class RandomWalk:
         covariance = np.zeros((*path.left_m.shape, 3, 3))
         for size, sign in ((left, -1.0), (right, 1.0)):
             turn = sign * size / track
-            # at the end: moves and turns the pose where it stands; at the start: turns all that follows, too
+            # at the end: moves and turns the pose; at the start: turns all that follows, too
             end = np.stack([0.5 * size * np.cos(theta), 0.5 * size * np.sin(theta), turn], axis=-1)
             first, turned = size[..., :1], turn[..., :1]
             along = 0.5 * first * np.cos(start) - path.poses.y_m * turned
@@ -339,7 +338,6 @@ def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
 
 
 def _sinc_slope(u: FloatArray) -> FloatArray:
-    """Return the derivative of sin(u) / u; by its series near zero, where the quotient loses its digits."""
     small = np.abs(u) < 0.1
     safe = np.where(small, 1.0, u)
     v = u * u

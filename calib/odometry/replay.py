@@ -60,8 +60,8 @@ class Replay(Result):
     ratio_ci95: tuple[float, float]
     runtime: RuntimeCheck  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
-    #: whether a front wheel or four wheels drive the odometry: no law of a load, so that ``constant`` is ``corrected``,
-    #: and nothing for the runtime, which reads two wheels on one axle
+    #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, and nothing for the
+    #: runtime
     by_geometry: bool = False
     notes: tuple[str, ...] = ()  #: what had to be assumed
 
@@ -160,7 +160,7 @@ def _driven(
 ) -> tuple[dict[str, Poses], FloatArray]:
     """Return the end poses by each of `METHODS`, and the distance by the corrected one, under the loads of the steps.
 
-    Odometry from a front wheel or from four wheels has no law of a load: ``constant`` is ``corrected``.
+    Without rear wheels there is no law of a load: ``constant`` is ``corrected``.
     """
     offsets, columns, law = campaign.logs.offsets, campaign.logs.columns, coefficients.law
     if without_rear_wheels(campaign):

@@ -22,9 +22,9 @@ from calib.types import FloatArray, IntArray, floats
 Segment = tuple[float, float]
 
 FORMAT: Final = "calib-route/1"
-#: largest length in m, or turn: no vehicle drives further in one segment
+#: largest length in m, or turn, of a segment
 LONGEST: Final = 1e6
-#: pieces of routes driven at once: keeps memory small where many vehicles drive long routes
+#: pieces of routes driven at once, to save memory
 BLOCK: Final = 131_072
 #: radii, their ratios and tracks that a vehicle can have
 SHORTEST_M: Final = 1e-4
@@ -108,7 +108,7 @@ def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
 
 QUARTER: Final = math.pi / 2
 
-#: adding a named route means adding one line here
+#: a new route is one line here
 NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
     "corridor": (straight(40.0),),
     "straight15": (straight(15.0),),
@@ -245,8 +245,8 @@ def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
 def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
     """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
 
-    A load takes effect in the step after the sample that has it: the vehicle stands while it is loaded. That of the run
-    (`run_N`) holds until its log (`logged_N`) says otherwise, a load of the log until the next; NaN is none.
+    A load takes effect in the step after its sample: the vehicle stands while it is loaded. That of the run (`run_N`)
+    holds until its log (`logged_N`) says otherwise, a load of the log until the next; NaN is none.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(floats(run_N), np.diff(edges))
@@ -255,7 +255,7 @@ def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayL
     logged = floats(logged_N)
     own = np.arange(len(carried))
     first = np.repeat(edges[:-1], np.diff(edges))
-    # the last sample before this one, of the same run, that has a load
+    # the last sample before, of the same run, that has a load
     last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
     last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
     known = last >= first

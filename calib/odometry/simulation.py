@@ -84,7 +84,7 @@ def ratios(which: str, ratio: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One vehicle of a sweep: which wheel is off, by how much, and the radii over the believed one."""
+    """One vehicle of a sweep; radii over the believed ones."""
 
     which: str
     ratio: float
@@ -174,11 +174,11 @@ def run_sweep(
     )
 
 
-#: end error along the route without and with the load correction, as the paper prints them (Sect. 7.3)
+#: end error along the route without and with the load correction, as printed (Sect. 7.3)
 PAPER_BEFORE_M: Final = 1.1
 PAPER_AFTER_M: Final = 0.06
 
-#: the vehicle's track as the paper states it
+#: as the paper states it
 PAPER_TRACK_M: Final = 0.7
 
 
@@ -243,8 +243,7 @@ class LawPart:
     table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
     journeys: tuple[Journey, ...]  #: journeys without and with correction, for each pair of loads and each band
     notes: tuple[str, ...]  #: what the reader should know
-    #: the last route driven under the loads that change on the way, or else under the first pair of loads: errors and
-    #: covariance all along
+    #: errors and covariance along the last route, driven under the loads that change on the way, or else the first pair
     path: LawPath
 
 

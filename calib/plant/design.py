@@ -16,8 +16,8 @@ from calib.vehicle import Vehicle
 PITCH_M: Final = 0.01
 #: length of ``corridor_short`` over that of ``corridor``
 SHORT: Final = 0.6
-_EASE_M: Final = 0.6  # curvature changes over this length, as a steered wheel cannot jump
-_TAIL_M: Final = 3.0  # straight run-out behind the end, for runs read while still rolling
+_EASE_M: Final = 0.6  # a steered wheel cannot jump
+_TAIL_M: Final = 3.0  # run-out, for runs read while still rolling
 
 Segment = tuple[float, float]  # length in m, curvature in 1/m
 
@@ -25,7 +25,7 @@ _QUARTER: Final = np.pi / 2
 
 
 def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -> list[Segment]:
-    """Return a route as straights and arcs: (length in m, curvature per m), left turns positive.
+    """Return a route as straights and arcs, left turns positive.
 
     ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``, ``square_ccw``,
     ``figure8``, ``route_left``, ``route_right`` or ``slalom``. The squares have straight sides of `side_m` and corners
@@ -129,7 +129,7 @@ class Design:
     vehicle: Vehicle = field(default_factory=Vehicle)
     counts_per_rev: float = 4096.0  #: encoder counts per wheel revolution
     slope_per_N: float = 0.0  #: relative load slope that truth and model share; 0 is a rigid wheel
-    log_period_s: float = 0.2  #: time between rows of the logs; 0 means that there are no logs
+    log_period_s: float = 0.2  #: time between rows of the logs; 0: no logs
     front: bool = False  #: the logs have the front wheel and the steering angle
     trace: bool = False  #: the logs have a continuous pose reference
     #: which runs have a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``
@@ -236,11 +236,11 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     kinds = ["corridor", *_TURNING] if turning else ["corridor"]
 
     def deal(values: list[Any]) -> list[Any]:
-        """Return the values spread evenly over the conditions, in random order: no two factors go together."""
+        """Return the values spread evenly over the conditions, in random order."""
         dealt = [values[number % len(values)] for number in range(n_conditions)]
         return [dealt[number] for number in rng.permutation(n_conditions)]
 
-    # half of the conditions go along the corridor, the others turn; within each the routes are dealt evenly
+    # half go along the corridor, the others turn
     half = n_conditions // 2
     route = ["corridor"] * half + [kinds[1:][number % (len(kinds) - 1)] for number in range(n_conditions - half)]
     if "lanes" in need:
@@ -257,7 +257,6 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     conditions = []
     for number, kind in enumerate(route):
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
-        # tight routes are not driven fast
         condition = _Run(
             kind=kind,
             direction=ways[(number // 2) % 2] if corridor else "",
@@ -273,7 +272,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
 
 
 def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int, n_sessions: int) -> list[_Run]:
-    # each session has a cold and a warm half; dwell varies from run to run; no condition correlates with a session
+    # dwell varies from run to run; no condition correlates with a session
     levels = []
     for _ in range(n_sessions):
         cold = float(rng.uniform(10, 20))
@@ -282,7 +281,7 @@ def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int
     driven = [conditions[number] for number in np.resize(np.arange(len(conditions)), n_runs).tolist()]
     minutes = [float(rng.choice([2.0, 10.0, 30.0, 60.0])) if run.payload_kg > 0 else 0.0 for run in driven]
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
-    # conditions are dealt to sessions by a shuffle of the whole order, sessions stay contiguous
+    # dealt by a shuffle of the whole order, sessions contiguous
     runs = []
     for number, at in enumerate(rng.permutation(shuffle)):
         place = number * n_sessions / n_runs
@@ -373,7 +372,7 @@ def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, A
     return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))
 
 
-#: poor design -> what one of its runs is
+#: poor design -> one of its runs
 _POOR: Final = {
     "load_a_session": _load_a_session,
     "corridor_only": _corridor_only,

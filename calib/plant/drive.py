@@ -19,7 +19,7 @@ _STEER_MAX_RAD: Final = 1.2
 _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
-_SIDES: Final = np.array([[-1.0], [1.0]])  # left, right
+_SIDES: Final = np.array([[-1.0], [1.0]])
 #: what a frame begins with
 _MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "late_rad")
 
@@ -30,7 +30,7 @@ class Record:
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
     #: shape (n_frames, n_runs): true motion in the run's own frame; frames behind a run's end repeat it; late_rad: the
-    #: steering angle as it was the sensor's delay ago
+    #: steering angle the sensor's delay ago
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -39,8 +39,7 @@ class Record:
     omega_radps: FloatArray
     steer_rad: FloatArray
     late_rad: FloatArray
-    #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers unless the drive was not
-    #: quantised
+    #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers where quantised
     counts: FloatArray
     odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
     ends: FloatArray  #: shape (15, n_driven): the last frame of every run driven, also of those that are not logged
@@ -101,10 +100,7 @@ def drive(
 
 
 class _PastAngles:
-    """The steering angle of some time ago, from those of the last steps.
-
-    Between steps by a parabola: a straight line would cut the corners of every bend, which no late sensor does.
-    """
+    """The steering angle some time ago, between steps by a parabola: a straight line would cut every bend."""
 
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
@@ -146,7 +142,7 @@ class _Runs:
         self.rng = np.random.default_rng(noise.seed)
         self.grain = np.zeros((_BLOCK, 3, n_runs))  # of the floor, for so many steps at a time
         self.stop_m = _stops(world, self.tables)
-        self.pointer = np.zeros(n_runs, dtype=np.int64)  # the next stop
+        self.pointer = np.zeros(n_runs, dtype=np.int64)
         self.target_m = self.stop_m[0]
         look = 0.6 * (design.speed_mps + 0.6)  # follower's length scale
         self.gain_offset, self.gain_heading = 1.0 / look**2, 1.6 / look
@@ -155,7 +151,7 @@ class _Runs:
         self.speed, self.steering, self.progress_m, self.pause_s = (np.zeros(n_runs) for _ in range(4))
         self.angle = np.zeros((3, n_runs))  # left, right, front as the counters see it
         self.odo = np.zeros((4, n_runs))  # x, y, theta, path length
-        # progress along the plan for each metre of odometry: cosine to the plan, over what a bend shortens
+        # progress along the plan a metre of odometry: its cosine, over what a bend shortens
         self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)
         self.done = np.zeros(n_runs, dtype=bool)
         self.past = _PastAngles(world.steer_delay_s, step_s)
@@ -280,7 +276,7 @@ class _Runs:
 
 
 def _within(values: FloatArray, most: float) -> FloatArray:
-    """Return values within +-`most`; on short arrays a third of the time of `np.clip`."""
+    """Return values within +-`most`; on short arrays three times as fast as `np.clip`."""
     return np.asarray(np.minimum(np.maximum(values, -most), most))
 
 

@@ -41,7 +41,6 @@ def _slope_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 @while_driving
 def _slope(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Downhill the wheels roll further a turn, uphill less; by the heading on the map."""
     offset = np.where(world.design.heading_sign < 0, np.pi, 0.0) - knobs["downhill_rad"]
     now.roll_more(size * np.cos(now.theta_rad + offset))
 
@@ -58,24 +57,24 @@ def _in_zone(world: World, now: Moment, knobs: Knobs) -> BoolArray:
 
 @while_driving
 def _zone_distance(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Both wheels slip inside a strip across the hall: `size` a metre of it."""
+    """Both wheels slip inside a strip across the hall: `size` a metre."""
     now.roll_more(size * _in_zone(world, now, knobs))
 
 
 @while_driving
 def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Only the wheel on one side runs over the strip, say a cable bridge or a worn lane edge."""
+    """Only one side's wheel runs over the strip, say a cable bridge."""
     inside = size * _in_zone(world, now, knobs) * world.design.heading_sign
     now.roll_more(0.5 * inside, -0.5 * inside)
 
 
 def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the second lane is uneven: the wheels roll up and down, further than the plan says
+    # the second lane is uneven: the wheels roll further than the plan says
     world.rise = world.rise + size * np.char.endswith(world.design.kind, "_b")
 
 
 def _weave(world: World, size: FloatArray, knobs: Knobs) -> None:
-    # the guidance weaves; `size` is the largest amplitude, run by run another share of it
+    # `size` is the largest amplitude, run by run another share of it
     shares = np.array([knobs[f"share_{number}"] for number in range(8)])
     world.weave_m = np.where(world.design.corridor, size * shares[np.arange(len(world.design)) % 8], 0.0)
     world.wavelength_m = np.full(len(world.design), knobs["wavelength_m"])
@@ -87,13 +86,13 @@ def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 
 def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Warm *and* loaded wheels shrink, cold and loaded ones grow; neither alone does anything."""
+    """Warm *and* loaded wheels shrink, cold and loaded ones grow."""
     world.enlarge(size * (standardised(world.mean_load_N) * standardised(world.design.temperature_C)))
 
 
 @while_driving
 def _one_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a resonance: only about one middle speed
+    # a resonance
     now.roll_more(size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2)))
 
 
@@ -104,12 +103,12 @@ def _middle_speed(_rng: np.random.Generator, design: Design) -> dict[str, float]
 
 @while_driving
 def _left_only(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Only in left turns, and there in the tight ones: the vehicle turns less than its wheels say."""
+    """Only in tight left turns the vehicle turns less than its wheels say."""
     now.track += size * (now.curvature_per_m > 0.05)
 
 
 def _hidden(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Something nobody wrote down, another in each condition: the same in its repeats, without any order."""
+    """Something nobody wrote down, another in each condition."""
     number = conditions(world.design)
     drawn = np.random.default_rng(int(knobs["seed"])).standard_normal((2, int(number.max()) + 1))
     drawn -= drawn.mean(axis=1, keepdims=True)
@@ -122,7 +121,7 @@ def _seeded(rng: np.random.Generator, _design: Design) -> dict[str, float]:
 
 @while_driving
 def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a pull to the side that changes over the hall's floor; no wheel feels it
+    # a pull to the side that changes over the floor
     wave = np.sin(2 * np.pi * map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
     now.yaw_radps += size * now.v_mps * wave * np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
 
@@ -158,13 +157,12 @@ def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 @while_driving
 def _lost_with_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a share of `size` at 0.5 m/s, with the square of the speed
+    # with the square of the speed; `size` at 0.5 m/s
     now.lose_counts(size * (now.v_mps / 0.5) ** 2, right=bool(knobs["right"]))
 
 
 @while_driving
 def _lost_above(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Nothing is lost below 0.3 m/s, and more and more above it."""
     now.lose_counts(size * np.maximum(now.v_mps - 0.3, 0.0) / 0.2, right=bool(knobs["right"]))
 
 

@@ -172,7 +172,7 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             year, number = divmod(FIRST_MONTH[1] - 1 + month, 12)
             where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
             where.mkdir(parents=True, exist_ok=True)
-            # a path is taken for the address of a store, and may be no UTF-8
+            # a path is taken for a store's address, and may be no UTF-8
             sink = pa.BufferOutputStream()
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)

@@ -34,7 +34,6 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
     Latency reads an earlier pose; a lever arm carries the target round; a mounting yaw turns the target's start frame.
     """
     late = world.latency_s * record.v_mps
-    # no reading is from before the start
     late = np.minimum(late, np.hypot(record.x_m, record.y_m))
     curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
     theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
@@ -130,8 +129,8 @@ def _columns(
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
     """Return the campaign in memory, as it would be read from its folder; see `make_campaign`.
 
-    The campaign file states the instruments' noise, not quite truly. After `n_runs` names and lines begin again: those
-    of one campaign, where several stand end to end.
+    The campaign file states the instruments' noise, not quite truly. After `n_runs` names and lines begin again, where
+    several campaigns stand end to end.
     """
     design = world.design
     counts = counts_with_blunder(world, record.counts)
@@ -173,7 +172,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         scale = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])[:, None, None]
         read = poses + scale * rng.standard_normal(poses.shape)
         read[:, 0] = 0.0
-        # the end pose of the run table is the trace's own last reading
+        # the end pose is the trace's own last reading
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
         for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), read, strict=True):
             columns[column] = np.round(values, 5)

@@ -19,7 +19,7 @@ from calib.plant.make import apply_causes, reference_poses, simulated_poses, ste
 from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
 from calib.types import FloatArray, floats
 
-#: effects that a recalibration absorbs by definition: their signal is taken without projecting it out
+#: effects that a recalibration absorbs: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 _SQUARED: Final = ("beam_misalignment", "path_weave")
 _ABSORBED = 1e-2  # share of its norm below which a change is taken up by the recalibration
@@ -27,7 +27,7 @@ _LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
 
 
 def is_calibration(cause: Cause) -> bool:
-    """Return whether a recalibration absorbs a cause, so that its signal is taken without projecting it out."""
+    """Return whether a recalibration absorbs a cause; see `CALIBRATION`."""
     return cause.effect in CALIBRATION or (cause.effect, cause.form) == ("lost_counts", "constant")
 
 
@@ -60,7 +60,7 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Levers:
-    """What a metre of path error and a radian of heading error at each frame do to the outputs at the end."""
+    """Change of the outputs at the end by a metre of path error and a radian of heading error at each frame."""
 
     path: FloatArray  # (n_steps, n_runs, 6)
     turn: FloatArray  # (n_steps, n_runs, 6)
@@ -96,7 +96,7 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     zero, one = np.zeros(n_runs), np.ones(n_runs)
     start = np.stack([zero, -end_y, end_x, one, zero, zero], axis=1) * noise.start_heading_rad
     total += start[:, :, None] * start[:, None, :]
-    # a steering zero turns the front wheel's path: less forward by L theta, more heading by S / L
+    # a steering zero: less forward by L theta, more heading by S / L
     wheelbase = world.design.vehicle.wheelbase_m
     steer = np.stack([zero, zero, zero, zero, -wheelbase * end_theta, length / wheelbase], axis=1) * noise.steer_rad
     spacing = world.design.speed_mps * (world.design.log_period_s or 0.1)
@@ -183,7 +183,7 @@ def strengths(
     """
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
-        # end poses need no fine log; what the front wheel and its sensor say is summed over the log as it is written
+        # end poses need no fine log; what the front wheel and its sensor say is summed over it
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
     blocks = np.zeros((n_causes, n_causes + 1, n_runs))
@@ -191,7 +191,7 @@ def strengths(
         blocks[number, number + 1] = 1.0
     apply_causes(world, causes, blocks.reshape(n_causes, -1))
     still = quiet(n_runs).tile(n_causes + 1)
-    # what an outside simulator and the front wheel say is summed over the log
+    # summed over the log
     logged = None if design.front or design.outside else n_runs
     record = drive(world, still, quantise=False, step_s=step_s, logged=logged)
     out = outputs(world, still, record).reshape(n_causes + 1, n_runs, 6)
@@ -221,11 +221,10 @@ def to_signal(
 ) -> tuple[list[Cause], Noise, Strength]:
     """Scale causes so that each alone has the wanted signal.
 
-    Where that would take more than about three times the typical size, the case's noise is lowered first (to a
-    quarter at most); where it would take hardly anything, the noise is raised (threefold at most).
+    Where that would take more than about three times the typical size, the noise is lowered first (to a quarter at
+    most); where hardly anything, raised (threefold at most). NaN leaves a cause as it is.
 
-    A target of NaN leaves a cause as it is. Returned are the causes at their sizes, the noise of the case, and what was
-    reached; see `Strength`.
+    Returned are the causes at their sizes, the noise, and what was reached; see `Strength`.
     """
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])

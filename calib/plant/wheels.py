@@ -34,7 +34,7 @@ def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 
 def _power(load_N: FloatArray, exponent: float) -> FloatArray:
-    """Return F^p shifted and scaled to go from 0 at 300 N to 800 N at 1100 N, as the linear law does."""
+    """Return F^p, 0 at 300 N and 800 N at 1100 N, as in the linear law."""
     low, high = REFERENCE_LOAD_N**exponent, 1100.0**exponent
     return np.asarray(800.0 * (np.maximum(load_N, 1.0) ** exponent - low) / (high - low))
 
@@ -110,7 +110,7 @@ def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # a warm band is softer: exponential in temperature, and a little more under load
+    # exponential in temperature, and a little more under load
     warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
     mean = float(np.mean(world.mean_load_N))
     more = (1 + 0.15 * (load / mean - 1) for load in (world.load_left_N, world.load_right_N))
@@ -123,7 +123,7 @@ def _session_index(design: Design) -> tuple[FloatArray, int]:
 
 
 def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """`size` a session of driving between the measurements, the right wheel at its own rate."""
+    """`size` a session of driving, the right wheel at its own rate."""
     index, _ = _session_index(world.design)
     grown = index ** knobs.get("exponent", 1.0)
     world.enlarge(-size * grown, -size * knobs["right_ratio"] * grown)
@@ -138,7 +138,6 @@ def _session_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]
 
 
 def _one_session(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    """One session alone is off: the wheels were cleaned, say."""
     _, count = _session_index(design)
     odd = int(rng.integers(1, count)) if count > 1 else 0
     return {f"step_{number}": 2.0 if number == odd else 0.0 for number in range(count)}
@@ -151,7 +150,7 @@ def _session(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 
 def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Any further column: `size` a standard deviation of it, on both radii."""
+    """`size` a standard deviation of a further column, on both radii."""
     name = next(key for key in knobs if key.startswith("column:")).removeprefix("column:")
     world.enlarge(size * standardised(world.design.columns[name]))
 
@@ -199,7 +198,6 @@ def _speed(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 @while_driving
 def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Grows with the square of the speed, as fast as the plain form at 0.5 m/s."""
     now.roll_more(size * (now.v_mps**2 - 0.25))
 
 
@@ -219,7 +217,7 @@ def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _transfer_roll(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the body rolls on its springs first: the transfer follows with a lag
+    # the body rolls on its springs first: the transfer lags
     lever, roll, before_s = _lever(world), np.zeros(len(world.design)), 0.0
 
     def during(now: Moment) -> None:
@@ -237,7 +235,7 @@ def _loaded_track(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _loaded_track_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the contact patches spread: with the 0.85th power of the load
+    # the contact patches spread
     low, high = REFERENCE_LOAD_N**0.85, 1100.0**0.85
     world.track = world.track * (1 + size * 800 * (world.mean_load_N**0.85 - low) / (high - low))
 
@@ -248,7 +246,7 @@ def _scrub(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """By the torque that turns the contact patches: saturates in tight curves, a little more under load."""
+    """By the torque that turns the contact patches: saturates in tight curves."""
     load = (world.mean_load_N / float(np.mean(world.mean_load_N))) ** 0.15
 
     def during(now: Moment) -> None:
@@ -264,13 +262,12 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
 
 @while_driving
 def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the wheels slip while braking: `size` metres a stop from 0.5 m/s, with the square of the speed
+    # `size` metres a stop from 0.5 m/s, with the square of the speed
     # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
     now.roll_more(size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25)
 
 
 def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """One wheel drags on the way back only, and so turns less than it rolls."""
     dragged = size * (world.design.direction == "back")
     world.enlarge(dragged * (not knobs["right"]), dragged * bool(knobs["right"]))
 
@@ -282,7 +279,7 @@ def _direction(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 @while_driving
 def _drive_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the driven wheel slips with its traction: rolling resistance and acceleration; `size` at 0.3 m/s^2
+    # rolling resistance and acceleration; `size` at 0.3 m/s^2
     now.drive += size * (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
 
 

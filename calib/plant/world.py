@@ -69,7 +69,7 @@ class NoiseDraw:
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> FloatArray:
-    """Draw from Student's t scaled to unit variance; the normal where `tail` is infinite."""
+    """Draw from Student's t of unit variance; the normal where `tail` is infinite."""
     if np.isinf(tail):
         return rng.standard_normal(shape)
     return np.asarray(rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail))
@@ -80,7 +80,7 @@ def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw
     tail = noise.tail
     common = noise.common * _tailed(rng, (n_runs,), tail)
     differential = noise.differential * _tailed(rng, (n_runs,), tail)
-    # a run's texture is itself random: the mixture over runs has the heavy tail, and unit mean square
+    # mixed over runs: the heavy tail, and unit mean square
     mixing = np.ones(n_runs) if np.isinf(tail) else np.sqrt((tail - 2.0) / rng.chisquare(tail, n_runs))
     axes = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])
     return NoiseDraw(
@@ -210,7 +210,7 @@ class World:
     weave_m: FloatArray
     wavelength_m: FloatArray
     rise: FloatArray  #: shape (n_runs,): surplus of the path over its plan, from an uneven floor
-    euler: FloatArray  #: shape (n_runs,): 1 where the outside simulator takes the heading at the end of its steps
+    euler: FloatArray  #: shape (n_runs,): 1 where the simulator takes headings at the ends of steps
     blunder_runs: FloatArray  #: shape (n_runs,): 1 for the runs that it strikes
     #: shape (n_runs,): true payload against the reported one
     payload_scale: FloatArray

@@ -1,4 +1,4 @@
-"""The checks that an expert would run on a wheel's fit; each ends in a sentence: what it means and what to do."""
+"""Checks of a wheel's fit; each ends in a sentence: what it means and what to do."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
 
-#: p-values below which a check gives a note, and below which the law should not be used as it is. With some nine checks
-#: a wheel the usual 5 % would give a false note in every third campaign.
+#: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
+#: 5 % would give a false note in every third campaign
 NOTE_BELOW: Final = 0.01
 FAIL_BELOW: Final = 1e-4
 UM: Final = 1e6
-#: a slope's interval that is so many times as wide by autocorrelation rests on a roughly known correlation:
-#: with 0.8, loads ascending, it holds the truth in 84 to 89 % instead of 95 %
+#: a slope's interval widened more by autocorrelation rests on a roughly known correlation: with 0.8, loads ascending,
+#: it holds the truth in 84 to 89 % instead of 95 %
 MAX_SLOPE_WIDENING: Final = 1.25
-#: sessions beyond which no single one is omitted: too many to carry the slope alone
+#: of more sessions none is omitted: too many to carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
-#: loads of sessions that are tried as misreported; share of the squares that the others then leave at the most
+#: loads of sessions tried as misreported; largest share of the squares that the others then leave
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
-#: the reference load may lie this share of the load range outside it without a note
+#: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
-#: runs that the Shapiro-Wilk test takes, by its approximation of the p-value
+#: runs for which the Shapiro-Wilk test approximates its p-value
 SHAPIRO_RUNS: Final = (8, 5000)
 
 
@@ -41,12 +41,12 @@ class _Residuals:
     dof: float
     direction: StrArray
     run_id: StrArray
-    #: indicator columns of the sessions, or of a constant where there is one session or one run a session
+    #: indicator columns of the sessions; a constant where there is one session or one run a session
     sessions: FloatArray
 
 
 def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
-    """Return `fit` with its checks; `session`, `direction`, `run_id` (shape (n_runs,)): labels of the same runs."""
+    """Return `fit` with its checks; the labels are those of its runs, shape (n_runs,)."""
     groups, n = groups_of(session), len(fit.load_N)
     by_session = 2 <= len(groups) < n
     residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
@@ -68,7 +68,7 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
 
 def _lack_of_fit(runs: _Residuals) -> Check | None:
     if runs.fit.design == "confounded":
-        return None  # covered by the check of sessions: sessions and loads are one there
+        return None  # sessions and loads are one: see the check of sessions
     group = load_groups(runs.fit.load_N)
     n, levels = len(runs.x), int(group.max()) + 1
     if levels < 3:
@@ -96,8 +96,8 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     """Return what load would explain the runs of one load and session, or the one run, that leave the line most.
 
-    They are held against sessions and line of all others. Empty where others leave it too, nobody has that load, or it
-    is not `several`.
+    Held against sessions and line of all others; empty where others leave it too, nobody has that load, or not
+    `several`.
     """
     fit, n = runs.fit, len(runs.x)
     if fit.model != "line" or fit.design == "confounded":
@@ -116,7 +116,7 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     slope, *_, moved = np.linalg.lstsq(np.column_stack((line, of)), fit.radius_m, rcond=None)[0]
     stated, largest = float(fit.load_N[of].mean()), float(fit.load_N.max())
     load = stated + moved / slope if slope else 0.0
-    # a wrong distance has such a load, too, but seldom that of other runs
+    # a wrong distance seldom has a load of other runs
     if np.min(np.abs(fit.load_N[~of] - load)) > SAME_LOAD * largest:
         return ""
     session = runs.groups.names[runs.groups.index[of][0]]
@@ -142,7 +142,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         return None
     bend = float(projected @ y) / norm
     statistic = bend / np.sqrt(full / dof / norm)
-    # a parabola over the whole span departs from its chord by a quarter of its coefficient in the middle
+    # a parabola over the whole span departs from its chord by a quarter of its coefficient
     sag = abs(bend) / 4
     sentences = (
         f"No curvature shows; a bend, if any, is about {sag:.2g} um in the middle of the load range.",
@@ -168,7 +168,7 @@ def _influence(runs: _Residuals) -> Check | None:
     if dof < 3 or total <= 0:
         return None
     slack = np.full(n, dof / n)
-    # externally studentised: each run against the scatter of the others
+    # externally studentised
     others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
     worst = int(np.argmax(studentised))
@@ -182,7 +182,6 @@ def _influence(runs: _Residuals) -> Check | None:
         )
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
     found = _with_other_load(runs, several=False) if p_value < NOTE_BELOW else ""
-    # beyond a thousand the digits mean nothing
     times = f"{studentised[worst]:.1f}" if studentised[worst] < 1000.0 else "over 1000"
     sentences = (
         f"No single run stands out or carries the line (largest Cook's distance {cook:.2g}).",

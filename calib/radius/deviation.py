@@ -1,7 +1,7 @@
 """Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, and tables of them.
 
-The rangefinder sees S_O along the corridor; the wheels roll along the path. A path longer by the share e makes a radius
-computed as S_O / (2 pi n) too small: its relative error is 1 / (1 + e) - 1.
+The rangefinder sees S_O along the corridor. A path longer by the share e makes a radius S_O / (2 pi n) too small: its
+relative error is 1 / (1 + e) - 1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from calib.errors import BadInputError
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle
 
-#: below this u = (2 pi A / lambda)^2 subtractions lose digits that a series has: relative truncation 5 u^2 / 64
+#: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6
 #: halvings of the bracket of an amplitude, to rounding
 BISECTIONS: Final = 60
@@ -73,9 +73,9 @@ def weave_excess(
 ) -> PathExcess:
     """Return the relative excess of a weave over any distance, whole periods or not (Fig. 8b).
 
-    The path is ``y = A sin(2 pi x / lambda + phase)`` for x from 0 to S_O; the wheels keep half a track from it, so
-    that ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and the
-    phase broadcast; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
+    The path is ``y = A sin(2 pi x / lambda + phase)`` for x from 0 to S_O;
+    ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and the phase
+    broadcast; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
     """
     from scipy.special import ellipeinc
 
@@ -85,7 +85,7 @@ def weave_excess(
     slope = k * amplitude
     u = slope**2
     end = k * distance + phase
-    # the integral of sqrt(1 + u cos^2) in terms of Legendre's incomplete integral of the second kind
+    # by Legendre's incomplete integral of the second kind
     length = np.sqrt(1 + u) * (ellipeinc(end, u / (1 + u)) - ellipeinc(phase, u / (1 + u))) / k
     yaw = np.arctan(slope * np.cos(end)) - np.arctan(slope * np.cos(phase))
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
@@ -98,7 +98,7 @@ def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> Pat
     wheels' contact points. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
-    # np.sinc is sin(pi x) / (pi x) and is defined at 0
+    # np.sinc is sin(pi x) / (pi x)
     return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
@@ -108,7 +108,7 @@ def arc_of_radii_rad(
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
     `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
-    vehicle takes for equal; `track_m`: distance between the wheels' contact points. The turn is in rad, left positive.
+    vehicle takes for equal. Left turns are positive.
     """
     left, right = floats(radius_left_m), floats(radius_right_m)
     return np.asarray(floats(distance_m) * 2 * (right - left) / ((right + left) * track_m))
@@ -148,14 +148,14 @@ def allowed_amplitude_on_run_m(
         return np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
 
     over_periods, *_ = np.broadcast_arrays(allowed_amplitude_m(tolerance, wavelength_m), distance_m, phase_rad)
-    # a part of a period may be flatter than the whole: a wide bracket
+    # part of a period may be flatter: a wide bracket
     return _largest(worse, tolerance, 8 * over_periods)
 
 
 def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the largest amplitude whose weave over whole periods keeps a radius within a tolerance, in m.
 
-    `tolerance`: largest relative error of the radius, between 0 and 1; `wavelength_m`: wavelength of the weave.
+    `tolerance`: largest relative error of the radius, between 0 and 1.
     """
     wavelength, target = np.broadcast_arrays(wavelength_m, excess_of_radius_error(tolerance))
     # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
@@ -164,7 +164,7 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
 
 
 def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
-    """Return the largest amplitude between 0 and `bracket` whose error, which grows with it, is no more than `most`."""
+    """Return the largest amplitude up to `bracket` whose error, growing with it, is no more than `most`."""
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -229,10 +229,9 @@ def deviation_rows(
 def table_setting(
     campaign: Campaign | None, distance_m: float | None, track_m: float | None, *, default_distance_m: float
 ) -> tuple[float, float]:
-    """Return distance and track of the table: as given, else the campaign's, else the paper's.
+    """Return distance and track of the table: as given, else the campaign's (median distance), else the paper's.
 
-    `campaign`: its median distance and its track are taken where nothing is given; `default_distance_m`: distance where
-    there is no campaign.
+    `default_distance_m`: without a campaign.
     """
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
@@ -251,7 +250,7 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     """
     if not 0 < radius_ratio < np.inf:
         raise BadInputError(f"radius_ratio: found {radius_ratio:g}; expected r_R / r_L above 0; 1 is equal wheels")
-    # the chord over the diameter of the arc
+    # chord over diameter
     sine = 0.5 * float(arc_of_radii_rad(distance_m, 1.0, radius_ratio, track_m))
     if abs(sine) > 1.0:
         raise BadInputError(

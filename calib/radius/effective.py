@@ -16,13 +16,13 @@ from calib.radius.deviation import allowed_amplitude_m, arc_excess, radius_error
 from calib.radius.path_length import correct_paths
 from calib.types import FloatArray, Row, StrArray
 
-#: standard deviation, in counts, of the difference of two readings of a counter that shows whole counts
+#: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
 #: factor between measured and nominal radius that no load explains
 IMPLAUSIBLE: Final = 1.2
 #: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
-#: measured turn beyond which a run was not straight
+#: the same of a measured turn
 STRAIGHT_HEADING_RAD: Final = 0.5
 #: over less, counts and rangefinder leave more than a per mille of the radius
 SHORTEST_M: Final = 1.0
@@ -46,12 +46,12 @@ class Component:
     kind: str
     #: assumed distribution
     distribution: str
-    #: the input quantity in words, with its standard uncertainty
+    #: input quantity in words, with its standard uncertainty
     what: str
     #: contribution to the standard uncertainty of a typical (root mean square) run's radius
     std_left_m: float
     std_right_m: float
-    #: degrees of freedom of an evaluation of type A; None for type B, which counts as known
+    #: None for type B, which counts as known
     dof: float | None = None
 
 
@@ -73,17 +73,16 @@ class EffectiveRadii:
     #: standard uncertainties from rangefinder, quantisation and path (type B, random from run to run), shape (n_runs,)
     std_left_m: FloatArray
     std_right_m: FloatArray
-    #: relative excess of the wheel's path over S_O that was corrected; the uncorrected radius is ``radius / (1 +
-    #: path)``, shape (n_runs,)
+    #: relative excess of the wheel's path over S_O, shape (n_runs,); the uncorrected radius is ``radius / (1 + path)``
     path_left: FloatArray
     path_right: FloatArray
-    #: where the correction comes from: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading
-    #: at the end was used too, shape (n_runs,)
+    #: source of the correction: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading at the
+    #: end was used too, shape (n_runs,)
     path_source: StrArray
     #: weave about the line, estimated or as measured; NaN where unknown, shape (n_runs,)
     amplitude_m: FloatArray
     wavelength_m: FloatArray
-    #: uncertainty budget of a single radius, for a typical run
+    #: uncertainty budget of a typical run's radius
     budget: tuple[Component, ...] = ()
     #: runs not used
     left_out: tuple[UnusedRun, ...] = ()
@@ -95,11 +94,10 @@ class EffectiveRadii:
 
 
 def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign, tuple[UnusedRun, ...], list[str]]:
-    """Return the runs whose radii can be computed.
+    """Return the runs whose radii can be computed, the others, and what was assumed.
 
-    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Returned are the
-    campaign of the runs that can be used, the others, and what was assumed. Raises RefusedError where no run can be
-    used.
+    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Raises RefusedError
+    where none can be used.
     """
     _refuse_without_rear_wheels(campaign)
     runs, notes = campaign.runs, []
@@ -112,7 +110,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = {side: np.full(len(runs), unladen) for side in loads}
     turn = _apparent_turn_rad(campaign)
-    # a wrong counts_per_rev turns every run by the same angle: a note for the user, no reason to drop them all
+    # a wrong counts_per_rev turns every run by the same angle: a note, no reason to drop them all
     usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
@@ -120,7 +118,6 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         straight = np.ones(len(runs), dtype=np.bool_)
     counts = {side: runs.number(f"counts_{side}") for side in loads}
     distance = runs.number("distance_m")
-    # the first reason that applies is reported
     reasons = (
         (runs.excluded, "flagged as excluded in runs.csv"),
         (~straight, "not a corridor run by its kind"),
@@ -174,12 +171,12 @@ def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
     """Return the effective radius of each wheel and run that can be used.
 
-    The path is corrected where something other than the radii themselves shows it: the weave in a run's log, the
-    measured heading at its end, or measured amplitude and wavelength. The total counts alone never do: a steady arc
-    and unequal radii leave the same difference between them, and correcting for it would make the radii equal.
+    The path is corrected by what shows it apart from the radii: the weave in a run's log, the measured heading at its
+    end, or measured amplitude and wavelength. Total counts never do: a steady arc and unequal radii leave the same
+    difference, and correcting for it would make the radii equal.
 
-    `campaign`: excluded rows, runs that are no straight run, and runs that lack distance, counts or load are omitted
-    and named. Raises RefusedError where no run can be used.
+    Rows excluded, not straight, or without distance, counts or load are omitted and named. Raises RefusedError where no
+    run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m
@@ -261,7 +258,7 @@ UNKNOWN: Final = "unknown"
 class RunDeviations:
     """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
 
-    #: largest relative error of a radius that is accepted
+    #: largest accepted relative error of a radius
     tolerance: float
     #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
     run_id: StrArray
@@ -283,7 +280,7 @@ class RunDeviations:
     #: the same in m on the nominal radius
     error_left_m: FloatArray
     error_right_m: FloatArray
-    #: largest amplitude of that wavelength on that run that keeps both radii within tolerance
+    #: largest amplitude that keeps both radii within tolerance on that run
     allowed_amplitude_m: FloatArray
     #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
     arc_turn_rad: FloatArray
@@ -327,9 +324,9 @@ class RunDeviations:
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance.
 
-    `campaign`: runs with logs, or with measured amplitude and wavelength; others are ``unknown``; `tolerance`: largest
-    relative error of a radius, between 0 and 1. Raises RefusedError where there is no straight
-    run; BadInputError where the tolerance is not between 0 and 1.
+    Runs without log and without measured amplitude and wavelength are ``unknown``; `tolerance`: largest relative error
+    of a radius. Raises RefusedError where there is no straight run; BadInputError where the tolerance is not between 0
+    and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
@@ -352,7 +349,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         allowed[phased] = deviation.allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
-    # r_R / r_L as each run shows it; the distance cancels
+    # r_R / r_L by each run; the distance cancels
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )

@@ -23,7 +23,7 @@ from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, StrArray
 
-#: the reference load may lie beyond the largest load driven by this factor; further out the line has no digits left
+#: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
 #: share of the radius by which load may change it over the measured range, and by which single runs may scatter
 MAX_LOAD_CHANGE: Final = 0.2
@@ -36,11 +36,10 @@ CONDITIONS: Final = (
 
 
 def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
-    """Fit both wheels' laws to effective radii.
+    """Fit both wheels' laws to effective radii, with their checks.
 
-    `radii`: radii a run and wheel; `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`:
-    carried over from the campaign. The fit has the checks of both wheels. Raises RefusedError with fewer than three
-    runs.
+    `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`: the campaign's. Raises
+    RefusedError with fewer than three runs.
     """
     wheels = {}
     driven = {
@@ -60,9 +59,9 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
     """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
 
-    `campaign`: static radii are those of the columns ``static_radius_left_m`` and ``static_radius_right_m``;
-    `reference_load_N`: load on which the coefficients are centred; None: the model's. Raises RefusedError where fewer
-    than three runs can be used; ImplausibleError where units or settings that cannot be are the reason.
+    Static radii are the columns ``static_radius_left_m`` and ``static_radius_right_m``; `reference_load_N`: see
+    `fit_law`; None: the model's. Raises RefusedError where fewer than three runs can be used; ImplausibleError where
+    units or settings that cannot be are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
@@ -152,10 +151,7 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
 
 
 def _implausible(wheel: WheelFit, findings: list[str], nominal_m: float | None, runs: StrArray) -> tuple[Check, ...]:
-    """Return a failed check ``plausible`` for each finding beyond the bounds of a vehicle.
-
-    `findings`: of the campaign; `nominal_m`: nominal radius, None where it was assumed; `runs`: their ids.
-    """
+    """Return a failed check ``plausible`` for each finding; `nominal_m`: None where assumed; `runs`: their ids."""
     other = "right" if wheel.wheel == "left" else "left"
     own = [text for text in findings if f"the {other} wheel" not in text]
     radius_named = any(f"the {wheel.wheel} wheel's radius" in text for text in own)

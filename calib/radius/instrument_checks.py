@@ -19,11 +19,11 @@ from calib.types import BoolArray, FloatArray, StrArray
 MIN_SPAN_K: Final = 1.0
 #: degrees of freedom, less sessions and both lines, that the scatter about a further slope needs
 MIN_SLOPE_DOF: Final = 5
-#: lengths that differ by less than so many times what a distance is uncertain by hold that error themselves
+#: lengths nearer than so many times a distance's uncertainty hold that error themselves
 LENGTHS_APART: Final = 30.0
 #: share of a radius by which the path of a run may move it (the tolerance of 'calib deviation')
 PATH_TOLERANCE: Final = 5e-4
-#: checks whose failure says already why runs scatter
+#: checks whose failure explains the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 
 
@@ -37,7 +37,7 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
 
 
 def _fitted(fit: WheelFit, session: StrArray, known: BoolArray) -> FloatArray:
-    """Return orthonormal columns, shape (n_known, k), of what is taken off first: sessions, and the load."""
+    """Return orthonormal columns (n_known, k) of what is taken off first: sessions and load."""
     groups, load = groups_of(session[known]), fit.load_N[known]
     base = np.eye(len(groups))[groups.index] if 2 <= len(groups) < len(load) else np.ones((len(load), 1))
     if fit.model == "line" and fit.design != "confounded":
@@ -47,10 +47,7 @@ def _fitted(fit: WheelFit, session: StrArray, known: BoolArray) -> FloatArray:
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
-    """Look for a constant error of the distances, which moves the radii of short runs most.
-
-    `reach` (shape (n_runs,)): by how much a metre moves a radius; `fitted`: see `_fitted`.
-    """
+    """Look for a constant error of the distances; `reach` (n_runs,): by how much a metre moves a radius."""
     own, residual = (values - fitted @ (fitted.T @ values) for values in (reach, fit.residual_m))
     norm, dof, mean = float(own @ own), len(own) - fitted.shape[1] - 1, float(reach.mean())
     least = LENGTHS_APART * mean * float(np.sqrt(np.mean(std_m**2)) / fit.radius_m.mean())
@@ -68,7 +65,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     slack = np.maximum(1.0 - np.sum(fitted**2, axis=1) - own**2 / norm, 1.0 / len(own))
     spreads = [np.linalg.norm(own * error) for error in ((residual - offset * own) / slack, std_m)]
     sd = float(max(spreads)) / norm
-    # two short runs among many long ones tell little of their own scatter
+    # few short runs among many tell little of their own scatter
     carrying = min(float(dof), norm**2 / float(np.sum(own**4)))
     statistic, half = offset / sd if sd > 0.0 else 0.0, sd * float(t_quantile(carrying))
     sentences = (
@@ -97,7 +94,7 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
             "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
             "amplitude_m and wavelength_m."
         )
-    # within what a path may move it, more than the instruments explain is no finding, however sure
+    # what a path may add is no finding, however sure
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
@@ -125,8 +122,8 @@ def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Whe
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
 
-    `temperature_C` (NaN where not read), `session` (shape (n_runs,)): of the same runs. Shifts of whole sessions, and
-    what correlates with the load, are taken off both first.
+    `temperature_C` (NaN where not read), `session`: shape (n_runs,). Sessions, and what correlates with the load, are
+    taken off both first.
     """
     known = np.isfinite(temperature_C)
     if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:

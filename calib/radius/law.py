@@ -1,10 +1,10 @@
 """The radius law of a wheel, effective radius against load: coefficients, covariance by stratum, and intervals.
 
 An estimate whose variance is V_between + V_within (sessions, and runs within sessions), each known only by an
-independent multiple of chi-squared, has no exact t. Satterthwaite's degrees of freedom are estimated from the same few
-sessions and cover too little (93 to 94 % with five sessions). Here the critical value is a function of the observed
-share of V_between, chosen such that the coverage is the stated one for every true share (Trickett and Welch, Biometrika
-41 (1954) 361). Where one part vanishes it is Student's t of the other.
+independent multiple of chi-squared, has no exact t. Satterthwaite's degrees of freedom, estimated from the same few
+sessions, cover too little (93 to 94 % with five). Here the critical value is a function of the observed share of
+V_between that covers as stated for every true share (Trickett and Welch, Biometrika 41 (1954) 361). Where one part
+vanishes it is Student's t of the other.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from scipy.special import chdtri, ndtr, stdtridf, stdtrit
 from calib.documents import plain_fields
 from calib.types import FloatArray, floats
 
-#: order of the joint covariance of both wheels' laws and the track
+#: order of the joint covariance
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
 #: of all intervals
 COVERAGE: Final = 0.95
-#: observed shares of the between part at which critical values are solved for; denser at both ends, where they bend
+#: observed shares of the between part with solved critical values; denser at both ends, where they bend
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
 #: two sessions, one degree of freedom, have no curve: nodes of equal probability miss its tail (coverage 92.6 %); each
 #: part has its own t there, which covers 95 % and more
 FEWEST_BETWEEN_DOF: Final = 2.0
-#: nodes of equal probability for a chi-squared of few and of many degrees of freedom
+#: nodes of a chi-squared of few and of many degrees of freedom
 NODES_FEW_DOF: Final = 64
 NODES_MANY_DOF: Final = 16
 MANY_DOF: Final = 20.0
-#: in place of infinitely many degrees of freedom: Student's t is then normal to six digits
+#: for infinitely many: Student's t is then normal to six digits
 LARGEST_DOF: Final = 1e6
 
 
@@ -59,7 +59,7 @@ class WheelLaw:
     dof: float
     #: standard deviation of a single run, in a session of its own, about the law
     residual_std_m: float
-    #: loads that were measured, of a coefficient file its valid range; outside them the law extrapolates
+    #: loads measured (a coefficient file's valid range); outside them the law extrapolates
     load_min_N: float
     load_max_N: float
     #: runs behind it
@@ -131,7 +131,7 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
     if scales[large] <= 0.0:
         return 0.0
     share = float(scales[small] / scales[large])
-    # the smaller variate by equal parts of its probability, refined towards the tails
+    # equal parts of probability, refined towards the tails
     edge = np.linspace(-1.0, 1.0, 4002)[1:-1]
     probability = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
     weight = np.cos(0.5 * np.pi * edge)
@@ -160,16 +160,14 @@ class RadiusLaw:
 
     left: WheelLaw
     right: WheelLaw
-    #: covariance of `JOINT`, where wheels and track were fitted together; None: the wheels are independent, shape (5,
-    #: 5)
+    #: covariance of `JOINT`, fitted together, shape (5, 5); None: the wheels are independent
     joint: FloatArray | None = None
 
     def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
         """Return the covariance of `JOINT`, shape (5, 5).
 
-        Wheels that were fitted separately are taken as independent, of each other and of the track; where wheels and
-        track were fitted together, their covariance has the track's uncertainty. `single_run` adds the scatter of
-        single runs about the law (the prediction band) to the uncertainty of its mean.
+        Wheels fitted separately count as independent, of each other and of the track; else `joint` has the track's
+        uncertainty. `single_run` adds the scatter of single runs about the law (the prediction band).
         """
         joint = np.zeros((len(JOINT), len(JOINT)))
         joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = self.left.covariance, self.right.covariance, track_std_m**2
@@ -184,7 +182,7 @@ class RadiusLaw:
 class LineEstimate:
     """Radius at the reference load and slope, with their covariance by stratum."""
 
-    #: radius at the reference load and slope, shape (2,)
+    #: shape (2,)
     coefficients: FloatArray = field(metadata={"json": False})
     #: degrees of freedom of the scatter of runs within sessions and of sessions; 0 where there is none
     dof_within: float
@@ -192,7 +190,7 @@ class LineEstimate:
     #: estimated variances of runs within a session and of sessions (0 where negative)
     run_variance: float
     session_variance: float
-    #: parts of the covariance that come from the scatter of runs and of sessions, shape (2, 2); they add up
+    #: parts of the covariance from the scatter of runs and of sessions, shape (2, 2)
     cov_within: FloatArray = field(metadata={"json": "covariance_within"})
     cov_between: FloatArray = field(metadata={"json": "covariance_between"})
     #: ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter
@@ -202,8 +200,8 @@ class LineEstimate:
     #: ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
     #: (one session, or sessions that cannot be told from runs) or ``constant`` (no slope)
     design: str
-    #: what each source that is the same in every run does to the coefficients, times its standard uncertainty, shape
-    #: (n_sources, 2), and the degrees of freedom behind each
+    #: change of the coefficients by a standard uncertainty of each source that is the same in every run, shape
+    #: (n_sources, 2), and its degrees of freedom
     systematic: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     systematic_dof: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -213,8 +211,7 @@ class LineEstimate:
     ) -> LineEstimate:
         """Return an estimate in which every run counts as independent; see `LineEstimate`.
 
-        `covariance`: of radius and slope, shape (2, 2); `dof`, `variance`: its degrees of freedom, and that of a single
-        run.
+        `covariance`: of radius and slope, shape (2, 2); `dof`: its degrees of freedom; `variance`: of a single run.
         """
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)
 
@@ -233,8 +230,8 @@ class LineEstimate:
     ) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
-        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `coverage`: coverage of
-        the interval; `more_within`, `more_between`: variances of a further run and session, for a prediction.
+        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more_within`,
+        `more_between`: variances of a further run and session, for a prediction.
         """
         total, share = self._variance(contrast, more_within, more_between)
         random = critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
@@ -266,7 +263,6 @@ class LineEstimate:
             std = np.sqrt(total + np.sum(each**2, axis=-1))
             return equivalent_dof(self.half_width(contrast, coverage, **more) / np.where(std > 0, std, 1.0), coverage)
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within, coverage), coverage)
-        # pure parts exactly
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
     def _variance(
@@ -290,8 +286,8 @@ class LineEstimate:
 def critical_curve(dof_between: float, dof_within: float, coverage: float) -> FloatArray:
     """Return the critical values at the observed shares `SHARES` of the between part.
 
-    `dof_between`, `dof_within`: degrees of freedom of each part, above 0; `coverage`: coverage. The curve, shape (25,),
-    goes from Student's t of `dof_within` to that of `dof_between`; read-only: wheels and bands share it.
+    Shape (25,), from Student's t of `dof_within` to that of `dof_between`, both above 0; read-only: wheels and bands
+    share it.
     """
     if dof_between < FEWEST_BETWEEN_DOF:
         within, between = stdtrit([dof_within, dof_between], 0.5 + coverage / 2)
@@ -320,15 +316,13 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
 
 
 def critical_value(share: ArrayLike, dof_between: float, dof_within: float, coverage: float) -> FloatArray:
-    """Return the critical value for observed shares of the between part.
+    """Return the critical value for observed shares, V_between over the sum; it multiplies the root of the sum.
 
-    `share`: V_between over the sum; `dof_between`, `dof_within`: degrees of freedom of each part; 0 where there is no
-    such part; `coverage`: coverage. To be multiplied by the square root of the sum.
+    `dof_between`, `dof_within`: 0 where there is no such part.
     """
     observed = floats(share)
     within = stdtrit(dof_within, 0.5 + coverage / 2) if dof_within > 0 else np.nan
     between = stdtrit(dof_between, 0.5 + coverage / 2) if dof_between > 0 else np.nan
-    # the pure cases exactly, without a curve
     if dof_between <= 0 or not (observed > 0).any():
         return np.full(observed.shape, within)
     if dof_within <= 0 or not (observed < 1).any():
@@ -337,13 +331,13 @@ def critical_value(share: ArrayLike, dof_between: float, dof_within: float, cove
 
 
 def equivalent_dof(critical: ArrayLike, coverage: float) -> FloatArray:
-    """Return the degrees of freedom whose Student's t is `critical`, 1 to 1e6; `coverage`: that of the interval."""
+    """Return the degrees of freedom, 1 to 1e6, whose Student's t is `critical`."""
     dof = stdtridf(0.5 + coverage / 2, floats(critical))
     return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 
 def _nodes(dof: float) -> FloatArray:
-    """Return nodes of equal probability of chi-squared over its degrees of freedom, with mean 1."""
+    """Return nodes of equal probability of chi-squared over its `dof`, with mean 1."""
     n = NODES_MANY_DOF if dof > MANY_DOF else NODES_FEW_DOF
     quantiles = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
     return np.asarray(quantiles / quantiles.mean())

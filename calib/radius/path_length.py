@@ -1,10 +1,10 @@
 """How much longer than S_O each wheel's path was, run by run, and with which uncertainty (Fig. 8).
 
-The weave about the line comes from the log. The wheels' paths give the heading against distance rolled. Two causes look
-the same in it: a steady arc, and wheels whose radii differ from those assumed; both are a straight trend. So the trend
-is fitted together with the weave and taken for unequal radii, and only what the counts show about it is path; a heading
-measured at the end adds the arc. Weaves begin and end flatter than they are between: both ends count little in the fit,
-and a net turn within its own uncertainty is not corrected.
+The weave about the line comes from the log: the wheels' paths give the heading against distance rolled. A steady arc
+and wheels whose radii differ from those assumed are both a straight trend in it. So the trend is fitted together with
+the weave and taken for unequal radii, and only what the counts show about it is path; a heading measured at the end
+adds the arc. Weaves begin and end flatter: both ends count little in the fit, and a net turn within its own uncertainty
+is not corrected.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 MIN_RELIABILITY: Final = 0.05
 #: equal steps of the distance rolled on which headings are fitted: six a period of the shortest weave
 HEADING_POINTS: Final = 256
-#: runs fitted at once; keeps memory small in campaigns of many thousand runs
+#: runs fitted at once, to save memory
 RUN_CHUNK: Final = 128
-#: samples of a log that carry a weave with its seven parameters
+#: samples that carry the seven parameters of a weave
 MIN_SAMPLES: Final = 16
 #: a wave longer than twice the run cannot be told from a trend
 MIN_PERIODS: Final = 0.5
@@ -33,7 +33,7 @@ MIN_PERIODS: Final = 0.5
 MAX_PERIODS: Final = 42.0
 #: of the grid of starting values; finer than half a period, so that Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
-#: headings about the axis may be so many times those about a straight trend, before the fit counts as diverged
+#: headings about the axis over those about a straight trend, beyond which the fit diverged
 MAX_TREND_RATIO: Final = 3.0
 TINY_RAD: Final = 1e-9
 #: powers with which the fields of `Weaves` grow with the radii
@@ -55,7 +55,6 @@ class RunPaths:
     #: heading at the end minus heading at the start, and its standard uncertainty; 0 where nothing is known
     yaw_rad: FloatArray
     yaw_std_rad: FloatArray
-    #: standard uncertainty of `centre`
     centre_std: FloatArray
     #: of the weave, NaN where unknown; the phase is known from logs only
     amplitude_m: FloatArray
@@ -98,7 +97,7 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         slope = 2 * np.pi * amplitude[listed] / wavelength[listed]
         turns = 2 * np.pi * distance[listed] / wavelength[listed]
         centre[listed] = whole_period_excess(amplitude[listed], wavelength[listed])
-        # where in the period a run began and ended is unknown: phases equally likely
+        # phases are unknown: equally likely
         yaw_std[listed] = slope * np.sqrt(np.maximum(1 - np.cos(turns), 0.0))
         centre_std[listed] = slope**2 * np.abs(np.sin(turns)) / (4 * np.sqrt(2) * turns)
 
@@ -131,9 +130,9 @@ def correct_paths(campaign: Campaign) -> RunPaths:
 
 
 def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
-    """Return whether distances are those along the start heading, by the end poses of the same runs, NaN where unknown.
+    """Return whether distances (n_runs,) are those along the start heading, by their end poses, NaN where unknown.
 
-    Else they are those of the chord to the end point, and where no end pose tells. Arrays of shape (n_runs,).
+    Else, and where no end pose tells, they are those of the chord to the end point.
     """
     known = np.isfinite(distance_m + x_m + y_m)
     if not known.any():
@@ -150,7 +149,7 @@ def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> t
         return np.zeros_like(yaw_rad), np.zeros_like(yaw_rad)
     noise, known = campaign.reference.sigma_theta_rad, yaw_std_rad**2
     surplus = np.where(measured, heading - yaw_rad, 0.0)
-    # the scatter of the measured headings beyond their own noise and the uncertainty of the logs: real arcs
+    # scatter of the measured headings beyond noise and uncertainty of the logs: real arcs
     expected = float(np.mean((noise**2 + known)[measured]))
     observed = float(np.mean((surplus**2)[measured]))
     arcs = observed - expected if observed > expected * (1 + 3 * np.sqrt(2 / measured.sum())) else 0.0
@@ -191,9 +190,7 @@ class Weaves(NamedTuple):
     excess: FloatArray
     #: heading at the end minus heading at the start, by the counts, about the trend
     yaw_rad: FloatArray
-    #: its standard uncertainty
     yaw_std_rad: FloatArray
-    #: standard uncertainty of `excess`
     excess_std: FloatArray
 
     @property
@@ -205,9 +202,8 @@ class Weaves(NamedTuple):
 def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: float) -> Weaves:
     """Estimate the weave of every run that has a log.
 
-    `logs`: of ``n_runs`` runs; uses ``counts_left`` and ``counts_right``; `metres_per_count`: left and right, by the
-    assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's error is taken out with the trend;
-    `track_m`: distance between the wheels' contact points.
+    `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's
+    error is taken out with the trend.
     """
     n_runs = len(logs.lengths)
     out = np.full((7, n_runs), np.nan)
@@ -224,7 +220,7 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
 def _headings(
     logs: Logs, runs: IntArray, metres_per_count: tuple[float, float], track_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rolled distance (n,), heading on `HEADING_POINTS` equal steps of it (n, steps), and usable runs."""
+    """Return rolled distance (n,), heading on equal steps of it (n, steps), and usable runs."""
     rolled = np.zeros(len(runs))
     heading = np.zeros((len(runs), HEADING_POINTS))
     good = np.zeros(len(runs), dtype=np.bool_)
@@ -240,7 +236,7 @@ def _headings(
         known = np.isfinite(middle)
         if known.sum() < MIN_SAMPLES or not middle[known][-1] > track_m:
             continue
-        # standstill at either end repeats a distance; interpolation needs it once
+        # standstill at either end repeats a distance
         middle, turned = middle[known], ((right - left) / track_m)[known]
         forward = np.concatenate(([True], np.diff(np.maximum.accumulate(middle)) > 0))
         if forward.sum() < MIN_SAMPLES:
@@ -280,7 +276,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
             changed = periods + np.clip(step[4], -MAX_PERIOD_CHANGE, MAX_PERIOD_CHANGE)
             periods = np.clip(changed, MIN_PERIODS / 2, 2 * MAX_PERIODS)
         weave = np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
-        # the wave keeps its number of periods over the run while the axis it is counted along is refined
+        # the wave keeps its number of periods while its axis is refined
         before, x = x[:, -1], _progress(weave)
         periods = periods * before / x[:, -1]
         angle = 2 * np.pi * periods[:, None] * x
@@ -311,7 +307,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def _without_diverged(
     heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return lines and waves; the straight trend alone where wave and line of a run diverged with opposite signs."""
+    """Return lines and waves; the trend alone where wave and line of a run diverged with opposite signs."""
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])
@@ -330,7 +326,7 @@ def _solve(design: FloatArray, target: FloatArray) -> FloatArray:
     transposed = design.transpose(0, 2, 1)
     gram = transposed @ design
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", gram), 1e-300))
-    # columns scaled to one; a small ridge term keeps a straight run, which has no wave, solvable
+    # columns scaled to one; a small ridge keeps a run without a wave solvable
     scaled = gram / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(gram.shape[1])
     right = (transposed @ target[:, :, None])[:, :, 0] / scale
     solution: FloatArray = np.linalg.solve(scaled, right[:, :, None])[:, :, 0] / scale
@@ -353,7 +349,7 @@ def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _sines(m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a grid of numbers of periods, and for each the two waves on `m` steps, free of trends and unit vectors."""
+    """Return numbers of periods, and for each two waves on `m` steps, free of trends, as unit vectors."""
     u = np.linspace(0.0, 1.0, m)
     grid = np.arange(MIN_PERIODS, MAX_PERIODS + PERIOD_STEP / 2, PERIOD_STEP)
     trend, _ = np.linalg.qr(np.column_stack((np.ones_like(u), u)))

@@ -33,7 +33,7 @@ _DOCUMENT: Final = (
     "reference_load_N", "intercept_m", "radius_ref_ci95_m", "slope_ci95_m_per_N", "r_squared", "residual_std_m",
     "dof_radius_ref", "model", "design", "run_std_m", "session_std_m", "checks",
 )  # fmt: skip
-#: levels of a check: the result can be used; it can be used with a caution; the law should not be used as it is
+#: levels of a check: usable; usable with caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
 FAILED: Final = "failed"
@@ -49,11 +49,11 @@ class Check:
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
-    #: meaning for the user, and the remedy
+    #: meaning and remedy
     sentence: str
-    #: value of the test statistic; None where the check has none or could not be made
+    #: None where the check has none or could not be made
     statistic: float | None = None
-    #: name of the statistic, for example ``F(3, 55)``
+    #: for example ``F(3, 55)``
     statistic_name: str = ""
     #: probability of a statistic at least as extreme where nothing is wrong
     p_value: float | None = None
@@ -74,16 +74,16 @@ class WheelFit:
 
     #: ``left`` or ``right``
     wheel: str
-    #: ``crossed``, ``mixed``, ``confounded``, ``single`` or ``constant``; see `calib.radius.law.LineEstimate`
+    #: see `calib.radius.law.LineEstimate`
     design: str
     reference_load_N: float
     #: coefficients and covariance by stratum
     estimate: LineEstimate
     #: the same by ordinary least squares, every run counted as independent; None for a constant
     naive: LineEstimate | None
-    #: share of the variance of the radii that the least-squares line explains
+    #: of the least-squares line
     r_squared: float
-    #: root mean square residual over the runs' degrees of freedom (as in ordinary least squares)
+    #: root mean square residual over the runs' degrees of freedom
     residual_std_m: float
     #: loads, radii, and radius minus law, shape (n_runs,)
     load_N: FloatArray
@@ -270,8 +270,8 @@ def fit_wheel(
 ) -> WheelFit:
     """Fit the law of one wheel: a line, or a constant where the runs have one load only; see `with_checks`.
 
-    `wheel`: its name in messages and results; `load_N`, `radius_m`, `session`: of each run, shape (n_runs,);
-    `reference_load_N`: load on which the coefficients are centred. Raises RefusedError with fewer than three runs.
+    `wheel`: its name; `load_N`, `radius_m`, `session`: shape (n_runs,); `reference_load_N`: load on which the
+    coefficients are centred. Raises RefusedError with fewer than three runs.
     """
     load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FORMAT: Final = "calib-fit/1"
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
-#: name of the check of a fit against its nominal vehicle and physical bounds
+#: check against nominal vehicle and physical bounds
 PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
@@ -54,7 +54,7 @@ class Setup:
     reference: Reference
     #: smallest and largest value over the runs used, by column of the run table
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    #: keys of ``campaign.toml`` that are not stated and that matter for these runs, with the values assumed
+    #: keys of ``campaign.toml`` that matter for these runs and are not stated, with the values assumed
     assumed: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -62,7 +62,7 @@ class Setup:
 class Fit(Result):
     """Both wheels' laws and all that report and export need of the campaign behind them."""
 
-    name: str  #: name of the campaign
+    name: str
     simulated: bool  #: true where a program made the data
     left: WheelFit  #: the moving wheels
     right: WheelFit
@@ -177,10 +177,7 @@ def _columns(rows: Any) -> dict[str, Any]:
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
-    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, and what the campaign states.
-
-    `arguments`: arguments of the command, plain values.
-    """
+    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, what the campaign states."""
     record: dict[str, object] = {
         "version": version,
         "arguments": dict(arguments),
@@ -210,8 +207,8 @@ def ingest_notes(campaign: Campaign) -> list[list[str]]:
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     """Write a fit into a result folder: ``fit.json`` whole, and ``runs.csv`` for other programs.
 
-    `fit`: the fit with its provenance; `folder`: made where missing. ``fit.json``. Raises BadInputError where the
-    folder holds a result and `force` is False, or cannot be written.
+    `folder` is made where missing; returned is ``fit.json``. Raises BadInputError where the folder holds a result and
+    `force` is False, or cannot be written.
     """
     folder = Path(folder)
     document = fit.to_dict()
@@ -223,7 +220,7 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
 
 
 def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
-    """Refuse a fit that was changed: report and export would pass the changed numbers on."""
+    """Refuse a fit that was changed: report and export would pass it on."""
     stated = value.get(CHECKSUM_KEY)
     try:
         computed = checksum({key: part for key, part in value.items() if key not in _ADDED})
@@ -339,7 +336,7 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
                 float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in zip((own, law), contrasts, strict=True)
             )
             pairs = list(zip((own, law), contrasts, strict=True))
-            # without degrees of freedom: not estimated, but stated
+            # not estimated, but stated
             dof = [float(one.dof_of(c)) or LARGEST_DOF for one, c in pairs]
             half = half_width(np.array([float(one.std_of(c)) for one, c in pairs]), dof)
             differences.append(Difference(wheel.wheel, quantity, fitted, believed, half))

@@ -1,14 +1,14 @@
 """Regression of runs that come in sessions: what is known within sessions, and what only between them.
 
-Runs of one session share what shifted that day (temperature, a remounted rangefinder, wear), so they are not
-independent. A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum and
-never assumed away, so the intervals hold whether or not sessions scatter; see `calib.radius.law`.
+Runs of one session share what shifted that day (temperature, a remounted rangefinder, wear). A radius is
+``a + b x + session + run``; both kinds of scatter are estimated from their own stratum, so the intervals hold whether
+or not sessions scatter; see `calib.radius.law`.
 
-Runs that follow each other and scatter alike tell less than as many independent ones. The residuals of a session are
-taken as a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from the lag-one
-autocorrelation of the residuals, freed of the bias that the fitted mean and line give it; where it is significant, the
-covariance of the runs' stratum is that of the same least-squares estimates under it, and its degrees of freedom are
-Satterthwaite's. All products with the correlation matrix are two recursions, linear in runs.
+Runs that follow each other and scatter alike tell less than independent ones. The residuals of a session are taken as a
+first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from their lag-one autocorrelation,
+freed of the bias that the fitted mean and line give it; where it is significant, the covariance of the runs' stratum is
+that of the same least-squares estimates under it, with Satterthwaite's degrees of freedom. All products with the
+correlation matrix are two recursions, linear in runs.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from scipy.special import ndtr, stdtrit
 from calib.radius.law import LineEstimate
 from calib.types import FloatArray, IntArray, StrArray
 
-#: session variance over run variance for which strata are weighted; it affects efficiency, never validity: the
-#: variances are estimated afterwards
+#: session over run variance for which strata are weighted; affects efficiency alone: the variances are estimated
+#: afterwards
 WORKING_RATIO: Final = 1.0
-#: a stratum that carries less than this share of the information on the slope is not used for it
+#: share of the information on the slope below which a stratum is not used for it
 NEGLIGIBLE_SHARE: Final = 0.01
-#: below this p-value of the Breusch-Pagan statistic the heteroscedasticity-consistent covariance (HC3) is used,
-#: with so many degrees of freedom at least
+#: Breusch-Pagan p-value below which the covariance is the heteroscedasticity-consistent HC3, and the degrees of freedom
+#: that it needs
 HC3_BELOW: Final = 0.01
 HC3_MIN_DOF: Final = 4
 #: leverage is kept so far below one in HC3
@@ -98,10 +98,9 @@ class Strata:
 
 
 def line_of_strata(strata: Strata) -> LineEstimate | None:
-    """Return the session-aware line, or None where these runs cannot carry one.
+    """Return the session-aware line of two sessions or more.
 
-    `strata`: of two sessions at least. None where sessions cannot be told from runs (one run a session) or the session
-    means leave no degree of freedom.
+    None where sessions cannot be told from runs (one run a session) or the session means leave no degree of freedom.
     """
     sizes, x_mean, y_mean = strata.sizes, strata.x_mean, strata.y_mean
     n_sessions = len(sizes)
@@ -162,8 +161,7 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
         return estimate
     if breusch_pagan(residual, x)[1] >= HC3_BELOW:
         return estimate
-    # statsmodels has no HC3 here: the leverage of a run holds its share of the session's mean, which a regression of
-    # values minus these means does not count
+    # statsmodels has no HC3 here: a run's leverage holds its share of the session's mean, too
     leverage = 1.0 / groups.sizes[groups.index] + x_within**2 / info
     variance = float(np.sum((x_within * residual / np.maximum(1 - leverage, HC3_MIN_SLACK)) ** 2)) / info**2
     return replace(estimate, cov_within=estimate.cov_within * (variance * info / estimate.run_variance), hc3=True)
@@ -174,7 +172,7 @@ def _least_between(
 ) -> float:
     """Return the mean square of two sessions below which they agree better than their runs allow, by chance.
 
-    An interval from there is as wide as that of the runs alone. With more sessions it is rare, and Student's t holds.
+    There an interval is as wide as by the runs alone. With more sessions it is rare, and Student's t holds.
     """
     if dof_between > 1.0:
         return 0.0
@@ -218,9 +216,9 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
 
 #: fewer degrees of freedom show no autocorrelation
 MIN_DOF: Final = 6
-#: below this probability of as large an autocorrelation by chance the intervals are widened: to widen costs little
+#: chance of as large an autocorrelation below which intervals are widened, which costs little
 WIDENED_BELOW: Final = 0.05
-#: largest autocorrelation: the mean of runs that follow each other more closely says nothing of its own scatter
+#: beyond it a mean of runs says nothing of its own scatter
 LARGEST: Final = 0.95
 #: the autocorrelation is solved for to this
 PRECISION: Final = 0.01
@@ -230,8 +228,8 @@ PRECISION: Final = 0.01
 class Autocorrelation:
     """Autocorrelation of runs that follow each other."""
 
-    #: of one run and the next, freed of bias, plus a standard deviation: its estimate scatters, and too small a one
-    #: would leave the intervals too narrow; 0 where none is significant
+    #: of one run and the next, freed of bias, plus a standard deviation: too small a one would leave the intervals too
+    #: narrow; 0 where none is significant
     rho: float
     #: lag-one autocorrelation of the residuals as it stands, and the probability of a larger one by chance
     lag_one: float
@@ -242,7 +240,7 @@ class Autocorrelation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Series:
-    """Residuals in blocks that are independent of each other, and what was fitted: orthonormal columns (n_runs, k)."""
+    """Residuals in independent blocks, and orthonormal columns (n_runs, k) of what was fitted."""
 
     residual: FloatArray
     fitted: FloatArray
@@ -251,7 +249,6 @@ class _Series:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the residuals."""
         return float(len(self.residual) - self.fitted.shape[1])
 
     def neighbours(self, columns: FloatArray) -> FloatArray:
@@ -273,7 +270,7 @@ class _Series:
         return product
 
     def expected_lag_one(self, rho: float) -> float:
-        """Return the ratio of the expectations of the lag-one product and of the square of the residuals."""
+        """Return the expected lag-one product over the expected square of the residuals."""
         own, pairs = self.fitted, len(self.residual) - self.begins.sum()
         beside, turned = self.neighbours(own), self.correlated(own, rho)
         cross = own.T @ turned
@@ -313,8 +310,8 @@ def widened(
 ) -> tuple[LineEstimate, Autocorrelation]:
     """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
 
-    `estimate` counts every run of a session as independent. `load_N` is the load minus the reference load of each run,
-    in the order driven, None for a constant; `radius_m` the effective radius; `groups` the sessions of the runs.
+    `estimate` counts every run of a session as independent. `load_N`: load minus reference load, in the order driven;
+    None for a constant.
     """
     n = len(radius_m)
     by_session = estimate.dof_between > 0
@@ -332,7 +329,7 @@ def widened(
     expected = n - float(np.trace(cross))
     square = float(series.correlated(np.ones((n, 1)), found.rho**2).sum())
     dof = expected**2 / max(square - 2.0 * float(np.sum(turned**2)) + float(np.sum(cross**2)), 1.0)
-    # variance of each coefficient over that of independent runs of the same residuals
+    # variance of each coefficient over that of independent runs
     solve = np.linalg.pinv(columns)
     spread = solve @ series.correlated(np.ascontiguousarray(solve.T), found.rho)
     ratio = np.diag(spread) / np.diag(solve @ solve.T) * series.dof / expected

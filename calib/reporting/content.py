@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.kinematics.result import Geometry
 
-#: longest campaign name in the header of a page; the title has it whole
+#: longest campaign name in a page's header; the title has it whole
 SHORT_NAME: Final = 44
-#: facts under the title, where the campaign states them, and lines to be signed, by the keys of `STATED`
+#: facts under the title, if stated, and lines to be signed, by the keys of `STATED`
 HEAD: Final = {
     "replaces": "Replaces report",
     "method": "Method",
@@ -67,7 +67,7 @@ class Report:
     issued: str
     #: every page says so
     simulated: bool
-    #: whether every check allows the result to be used
+    #: every check allows the result to be used
     passed: bool
     sections: tuple[Section, ...]
     #: files inside the PDF
@@ -78,7 +78,7 @@ class Report:
     logo: tuple[str, bytes] | None = None
     #: further facts under the title
     facts: tuple[tuple[str, str], ...] = field(default=(), metadata={"json": False})
-    #: what it was made from, as far as that was estimated for it
+    #: what it was made from, as far as estimated for it
     diagnosis: Diagnosis | None = field(default=None, metadata={"json": False})
     geometry: Geometry | None = field(default=None, metadata={"json": False})
 
@@ -91,7 +91,7 @@ class Report:
 
     @property
     def signatures(self) -> tuple[tuple[str, str], ...]:
-        """The lines to be signed, (role, name); the name is empty where none is stated."""
+        """The lines to be signed, (role, name or empty)."""
         return () if self.stated is None else tuple((role, self.stated.get(key, "")) for key, role in SIGNED.items())
 
     @property
@@ -202,10 +202,10 @@ def report_without_law(
     coefficients: bytes | None = None,
     diagnosis: Diagnosis | None = None,
 ) -> Report:
-    """Return the report on runs that give no radius law: their geometry, the diagnosis of their gap, or both.
+    """Return the report on runs without a radius law: their geometry, the diagnosis of their gap, or both.
 
-    `why`: a sentence without its full stop; `geometry`: with the traces of the runs in ``paths``; `coefficients`: None
-    where the geometry is not passed on. For `issued` see `source_of`.
+    `why`: a sentence without its full stop; `geometry`: with the runs' traces in ``paths``; `coefficients`: None where
+    the geometry is not passed on. For `issued` see `source_of`.
     """
     from calib.reporting.topics.diagnosis import gap_section, page_one_notice
     from calib.reporting.topics.geometry import geometry_sections

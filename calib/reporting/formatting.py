@@ -253,7 +253,7 @@ def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
 
 
 GAP: Final = 2
-#: a column of texts beyond this width may be wrapped between words
+#: wider columns of texts may wrap between words
 LONG: Final = 30
 #: least width of a column of sentences
 NARROW: Final = 24
@@ -261,7 +261,7 @@ NARROW: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """A column with its cells, the width at which nothing is wrapped, and the least that splits no word."""
+    """A column with its cells, its width unwrapped, and the least that splits no word."""
 
     head: Column
     cells: tuple[str, ...]
@@ -323,7 +323,7 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
     for column in fitted:
         taken = sum(other.least + GAP for other in part) + column.least
         if part and taken > width and len(part) > (1 if parts else 0):
-            # a group stands together, where it is not all that stands there
+            # a group stays together, unless it is all there is
             group = [other for other in part[1:] if column.head.group and other.head.group == column.head.group]
             group = group if len(part) - len(group) > 1 else []
             parts.append(part[: len(part) - len(group)])
@@ -377,7 +377,7 @@ def _group_lines(groups: Sequence[str], widths: Sequence[int]) -> list[str]:
 def _row(words: Sequence[str], part: Sequence[_Fitted], widths: Sequence[int]) -> str:
     cells = []
     for word, column, width in zip(words, part, widths, strict=True):
-        # str.center would count a sign of two columns as one
+        # str.center counts signs of two columns as one
         blank = max(0, width - columns_of(word))
         before = {"left": 0, "right": blank, "center": blank // 2}[column.head.align]
         cells.append(" " * before + word + " " * (blank - before))

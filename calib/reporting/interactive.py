@@ -35,11 +35,11 @@ try:
 except ImportError as error:
     raise MissingExtraError("an interactive page", "bokeh", "html") from error
 
-#: Okabe and Ito's colours, told apart by colour-blind readers
+#: Okabe and Ito's, told apart by colour-blind readers
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-#: stops of the scale for numbers, light to dark (matplotlib's viridis, reversed)
+#: scale of numbers, light to dark (matplotlib's viridis, reversed)
 RAMP: Final = ("#FDE725", "#7AD151", "#22A884", "#2A788E", "#414487", "#440154")
-#: paths of a run (by the model alone, with the causes that the fix corrects, measured): line, mark, name in the legend
+#: a run's paths (model alone, with the causes that the fix corrects, measured): line, mark, name in the legend
 PATH_STYLES: Final = {
     "before": ("dashed", "circle", "simulated"),
     "after": ("solid", "square", "simulated with the causes"),
@@ -47,7 +47,7 @@ PATH_STYLES: Final = {
 }
 #: confounded effects named beside a cause
 ALIASES_NAMED: Final = 3
-#: opacity of what is not selected, and size of a panel in pixels: two stand beside each other where there is room
+#: opacity of what is not selected, and a panel's size in pixels: two side by side where there is room
 FADED_ALPHA: Final = 0.12
 PANEL_LEAST_WIDTH: Final = 300
 PANEL_HEIGHT: Final = 380
@@ -200,7 +200,7 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     )
     band = models.BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
-    # inside the frame: what stands below it shortens every panel
+    # inside the frame: below it, it would shorten every panel
     corner = {"x": 6, "y": 6, "x_units": "screen", "y_units": "screen", "text_font_size": "11px"}
     plot.add_layout(Label(text="green: noise, ± 2 standard deviations; dashed: no change", **corner))
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))
@@ -216,7 +216,7 @@ def _along_panel(source: ColumnDataSource, name: str) -> figure:
 
 def _cause_panel(verdict: Diagnosis) -> figure:
     causes = verdict.causes[::-1]
-    # in words, so that a small share can be read too
+    # in words: a small share can be read
     sizes = [f"{percent(cause.share)}, probability {percent(cause.probability)}" for cause in causes]
     labels = [f"{_with_aliases(cause.effect, verdict)}\n{size}" for cause, size in zip(causes, sizes, strict=True)]
     plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))
@@ -260,15 +260,15 @@ def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
     return _changed(choice, "highlight", source=source)
 
 
-#: points of all drawn paths together, of one path at most, and of a gap along a run: more make the page heavy
+#: points of all paths together, of one path, and of a gap along a run at most: more make the page heavy
 ALL_POINTS: Final = 12_000
 PATH_POINTS: Final = 60
 TRACE_POINTS: Final = 120
-#: gap along a run -> its column in the arrays of `gap_along_runs`
+#: gap along a run -> column of `gap_along_runs`
 ALONG: Final = {"along (mm)": 1, "heading (mrad)": 2}
 #: what the gap along a run is drawn against -> its column there
 RUN_AXES: Final = {"travelled distance (m)": 0, "time (s)": 3}
-#: labels that panels are coloured by and runs are chosen by
+#: labels that colour panels and choose runs
 LABELS: Final = ("kind", "session", "run")
 
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from calib.fleet.run import Fleet, Survey
     from calib.gap.decision.diagnosis import Diagnosis
 
-#: PDF/A-3 at its accessible level: tagged, with alternative texts
+#: PDF/A-3, accessible level: tagged, with alternative texts
 STANDARD: Final = "a-3a"
 #: pictures of a diagnosis, which linked panels replace
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
@@ -76,8 +76,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
 def _compile_with_fallback(folder: Path, report: Report) -> bytes:
     """Set the page with the built-in fonts.
 
-    Where a sign is in none of them, those of the system are used, too; where it is in none of these either, it is
-    replaced by its code point.
+    Signs in none of them use the system's; those in none of these either are replaced by their code points.
     """
     text = (folder / "data.json").read_text(encoding="utf-8")
     with suppress(_MissingSign):
@@ -86,7 +85,7 @@ def _compile_with_fallback(folder: Path, report: Report) -> bytes:
         try:
             return _compiled(folder, report, system_fonts=True)
         except _MissingSign as error:
-            # scripts are lacking as a whole
+            # a whole script is missing
             lost = set(str(error))
             kinds = {unicodedata.category(sign) for sign in lost}
             for sign in {sign for sign in text if unicodedata.category(sign) in kinds and not known(sign)} | lost:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from calib.radius.result import Fit
 
 
-#: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what the
-#: interpreter and a notebook show
+#: class of a result -> ``module.function`` of `calib.reporting.topics`: what its command prints, and what interpreter
+#: and notebook show
 CONTENT: Final = {
     "Fit": ("fit.fit_content", "fit.fit_brief"),
     "Geometry": ("geometry.geometry_content", "geometry.geometry_brief"),
@@ -117,7 +117,7 @@ _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
 _OF_MISSING_RUNS: Final = frozenset({"design", "order"})
 _AGAIN: Final = "'calib diagnose {runs} --simulator SIM.toml' for what is left."
 _SIMULATOR: Final = "run your simulator with it, then " + _AGAIN
-#: command, and how it ended -> what follows; ``c`` is its campaign or source, ``file`` what was written
+#: command and outcome -> what follows; ``c``: its campaign or source, ``file``: what was written
 STEPS: Final = {
     "init": "fill in campaign.toml, and runs.csv with a row a run, then 'calib check {c}'.",
     "ingest --describe": "save the mapping above as mapping.toml, correct it, then "

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from calib.radius.result import Fit, Setup
     from calib.reporting.figures.gap import GapArrays
 
-#: a PDF cannot carry an earlier date of creation
+#: a PDF carries no earlier date of creation
 FIRST_YEAR: Final = 1970
 #: probability from which on a cause is not in doubt
 SURE_FROM: Final = 0.9
@@ -33,17 +33,17 @@ SURE_FROM: Final = 0.9
 class Source:
     """Input of all pages."""
 
-    #: the fit with its setup and provenance
+    #: with its setup and provenance
     fit: Fit
-    #: the same law as the vehicle gets it; attached to the PDF
+    #: the law as the vehicle gets it; attached to the PDF
     coefficients: CoefficientFile
     #: date of issue, YYYY-MM-DD
     issued: str
     #: what the campaign's ``[report]`` section states, by the keys of `STATED`
     stated: Mapping[str, str] = field(default_factory=dict)
-    #: verdict of the diagnosis, where one was asked for
+    #: of the diagnosis, if asked for
     verdict: Diagnosis | None = None
-    #: arrays of its figures, where they are not its own
+    #: of its figures, if not its own
     gap: GapArrays | None = None
     logo: tuple[str, bytes] | None = None
     #: verdict and sentence of a diagnosis.json that lies beside the fit
@@ -179,9 +179,9 @@ STATED: Final[Mapping[str, str]] = {
 }
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
-#: kinds of pictures that a page can carry, by the suffix of the file
+#: pictures that a page can carry, by suffix
 _PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
-#: a logo of more bytes is a photograph by mistake
+#: a larger logo is a photograph by mistake
 _LARGEST: Final = 2_000_000
 
 

@@ -55,11 +55,10 @@ class WheelCoefficients:
 class Coefficients:
     """A coefficient file as the vehicle uses it, in SI units.
 
-    `outside` is ``refuse`` or ``clamp``: what happens to a load that was not measured. `load_table` maps the name of
-    a load point to the wheel loads (left, right) in N. `cross_covariance` holds what couples the laws and the track
-    where they were estimated together: numbers of two parameters, in the order (radius_ref_l, slope_l, radius_ref_r,
-    slope_r, track), and their covariance. `unapplied_effects` names effects of the simulator's model that this odometry
-    does not carry.
+    `outside` is ``refuse`` or ``clamp``: what happens to a load that was not measured. `load_table` maps the name of a
+    load point to the wheel loads (left, right) in N. `cross_covariance` couples laws and track that were estimated
+    together: numbers of two parameters in `JOINT`, and their covariance. `unapplied_effects` names effects of the
+    simulator's model that this odometry does not carry.
     """
 
     name: str
@@ -199,7 +198,7 @@ def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
 
 
 def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float], ...]:
-    """Return the covariances between the wheels, and between wheels and track, where they were estimated together."""
+    """Return covariances between the wheels, and between wheels and track; empty where estimated apart."""
     together = document.get("joint_geometry")
     if together is None:
         return ()
@@ -258,7 +257,7 @@ def _number(
 
 
 def _checksum(document: dict[str, Any]) -> str:
-    """Return the checksum: SHA-256 of the rest, keys sorted, no white space, numbers as shortest doubles."""
+    """Return the SHA-256 of the rest, keys sorted, no white space, numbers as shortest doubles."""
     body = {key: value for key, value in document.items() if key != "checksum"}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()

@@ -24,7 +24,7 @@ from .coefficients import CoefficientError, Coefficients  # noqa: TID252 the fol
 
 __all__ = ["Effects", "Motion", "Run"]
 
-#: what an effect does depends a little on the path that it bends: so often it is computed anew, as in a diagnosis
+#: an effect depends a little on the path that it bends: so often it is computed anew, as in a diagnosis
 PASSES = 3
 #: a shorter way has no curvature
 SHORTEST_STEP_M = 1e-6
@@ -110,7 +110,7 @@ class _Step:
 
 @dataclass(frozen=True, slots=True)
 class _Effect:
-    """A section of the file: its form, its settings and its sizes, and the vehicle that it acts on."""
+    """A section of the file, and the vehicle that it acts on."""
 
     name: str
     form: str
@@ -127,7 +127,7 @@ class _Effect:
         return self.sizes.get(name, 0.0)
 
     def deviation(self, value: float) -> float:
-        """Return how far a covariate lies from where the effect is zero; 0 where it is not known."""
+        """Return how far a covariate lies from where the effect is zero; 0 where unknown."""
         off = (value - self.settings.get("centre", 0.0)) / (self.settings.get("spread", 1.0) or 1.0)
         return off if math.isfinite(off) else 0.0
 
@@ -274,7 +274,7 @@ _ACTS: dict[str, Callable[[_Effect, _Step, _Change], None]] = {
     "lost_counts": _lost,
     "wheel_eccentricity": _eccentric,
 }
-#: forms that act through what a single run does not know: earlier loads, the number of the session, other routes
+#: forms that act through what a single run does not know
 _OTHER_FORMS = ("change of load", "per session", "along the corridor alone", "other routes", "distance")
 
 

@@ -338,7 +338,7 @@ class Odometer:
         self._distance += abs(s)
 
     def _reading(self) -> list[float]:
-        """Return the covariance (xx, xy, xt, yy, yt, tt) that one reading of each encoder adds at the pose."""
+        """Return the covariance (xx, xy, xt, yy, yt, tt) of one reading of each encoder at the pose."""
         if self._counts is None:
             return [0.0] * 6
         c = self.coefficients
@@ -369,13 +369,13 @@ class Odometer:
 
 
 def _count(value: float) -> float:
-    """Return a reading as a whole number of Python's own, whose differences neither overflow nor round."""
+    """Return a reading as a Python int: differences neither overflow nor round."""
     whole = int(value)
     return whole if whole == value else float(value)
 
 
 def _sinc(u: float) -> tuple[float, float]:
-    """Return sin(u)/u and its derivative; by series near zero, where the quotients lose their digits."""
+    """Return sin(u)/u and its derivative, near zero by series."""
     if abs(u) < 1e-2:
         v = u * u
         return 1.0 - v / 6.0 * (1.0 - v / 20.0 * (1.0 - v / 42.0)), -u / 3.0 * (1.0 - v / 10.0 * (1.0 - v / 28.0))

@@ -19,7 +19,7 @@ from calib.types import BoolArray, FloatArray
 
 #: a radius of one run this far from nominal is reported
 _PLAUSIBLE: Final = 0.15
-#: beyond this no wear and no load explains that every run differs from the nominal radius alike
+#: no wear and no load explains that every run is further from the nominal radius alike
 _WORN: Final = 0.06
 #: loads within this share are alike
 _ALIKE: Final = 0.05
@@ -47,7 +47,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
-    """Find wheels that rolled alike in every run: steered by them, a vehicle draws the arc that its radii make."""
+    """Find wheels that rolled alike in every run: a vehicle steered by them draws the arc of its radii."""
     apart_m = steered_itself_m(campaign)
     if apart_m >= 0.0:
         text = (
@@ -58,7 +58,7 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
 
 
 def _reference_rad(campaign: Campaign) -> FloatArray:
-    """Return how far the reference turned in each run; on a map, whose headings are absolute, by its log."""
+    """Return how far the reference turned in each run: on a map, with absolute headings, by its log."""
     turned = campaign.runs.number("ref_theta_rad")
     if campaign.reference.frame == "map":
         turned = np.full(len(turned), np.nan)
@@ -69,7 +69,7 @@ def _reference_rad(campaign: Campaign) -> FloatArray:
 
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
-    """Find wheels without a single count while the other one turned and the vehicle did not turn about the first."""
+    """Find wheels without a count while the other turned and the vehicle did not turn about the first."""
     runs, turn, reference = campaign.runs, turned_rad(campaign), _reference_rad(campaign)
     otherwise = ((runs.number("distance_m") > 1.0) & np.isnan(reference)) | (
         np.abs(turn - reference) > 0.5 * np.abs(turn)
@@ -89,7 +89,7 @@ def dead_counters(campaign: Campaign) -> Iterator[Note]:
 
 
 def count_scale(campaign: Campaign) -> Iterator[Note]:
-    """Find counts that are a factor 2, 4, pi or 1000 off, overflowed totals, and other implausible radii."""
+    """Find counts off by a factor 2, 4, pi or 1000, overflowed totals, and other implausible radii."""
     for side in SIDES:
         ratio = np.abs(design.raw_radius_ratio(campaign, side))
         known = np.isfinite(ratio)
@@ -134,7 +134,7 @@ def _reason(ratio: float) -> str:
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:
-    """Compare the table's counts with last minus first of the log."""
+    """Compare the table's counts with those of the log."""
     logged = {side: log_totals(campaign.logs, f"counts_{side}") for side in SIDES}
     for side, other in (SIDES, SIDES[::-1]):
         table = campaign.runs.number(f"counts_{side}")
@@ -154,10 +154,10 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose left and right counts are exchanged, by the ratio that the other runs have.
+    """Find runs whose left and right counts are exchanged.
 
-    The logarithm of right over left counts is fitted on the wheel loads; a run lies mirrored where minus its value fits
-    and its value does not, unless it is the usual one of such loads.
+    The logarithm of right over left counts is fitted on the wheel loads; a run is mirrored where minus its value fits
+    and its value does not, unless it is usual for such loads.
     """
     runs = campaign.runs
     left, right = (runs.number(f"counts_{side}") / design.per_rev(campaign, side) for side in SIDES)
@@ -181,7 +181,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
 
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
-    """Fit on the loads where they vary, dropping what lies far off, five rounds; fitted values and spread."""
+    """Fit on the loads where they vary, outliers dropped in five rounds; fitted values and spread."""
     regressors = np.ones((len(values), 1))
     for load in loads.T:
         if np.isfinite(load).all() and np.ptp(load) > 1.0:
@@ -199,7 +199,7 @@ def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, floa
 
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
-    """Compare the sense of turning that the counts give with the reference heading and with the steering angle."""
+    """Compare the sense of turning by counts with reference heading and steering angle."""
     turned, reference = turned_rad(campaign), _reference_rad(campaign)
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
@@ -232,12 +232,12 @@ def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str
         yield cell_note(campaign, int(run), columns, text, "swapped_wheels")
 
 
-#: of DAQ programs that sample at 100 kHz; days taken for seconds are below
+#: DAQ programs sample at up to 100 kHz; days taken for seconds are below
 SHORTEST_STEP_S: Final = 9e-6
 
 
 def clock(campaign: Campaign) -> Iterator[Note]:
-    """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs backwards."""
+    """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs back."""
     for run in np.flatnonzero(campaign.logs.lengths >= 5):
         log = campaign.logs.of(int(run))
         time, step = log["t_s"], np.diff(log["t_s"])
@@ -261,7 +261,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
-        # while driving, a real gap holds as many counts as its time asks for
+        # while driving, a real gap holds the counts of its time
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
         jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
         gaps = [at for at in long if at not in jumped]
@@ -281,10 +281,10 @@ def clock(campaign: Campaign) -> Iterator[Note]:
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
-    """Find steps of a counter far beyond all others of the log, as a lost or disturbed encoder makes them."""
+    """Find steps of a counter far beyond all others of the log, by a lost or disturbed encoder."""
     for run in np.flatnonzero(campaign.logs.lengths >= 20):
         log = campaign.logs.of(int(run))
-        # a gap in time may hold many counts; it is named as a gap
+        # a gap in time may hold many counts
         time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
         stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
         for name in log:
@@ -308,7 +308,7 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
                 yield cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
-#: speeds between which vehicles drive, in m/s: slower ones are measured by no wheel, faster ones in no hall or yard
+#: speeds of vehicles, in m/s: slower ones are measured by no wheel, faster ones in no hall or yard
 _DRIVEN_MPS: Final = (0.005, 30.0)
 
 
@@ -322,8 +322,8 @@ def _speed_note(speed: float) -> Iterator[Note]:
 
 
 def log_speed(campaign: Campaign) -> Iterator[Note]:
-    """Compare what the log's counts say while driving with the set speed, and with what vehicles drive at."""
-    # four mecanum wheels amount to two on an axle only where their l + w is known
+    """Compare the log's speed while driving with the set speed, and with what vehicles drive at."""
+    # four mecanum wheels amount to two on an axle only with a known l + w
     if odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None:
         campaign = on_one_axle(campaign)
     logs, speed = campaign.logs, campaign.runs.number("speed_mps")
@@ -342,7 +342,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
             driven[run] = np.median(rates[rates > 0]) if np.ptp(way) > campaign.vehicle.wheel_radius_m else np.nan
     yield from _speed_note(float(np.nanmedian(driven)) if np.isfinite(driven).any() else 1.0)
     known = np.isfinite(ratios) & (ratios > 0)
-    # a route with turns or pauses is legitimately slower than its set speed; only a factor is odd
+    # a route with turns or pauses is slower than its set speed; only a factor is odd
     if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"

@@ -1,4 +1,4 @@
-"""Design of the campaign: assumed settings, loads and sessions, replicates; and what all checks share."""
+"""Design of the campaign: assumed settings, loads and sessions, replicates; what all checks share."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from calib.campaign.model import Campaign, Note
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
-#: code of the notes about blunders
+#: notes about blunders
 IMPLAUSIBLE: Final = "implausible"
-#: a column as a whole is reported only where at least this many runs agree
+#: at least so many runs make a finding one of the column
 LEAST_RUNS: Final = 4
-#: share of the runs that makes a finding one of the column rather than of single runs
+#: share of the runs that makes a finding one of the column
 MOST_OF_THE_RUNS: Final = 0.8
 #: radius found over nominal -> what usually lies behind it
 RADIUS_FACTORS: Final = (
@@ -70,12 +70,12 @@ def setting_note(key: str, text: str, code: str, level: str = "suspicious") -> N
 
 
 def implausible_column(columns: str, text: str) -> Note:
-    """Return a note on columns whose values cannot be."""
+    """Return a blunder in columns."""
     return column_note(columns, text, IMPLAUSIBLE, "wrong")
 
 
 def implausible_setting(key: str, text: str) -> Note:
-    """Return a note on a setting that cannot be."""
+    """Return a blunder in a setting."""
     return setting_note(key, text, IMPLAUSIBLE, "wrong")
 
 
@@ -96,7 +96,7 @@ def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatA
 
 
 def raw_radius_ratio(campaign: Campaign, side: str) -> FloatArray:
-    """Return distance / (2 pi turns) over the nominal radius for each run, shape (n_runs,); NaN where not measured."""
+    """Return distance / (2 pi turns) over the nominal radius, shape (n_runs,); NaN where not measured."""
     distance = campaign.runs.number("distance_m")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(distance > 0, distance, np.nan) / rolled_m(campaign, side)
@@ -104,7 +104,7 @@ def raw_radius_ratio(campaign: Campaign, side: str) -> FloatArray:
 
 
 def robust_spread(values: FloatArray) -> float:
-    """Return the standard deviation that the median absolute deviation stands for; 0 without values."""
+    """Return the standard deviation by the median absolute deviation; 0 without values."""
     values = values[np.isfinite(values)]
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
@@ -130,7 +130,7 @@ def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
 
 
 def listed(names: StrArray | list[str], limit: int = 6) -> str:
-    """Return names as text, shortened where there are many."""
+    """Return names as text, shortened beyond `limit`."""
     shown = ", ".join(str(name) for name in names[:limit])
     return shown + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
@@ -138,7 +138,7 @@ def listed(names: StrArray | list[str], limit: int = 6) -> str:
 def meaning(
     ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = FACTOR_TOLERANCE
 ) -> str:
-    """Return what lies behind the factor nearest to a ratio, within a relative `tolerance`; empty where none does."""
+    """Return what lies behind the factor within a relative `tolerance` of a ratio; empty where none is."""
     factor, text = min(factors, key=lambda known: abs(ratio / known[0] - 1))
     return text if abs(ratio / factor - 1) < tolerance else ""
 
@@ -155,7 +155,7 @@ _NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": ("ref_x_m", "r
 
 
 def assumed_settings(campaign: Campaign) -> dict[str, str]:
-    """Return the assumed keys that matter, each with the value that stands in; empty where there is none."""
+    """Return the assumed keys that matter, each with its value."""
     columns = {*campaign.runs.numbers, *campaign.logs.columns}
     settings: dict[str, str] = {}
     for key in campaign.assumed:
@@ -216,16 +216,16 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         yield column_note("order and load", text, "ordered_load")
 
 
-#: squared correlation from which on two columns are one: the intervals of both effects are five times as wide
+#: squared correlation beyond which two columns are one: both effects' intervals are five times as wide
 _AS_ONE: Final = 0.96
-#: least change of a column that a diagnosis explains runs by: a hall's temperature changes by a kelvin from day to day
+#: least change of a column that a diagnosis explains runs by: a hall's temperature changes by 1 K a day
 _CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
 
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
     """Say where two of load, speed, temperature, order of the sessions and direction change together.
 
-    Directions are looked at in runs of one kind. Load and session have a check of their own.
+    Directions are compared in runs of one kind. Load and session have their own check.
     """
     runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
@@ -279,8 +279,8 @@ _OUTLIER_SPREADS: Final = 6.0
 def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose radius lies far from runs of the same kind, load and speed.
 
-    Distance from the group's median, against a spread pooled over all groups by the median absolute deviation, so that
-    the runs sought do not widen it.
+    Against the group's median, by a spread pooled over all groups from the median absolute deviation, which the runs
+    sought do not widen.
     """
     runs = campaign.runs
     speed = np.round(runs.number("speed_mps"), 3)
@@ -298,7 +298,7 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
         known = np.isfinite(away)
         if known.sum() < 5:
             continue
-        # the rangefinder's own share keeps exact data from flagging its last digit
+        # the rangefinder's share keeps exact data from flagging their last digit
         noise = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
         spread = max(robust_spread(away[known]) * 1.2, noise)
         for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _OUTLIER_SPREADS * spread)):
@@ -310,7 +310,7 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
 
 
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose measured values are all those of an earlier run."""
+    """Find runs whose measured values all repeat an earlier run's."""
     runs = campaign.runs
     measured = ("distance_m", "counts_left", "counts_right")
     seen: dict[tuple[float, ...], int] = {}

@@ -1,4 +1,4 @@
-"""Distances and wheel loads: present, in their unit, permitted, and in agreement with each other and the vehicle."""
+"""Distances and wheel loads: present, in their unit, permitted, consistent with each other and the vehicle."""
 
 from __future__ import annotations
 
@@ -74,23 +74,23 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
             yield cell_note(campaign, run, "distance_m", text, "distance_disagrees")
 
 
-#: a measured radius, track or load may differ from its nominal value by this factor either way
+#: a measured radius, track or load is within this factor of its nominal value
 MOST_RATIO: Final = 4.0 / 3.0
 
 
 def off(ratio: float) -> bool:
-    """Return whether a ratio of measured to nominal value is beyond what a vehicle can differ by."""
+    """Return whether a ratio of measured to nominal value is beyond `MOST_RATIO`."""
     return not 1 / MOST_RATIO <= ratio <= MOST_RATIO
 
 
 def factor_reason(ratio: float) -> str:
-    """Return the unit or setting that a ratio of radius to nominal radius points to; a general hint where none does."""
+    """Return the unit or setting that a ratio of radius to nominal radius points to, else a general hint."""
     text = design.meaning(ratio)
     return f"{text}?" if text else "check counts_per_rev, wheel_radius_m and the unit of the distance"
 
 
 def implausible_distances(campaign: Campaign) -> Iterator[Note]:
-    """Yield radii that no wheel has, and distances that do not belong to their counts."""
+    """Yield radii that no wheel has, and distances that do not fit their counts."""
     distance = campaign.runs.number("distance_m")
     counts = {side: campaign.runs.number(f"counts_{side}") for side in SIDES}
     for side, other in (SIDES, SIDES[::-1]):
@@ -148,7 +148,7 @@ _LOADS: Final = "load_left_N, load_right_N"
 
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
-    """Find loads that no rolling wheel has, and loads beyond the permitted one."""
+    """Find loads that no rolling wheel has, or beyond the permitted one."""
     runs, permitted = campaign.runs, campaign.vehicle.max_wheel_load_N
     loads = {f"load_{side}_N": runs.number(f"load_{side}_N") for side in SIDES}
     for name, load in loads.items():
@@ -167,17 +167,17 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield column_note(_LOADS, text, "missing_load")
 
 
-#: fewer runs give no line of load against payload, more than so many nothing new
+#: fewer runs give no line of load against payload, more nothing new
 _LEAST_OF_A_LINE: Final = 8
 _MOST_OF_A_LINE: Final = 400
-#: a load off that line by so many spreads is no scatter of the places of the payload
+#: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: share of a weight that two rear wheels carry, wherever it lies: a fifth at least, all at most, and scales 5 % off
+#: share of a weight on two rear wheels, wherever it lies: a fifth to all, and scales 5 % off
 _REAR_SHARE: Final = (0.2, 1.05)
 
 
 def _allowed(total: FloatArray) -> FloatArray:
-    """Return by how much loads may differ from those expected, in N: the place of a payload is known to centimetres."""
+    """Return the tolerance of loads, in N: the payload's place is known to centimetres."""
     return np.asarray(np.maximum(15.0, 0.05 * np.abs(total)))
 
 
@@ -236,9 +236,9 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 
 
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
-    """Find a few loads far from the line of the others against the payload, by the median of all slopes.
+    """Find a few loads far from the others' line against the payload, by the median of all slopes.
 
-    `total` (shape (n_runs,)): weighed load of both wheels; NaN where the place of the payload says what it has to be.
+    `total` (shape (n_runs,)): weighed load of both wheels; NaN where the payload's place says what it has to be.
     """
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
@@ -251,7 +251,7 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
     kept = payload[runs[~far]]
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
-        # beyond the payloads of the others the line is not known
+        # the line is not known beyond the others' payloads
         if kept.min() <= payload[run] <= kept.max():
             text = (
                 f"found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for "
@@ -261,7 +261,7 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
-    """Find a reference load that is neither that of the empty vehicle nor one that was driven, nor their mean."""
+    """Find a reference load that is neither the empty vehicle's, nor driven, nor the mean of those driven."""
     loads = np.concatenate([campaign.runs.number(f"load_{side}_N") for side in SIDES])
     loads, found = loads[np.isfinite(loads)], campaign.model.reference_load_N
     if not stated(campaign, "model.reference_load_N") or not len(loads):
@@ -276,14 +276,14 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
         yield design.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
-#: a reference load is another one within this share of itself: what scales and rounding leave
+#: reference loads within this share are one: scales and rounding
 _SAME_LOAD: Final = 0.05
 _SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
 _CONTRADICTED: Final = (
     "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",
     "contradicted_load",
 )
-#: the payload's weight may differ by this factor from what the scales say it adds
+#: factor between the payload's weight and what the scales say it adds
 _MOST_PAYLOAD: Final = 1.6
 #: the empty vehicle's load may be this share of what its mass asks for: its mass or place is poorly known
 _LIGHTEST: Final = 0.3
@@ -300,7 +300,7 @@ _LOAD_UNITS: Final = (
 
 
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
-    """Yield what no vehicle weighs: loads below zero, in another unit, or not those of its payload."""
+    """Yield loads below zero, in another unit, or not those of their payload."""
     runs, vehicle = campaign.runs, campaign.vehicle
     weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
     computed = np.stack(loads_from_payload(vehicle, runs))
@@ -311,7 +311,7 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     by_payload = good & (expected > 0)
     if by_payload.sum() >= LEAST_RUNS:
         ratios, loads = (total / expected)[by_payload], expected[by_payload]
-        # the lightest runs tell most of the vehicle's own mass, all of them most of the payload
+        # the lightest runs tell most of the vehicle's mass, all of them of the payload
         medians = [float(np.median(part)) for part in (ratios, ratios[loads <= np.quantile(loads, 0.25)])]
         ratio = max(medians, key=lambda part: abs(math.log(part)))
         if 0.4 <= ratio <= 2.5:
@@ -370,7 +370,7 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
     slope, intercept = np.polyfit(x, y, 1)
     unexplained = float(np.std(y - slope * x - intercept))
     ratio = 1 / float(slope) if slope > 0 else math.inf
-    # only where the scales follow the payload closely, so that a unit and no mixture of places is the reason
+    # only where the scales follow the payload closely: a unit, then, and no mixture of places
     if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or unexplained > 0.1 * float(np.std(y)):
         return
     hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"

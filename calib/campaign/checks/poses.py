@@ -17,31 +17,31 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 #: runs that must agree, and standard errors beyond which they do
 _LEAST_STRAIGHT_RUNS: Final = 8
 _SIGMAS: Final = 6.0
-#: a distance is that of the end pose within so many stated uncertainties, and at least so many metres
+#: a distance is its end pose's within so many stated uncertainties, and at least so many metres
 _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
-#: a distance that differs from its end pose by so much, and so many times what is allowed, is another run's
+#: a distance off its end pose by so much, and so many times what is allowed, is another run's
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
-#: scatter and stated uncertainty are the same within this factor
+#: scatter and stated uncertainty agree within this factor
 _OVERSTATED: Final = 4.0
 #: distance and end pose scatter against each other by more than stated: beyond 1.41 times, where start and end are
 #: measured each, and by so many standard deviations of the sum of squares
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
-#: straight runs end ahead of where they began within this angle
+#: straight runs end ahead of their start within this angle
 _MOST_BEARING_RAD: Final = 0.3
-#: share by which a track may differ before it is reported
+#: a track further off is reported
 _TRACK_TOLERANCE: Final = 0.05
-#: a run far from the others, in robust spreads, is left aside: its log may be damaged
+#: a run so many robust spreads off is left aside: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
 #: numbers of runs, and of each in m: the end's offset by the reference, half its heading times the distance, and the
 #: bow by the log
 _Bows = tuple[IntArray, FloatArray, FloatArray, FloatArray]
-#: straight runs whose bows are looked at: more tell no more, and large campaigns need not wait
+#: straight runs whose bows are looked at: more tell no more and take time
 _MOST_STRAIGHT_RUNS: Final = 200
-#: less than this is how well a vehicle is placed on its start mark
+#: how well a vehicle is placed on its start mark
 _LEAST_ANGLE_RAD: Final = 0.01
-#: a mirrored y leaves less than this share of the scatter where it is mirrored back
+#: mirroring back a mirrored y leaves less than this share of the scatter
 _CLEARER: Final = 0.5
-#: positions over what was driven -> the unit that they are in
+#: positions over what was driven -> their unit
 _POSITION_UNITS: Final = (
     (1e3, "millimetres"),
     (1e2, "centimetres"),
@@ -49,17 +49,17 @@ _POSITION_UNITS: Final = (
     (39.3701, "inches"),
     (1e-3, "kilometres, or is distance_m in millimetres"),
 )
-#: a gyro's scale is compared over runs that turn by at least this angle
+#: a gyro's scale is compared over runs that turn by this angle or more
 _LEAST_GYRO_TURN_RAD: Final = 0.5
-#: nearly straight runs turn against their counts beyond doubt: so many standard errors, and at least so many times
+#: nearly straight runs turn against their counts: by so many standard errors, and at least so many times
 _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
 
 def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
-    """Compare the distance of nearly straight runs with how far away the reference saw them end, by session too."""
+    """Compare the distance of nearly straight runs with where the reference saw them end, by session too."""
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    # what is off by more is another unit or another row, which other checks report
+    # more is another unit or row, which other checks report
     longer = _longer(campaign, 0.05)
     for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
         text = (
@@ -84,7 +84,7 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
 def _longer(campaign: Campaign, most: float) -> FloatArray:
     """Return by how much distances exceed those of the end poses, shape (n_runs,).
 
-    NaN but for nearly straight runs, and where the two differ by more than the share `most`.
+    NaN but for nearly straight runs, and beyond the share `most`.
     """
     runs = campaign.runs
     distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
@@ -92,9 +92,9 @@ def _longer(campaign: Campaign, most: float) -> FloatArray:
 
 
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
-    """Yield where a median of many standard errors is beyond what is allowed: in all sessions, else in single ones.
+    """Yield where a median many standard errors off exceeds what is allowed: in all sessions, else in single ones.
 
-    `values`: of each run, NaN where there is none. With the number of runs, the median and its standard error.
+    `values`: of each run, NaN where unknown. With the number of runs, the median and its standard error.
     """
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
@@ -114,8 +114,8 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
 def _bows(campaign: Campaign) -> _Bows:
     """Return how far nearly straight runs bow out; nothing where too few were measured and logged.
 
-    The bow is the end's offset less half the end's heading times the distance. Wheels of unequal radius, which scatter
-    from run to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
+    The bow is the end's offset less half the end's heading times the distance. Unequal wheels, which scatter from run
+    to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
     """
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
@@ -149,7 +149,7 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
 
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find a y of the other sign: ends that neither headings nor counts explain, and do with the sign changed."""
+    """Find a y of the other sign: ends that neither headings nor counts explain but with the sign changed."""
     runs, offset, turned, counted = _bows(campaign)
     if not len(runs):
         return
@@ -164,7 +164,7 @@ def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
 
 
 def track_against_bows(campaign: Campaign) -> Iterator[Note]:
-    """Compare how far nearly straight runs bow out by their logs with how far the reference saw them bow."""
+    """Compare the bows of nearly straight runs by log and by reference."""
     runs, offset, turned, counted = _bows(campaign)
     ratio, error = _slope(counted, offset - turned)
     if not len(runs) or error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
@@ -189,7 +189,7 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
         if len(values) < _LEAST_STRAIGHT_RUNS or not all(design.stated(campaign, name) for name in names):
             continue
         scatter = robust_spread(values)
-        # headings scatter by more than the reference's share, since no floor is even
+        # no floor is even: headings scatter by more than the reference's share
         understated = unit == "m" and _beyond_stated(values, sigma, scatter)
         if scatter < sigma / _OVERSTATED or understated:
             most = _UNDERSTATED if understated else _OVERSTATED
@@ -227,7 +227,7 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
-    """Compare headings with where straight runs end: both agree, however unequal the wheels, in a frame not turned."""
+    """Compare headings with where straight runs end: in a frame not turned both agree, however unequal the wheels."""
     runs, angle = _aside_rad(campaign)
     for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
         text = (
@@ -239,7 +239,7 @@ def turned_frame(campaign: Campaign) -> Iterator[Note]:
 
 
 def _aside_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
-    """Return numbers of nearly straight runs, and the angle by which each ends to the left of what its heading says."""
+    """Return numbers of nearly straight runs, and the angle by which they end to the left of their heading."""
     runs, offset, turned, counted = _bows(campaign)
     return runs, 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")[runs]
 
@@ -252,7 +252,7 @@ def _straight(campaign: Campaign) -> BoolArray:
 
 
 def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
-    """Return the slope of a line through the origin and its standard error, runs far from it left aside."""
+    """Return a line's slope through the origin and its standard error, outliers left aside."""
     kept = np.ones(len(counted), dtype=bool)
     for _ in range(2):
         square = max(float(counted[kept] @ counted[kept]), 1e-300)
@@ -265,7 +265,7 @@ def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
 
 
 def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
-    """Compare the turns by gyro and by reference: where both are there, the diagnosis uses those of the reference."""
+    """Compare the turns by gyro and by reference: the diagnosis uses the latter where both exist."""
     runs = campaign.runs
     turn, heading = runs.number("gyro_theta_rad"), runs.number("ref_theta_rad")
     both = ~runs.excluded & np.isfinite(heading) & (np.abs(turn) > _LEAST_GYRO_TURN_RAD)
@@ -294,7 +294,7 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
     if good.sum() >= LEAST_RUNS:
         far = good & (away > 3 * distance + 1)
-        # closed routes end near their start; no run ends farther away than it was driven
+        # no run ends farther away than it was driven
         beyond = good & (away > 1.1 * distance + 0.5)
         # a corridor's end lies where the rangefinder says
         straight = good & np.isfinite(measured) & (np.abs(y) < 0.2 * np.abs(x))
@@ -339,10 +339,10 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 
 
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
-    """Hold headings against those of the counts, unequal wheels set aside: they turn in proportion to the distance.
+    """Compare headings with those of the counts beside unequal wheels, which turn in proportion to the distance.
 
-    Radii that scatter with the load make the small headings of nearly straight runs follow the counts less than once,
-    and never the other way round.
+    Radii that scatter with the load make small headings of nearly straight runs follow the counts less than once, never
+    the other way round.
     """
     theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
@@ -377,7 +377,7 @@ def _partial_slope(measured: FloatArray, counted: FloatArray, nuisance: Sequence
     """Return the slope of `measured` over `counted` beside nuisance columns, and its standard error; else 0 and inf."""
     regressors = np.column_stack(nuisance)
     regressors = regressors / np.maximum(np.abs(regressors).max(axis=0), 1e-300)
-    # loads may come in step with each other: what they explain is set aside at any rank
+    # loads may be collinear: any rank
     both = np.column_stack([counted, measured])
     explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
     counted, measured = (both - regressors @ explained).T

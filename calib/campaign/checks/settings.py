@@ -1,4 +1,4 @@
-"""What changes every answer and shows in no single cell: counts per revolution, clocks, late logs, rounded values."""
+"""What changes every answer and shows in no cell: counts per revolution, clocks, late logs, rounded values."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
 from calib.types import FloatArray, IntArray
 
-#: both radii further from nominal than this, alike to `ALIKE`, are a setting rather than two worn wheels
+#: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
 FAR_FROM_NOMINAL: Final = 0.012
 ALIKE: Final = 0.003
-#: further off, the wheel is another one than stated (a published robot rolls 6 % short of nominal), and the check of
-#: plausible radii says it
+#: further off, it is another wheel (a published robot rolls 6 % short of nominal), which the check of plausible radii
+#: says
 MOST_FAR: Final = 0.05
-#: a clock in other units makes a log so many times as fast or slow as the others
+#: a clock in other units makes a log so many times faster or slower
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-#: runs of one campaign are driven within this factor of the usual speed
+#: a campaign's runs are within this factor of the usual speed
 SPEED_FACTOR: Final = 30.0
-#: wheels and reference agree on a heading to this, and only a few runs are a turn off
+#: wheels and reference agree on a heading to this; only a few runs are a turn off
 NEAR_TURN_RAD: Final = 1.0
 MOST_ODD: Final = 0.2
-#: a distance so many times what the wheels of other runs make of their counts belongs to another run or unit
+#: a distance so many times what other runs' wheels make of its counts belongs to another run or unit
 ODD_RATIO: Final = 1.3
 #: steps of so many times the reference's uncertainty are not its noise; all are multiples of one to `STEP_ERROR`
 COARSE: Final = 3.0
 STEP_ERROR: Final = 0.02
-#: so many values, and this share of all, that come more than once tell rounding by themselves
+#: so many values, and this share of all, repeated tell rounding by themselves
 REPEATED_VALUES, MOST_REPEATED = 8, 0.8
 #: poses looked at
 MOST_POSES: Final = 10_000
-#: the log begins so many counts late in every run, to the count
+#: every log begins so many counts late, to the count
 MOST_SCATTER_COUNTS: Final = 1.0
 
 
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
-    """Find counts per revolution that are one off a round number, and radii that are off together."""
+    """Find counts per revolution one off a round number, and radii off together."""
     for side in SIDES if stated(campaign, "encoder.counts_per_rev") else ():
         value = design.per_rev(campaign, side)
         near = [value + step for step in (-1.0, 1.0) if _is_round(value + step)]
@@ -78,7 +78,7 @@ def _is_round(counts: float) -> bool:
 
 
 def log_clock(campaign: Campaign) -> Iterator[Note]:
-    """Find logs whose times are in other units than those of the others."""
+    """Find logs whose times are in other units than the others'."""
     logs = campaign.logs
     name = next((column for column in logs.columns if column.startswith("counts_")), None)
     duration_s = log_totals(logs, "t_s")
@@ -91,7 +91,7 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
     speeds[present] = counts / duration_s[present]
     usual, usual_s = float(np.median(speeds[present])), float(np.median(duration_s[present]))
     for factor, unit in CLOCK_FACTORS.items() if usual > 0.0 else ():
-        # a vehicle that stands for most of a log is slow, too, but its log is no longer than the others
+        # a vehicle that mostly stands is slow, too, but its log is no longer
         long = duration_s > usual_s * factor / SPEED_FACTOR
         slow = np.flatnonzero(
             long & (np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual)) < np.log(SPEED_FACTOR))
@@ -122,13 +122,13 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
 
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
-    """Find end headings of a few runs that are a whole turn off what the wheels say."""
+    """Find end headings of a few runs a whole turn off the wheels'."""
     measured = campaign.runs.number("ref_theta_rad")
     apart = design.turned_rad(campaign) - measured
     turns = np.round(apart / (2 * np.pi))
     near = np.abs(apart - 2 * np.pi * turns) < NEAR_TURN_RAD
     odd = near & (turns != 0.0)
-    # headings within half a turn throughout are wrapped by their instrument, which is no fault
+    # headings all within half a turn are wrapped by their instrument: no fault
     wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
     for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
         text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
@@ -136,7 +136,7 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
 
 
 def pose_resolution(campaign: Campaign) -> Iterator[Note]:
-    """Find positions that come in steps coarser than the reference: single precision far from the origin."""
+    """Find positions in steps coarser than the reference: single precision far from the origin."""
     for where, columns in (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns)):
         for name in ("ref_x_m", "ref_y_m"):
             step_m = _coarse_step(columns.get(name, np.zeros(0)), campaign.reference.sigma_xy_m)
@@ -149,7 +149,7 @@ def pose_resolution(campaign: Campaign) -> Iterator[Note]:
 
 
 def rounded_values(campaign: Campaign) -> Iterator[Note]:
-    """Find distances, headings and counts in steps far above the uncertainty of a distance or heading."""
+    """Find distances, headings and counts in steps far above the uncertainty of distance or heading."""
     sigma_m = campaign.rangefinder.sigma_m
     resolutions = {"distance_m": sigma_m, "ref_theta_rad": campaign.reference.sigma_theta_rad}
     resolutions |= {f"counts_{side}": sigma_m / float(design.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
@@ -165,9 +165,9 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    """Return the step that all values are multiples of apart, where it is far above a resolution; else None.
+    """Return the step that all values are multiples of apart, where far above a resolution; else None.
 
-    A few steps tell where the same values come again and again, which noise of that resolution would not leave.
+    A few steps suffice where the same values recur, as noise of that resolution would not.
     """
     found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
     steps = np.diff(found)
@@ -187,7 +187,7 @@ def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
             continue
         for by in (-1, 1):
-            # the row that leaves the table at one end says nothing
+            # the row shifted out of the table says nothing
             inner = slice(None, -1) if by == -1 else slice(1, None)
             if _constant_within(np.roll(session, by)[inner], group[inner]):
                 text = (
@@ -204,7 +204,7 @@ def _constant_within(session: IntArray, group: IntArray) -> bool:
 
 
 def late_logs(campaign: Campaign) -> Iterator[Note]:
-    """Find logs that begin after the vehicle moved: the table has a constant few counts more in every run."""
+    """Find logs that begin after the vehicle moved: every table total has a constant few counts more."""
     for side in SIDES:
         difference = campaign.runs.number(f"counts_{side}") - log_totals(campaign.logs, f"counts_{side}")
         known = difference[np.isfinite(difference)]

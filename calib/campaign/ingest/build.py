@@ -46,7 +46,7 @@ class Ingested:
     sources: MappingType[str, str]
     #: what was recognised, converted and omitted
     notes: tuple[Note, ...]
-    #: the part of its recording that each run is, where recordings were cut
+    #: the part of its recording that each run is
     cuts: tuple[Segment, ...] = ()
 
     @property
@@ -80,7 +80,7 @@ class _Ingestion:
         return log
 
     def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
-        """Read logs of one run each; range and poses are turned into its start frame where the mapping says so."""
+        """Read logs of one run each, turned into its start frame where the mapping says so."""
         columns = self.mapping.log.columns
         distance = "range_m" in columns and columns["range_m"].from_start is True
         stated = any(name.startswith("ref_") and line.from_start is True for name, line in columns.items())
@@ -104,17 +104,17 @@ def ingest(
 ) -> Ingested:
     """Make a campaign folder; the sources are only read, and their hashes recorded in ``ingest.json``.
 
-    Raises BadInputError where a source cannot be used, the mapping names a column that is not there, or the target
+    Raises BadInputError where a source cannot be used, a mapped column is missing, or the target
     exists.
 
     Parameters
     ----------
     sources
-        The run table first, where there is one, then logs or recordings, or folders of them.
+        The run table, if any, then logs or recordings, or folders of them.
     into, mapping
         The campaign to make, and a TOML file as the text of `calib.campaign.ingest.mapping` shows.
     force, dry_run, progress
-        Replace an existing campaign; do everything but write; see `calib.types.Progress`.
+        Replace an existing campaign; write nothing; see `calib.types.Progress`.
     """
     if not sources:
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")
@@ -130,7 +130,7 @@ def ingest(
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
     work = _Ingestion(read, settings, Border(lenient=False), progress)
-    # a mapping is no campaign.toml: it names no format, and what it leaves out is written as assumed
+    # a mapping is no campaign.toml: it names no format, and what it omits is written as assumed
     work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
         work.hashes[read.shown] = sha256_file(mapping)
@@ -172,7 +172,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         shown = str(first)
         matched = None
         if runs is None:
-            # each file is a run of its own, called by the file's name, unless several are one
+            # each file is a run, called by its name, unless several are one
             several = runs_of_files(files, work.mapping.log)
             names = object_array(several or [path.stem for path in files])
             shown = "the files given"
@@ -198,7 +198,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
 def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
     """Return a source as run table; None where it is a log or recording.
 
-    `named`: whether it has to have the column that names runs.
+    `named`: it has to have the column that names runs.
     """
     if not path.exists():
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
@@ -220,9 +220,9 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
-    """Return the runs of several sheets, one after another, or by their numbers where each has one of its own.
+    """Return the runs of several sheets, one after another, or by their numbers where each has its own.
 
-    Names that come again get the sheet's before them.
+    Repeated names get the sheet's before them.
     """
     given, tables = work.mapping.table, []
     for sheet in given.sheets:
@@ -318,9 +318,9 @@ def _record(work: _Ingestion) -> dict[str, object]:
 
 
 def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
-    """Return notes with those merged that differ in their file, row, run and numbers alone.
+    """Return notes, those merged that differ in file, row, run and numbers alone.
 
-    In the order of the first of each kind; numbers that differ are given from the least to the largest.
+    Each kind stands where its first did; numbers that differ are given as a range.
     """
     groups: dict[tuple[str, str, str, str], list[Note]] = {}
     for note in notes:

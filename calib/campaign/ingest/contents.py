@@ -36,7 +36,7 @@ from calib.types import IntArray
 _LISTED_TEXTS: Final = 6
 #: rows up to which a column of whole numbers is no counter that overflows
 _FEW_ROWS: Final = 40
-#: share of cells that are numbers where a column is one of numbers with some that cannot be read
+#: share of numbers in a column of numbers, some of which cannot be read
 _MOSTLY_NUMBERS: Final = 0.8
 #: properties of a recording that are listed
 _LISTED_PROPERTIES: Final = 12
@@ -55,7 +55,7 @@ class ColumnContents:
     name: str
     #: its cells: ``number``, ``text``, ``time`` or ``empty``
     kind: str
-    #: the unit that its name or the file gives; empty where none is given
+    #: as its name or the file gives it, else empty
     unit: str = ""
     #: span of its numbers
     low: float | None = None
@@ -66,7 +66,7 @@ class ColumnContents:
     n_empty: int = 0
     #: width of the counter that it looks like
     wrap_bits: int | None = None
-    #: whether all its numbers are integers
+    #: all its numbers are integers
     whole: bool = False
     #: what its times look like
     form: str = ""
@@ -74,7 +74,7 @@ class ColumnContents:
     does: str = ""
     #: median step between rows, of the steps other than 0; of times in s
     step: float = 0.0
-    #: whether it rises in even steps, as a clock does
+    #: it rises in even steps, as a clock does
     even: bool = False
 
     def words(self, alike: Sequence[ColumnContents]) -> str:
@@ -102,7 +102,7 @@ class FileContents:
 
     #: as given
     name: str
-    #: whether it holds streams rather than one table
+    #: it holds streams, not one table
     recording: bool
     #: rows, or samples of the longest stream
     n_rows: int
@@ -113,22 +113,22 @@ class FileContents:
     streams: tuple[StreamContents, ...] = ()
     #: properties that a recording names
     properties: Mapping[str, str] = field(default_factory=dict)
-    #: sheet of a workbook that was looked into; empty where it is the first that holds a table
+    #: sheet of a workbook that was looked into; empty: the first that holds a table
     sheet: str = ""
-    #: other sheets that hold tables, by their names
+    #: other sheets that hold tables
     others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
-    #: sheets that have the same columns, this one among them; empty where it is the only one
+    #: sheets of the same columns, this one among them; empty where it is alone
     alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
     #: whether each run stands in a column of its own
     runs_in_columns: bool = field(default=False, metadata={"json": False})
 
     def alike(self, other: FileContents) -> bool:
-        """Return whether another file has the same columns."""
+        """Return whether both have the same columns."""
         return [column.name for column in self.columns] == [column.name for column in other.columns]
 
 
 def file_contents(path: Path) -> FileContents:
-    """Return what a file holds; of a workbook, the first sheet that holds a table with a column that names runs.
+    """Return what a file holds; of a workbook, the first sheet with a table and a column that names runs.
 
     Raises BadFileError where it cannot be read.
     """
@@ -188,9 +188,9 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
-    """Return a table with texts among its columns as read, turned where each run stands in a column of its own.
+    """Return a table as read, texts among its columns, turned where each run stands in a column.
 
-    It does where the first column has more names of what a run table holds than the header.
+    It is where the first column has more names of what a run table holds than the header.
     """
     turned = replace(layout, runs_in_columns=True)
     other = None
@@ -199,7 +199,7 @@ def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
     try:
         raw = read_table(path, shown, None, layout)
     except BadFileError:
-        # the values of a first row may be there twice, the names of a first column are not
+        # a first row's values may repeat, a first column's names do not
         if other is None or len(_known(other.columns)) <= _LEAST_NAMES:
             raise
         return turned, other
@@ -274,7 +274,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
 
 
 def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]:
-    """Return remarks that say what files with the same columns hold, the first of them in particular."""
+    """Return remarks on files with the same columns, the first of them in particular."""
     file = group[0]
     title = file.name if len(group) == 1 else f"{file.name} .. {Path(group[-1].name).name}, {len(group)} files alike"
     what = "the run table" if is_run_table else "a recording" if file.recording else "a log"
@@ -294,7 +294,7 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
 
 
 def wrapped(text: str, lead: str, hanging: str = "  ") -> list[str]:
-    """Return a text as remarks, each line after the first indented further."""
+    """Return a text as remarks, further lines indented."""
     further = lead + hanging
     return textwrap.wrap(
         text, _WIDTH, initial_indent=lead, subsequent_indent=further, break_long_words=False, break_on_hyphens=False

@@ -22,20 +22,20 @@ from calib.documents import plain
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text
 
-#: files of one kind that are read to the end; of more, the first and the last
+#: files of one kind that are read whole; of more, the first and the last
 _ALL_READ: Final = 40
-#: rows of a run table to a log: means, remarks and runs without a log stand among them
+#: rows of a run table to a log: means, remarks and runs without a log count
 MOST_ROWS_A_LOG: Final = 2
-#: columns of a run table by which it is known, with one of those that a log has not, where none names runs
+#: columns that show a run table without names of runs, with one of those that a log has not
 _LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
 _OF_RUNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
 )
-#: times further apart are those of runs: none takes less, and no log is sampled as seldom
+#: times further apart are those of runs: none takes less, no log is sampled as seldom
 _SHORTEST_RUN_S: Final = 5.0
 #: sections whose keys only the laboratory knows
 _STATED_SECTIONS: Final = ("vehicle", "encoder", "rangefinder")
-#: what is counted instead of two rear wheels -> key of the settings -> its lines, an empty one for the usual line
+#: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "counts_rear_left": {
         "drive": ('drive = "mecanum"   # four wheels are counted',),
@@ -53,7 +53,7 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     },
 }
 
-#: columns of an empty run table; those that do not apply may be taken out
+#: columns of an empty run table; delete those that do not apply
 RUNS_HEADER: Final = (
     "run_id,session,kind,direction,payload_kg,payload_x_m,payload_y_m,speed_mps,distance_m,"
     "counts_left,counts_right,log,excluded,exclusion_reason"
@@ -62,7 +62,7 @@ RUNS_HEADER: Final = (
 
 @cache
 def blank_settings() -> str:
-    """Return the settings of an empty campaign: every key with an example and a remark."""
+    """Return an empty campaign's settings: every key with an example and a remark."""
     return resources.files("calib.campaign.ingest").joinpath("blank.toml").read_text(encoding="utf-8")
 
 
@@ -72,17 +72,17 @@ class Description:
 
     #: every file looked into, the run table first
     files: tuple[FileContents, ...]
-    #: number of all files; of many logs alike, some are looked into
+    #: of all; of many logs alike, some are looked into
     n_files: int
     #: the run table among them
     table: FileContents | None
     #: lines of the mapping
     mapping: tuple[str, ...]
-    #: the sources as the command line takes them
+    #: as the command line takes them
     sources: str
 
     def to_toml(self) -> str:
-        """Return the description as remarks and the proposed mapping beneath it: TOML that ingest takes."""
+        """Return the description as remarks above the proposed mapping: TOML that ingest takes."""
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
@@ -129,7 +129,7 @@ def describe(sources: Sequence[Path]) -> Description:
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
     lines = _mapping_lines(table, logs)
-    # the table has to be named first, also where it was found in a folder
+    # the table has to be named first, also one found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
     command = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in ordered)
@@ -147,8 +147,8 @@ def _folders_inside(sources: Sequence[Path]) -> str:
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
     """Return the file that names runs: a table with a column for their names, and more than a clock beside it.
 
-    Or one with distances and counts beside what a run has one of, without a clock. `n_files`: in all; where no name is
-    known, the one table among logs with a row each is the run table.
+    Or one with distances and counts beside what a run has one of, without a clock. `n_files`: in all; without a known
+    name, the one table among logs with a row each is it.
     """
     best, best_score = None, 0
     for file in files:
@@ -208,7 +208,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
     """Return the sections of vehicle and instruments, each key a remark, with those of wheels other than two rear ones.
 
-    `bits`: the counters' width where it shows; `named`: calib's columns that the logs have; `own`: their lines.
+    `bits`: the counters' width where it shows; `named`: calib's columns in the logs; `own`: their lines.
     """
     turned = [line for line in own if line.startswith("counts_")]
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
@@ -236,8 +236,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
 
-    `folder`: the campaign to make; its name becomes the campaign's. Raises BadInputError where a campaign exists there
-    and `force` is False.
+    `folder`: its name becomes the campaign's. Raises BadInputError where a campaign exists there and `force` is False.
     """
     settings, runs = folder / "campaign.toml", folder / "runs.csv"
     refuse_existing([settings, runs], force=force)

@@ -26,11 +26,11 @@ from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import BoolArray, FloatArray, floats
 from calib.units import SUFFIXES, split_suffix
 
-#: what stands behind the side in the name of a wheel: left_wheel_joint, wheel_left_joint, Enc_L_raw
+#: behind the side in a wheel's name: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
 )
-#: first letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle of its own
+#: letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
 _AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
@@ -50,7 +50,7 @@ _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"}
 
 @cache
 def _names() -> dict[str, dict[str, str]]:
-    """Return ``names.toml``: calib's columns of run table and log -> what their names may look like, parts put in."""
+    """Return ``names.toml``: columns of run table and log -> patterns of their names."""
     document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
     parts = document.pop("parts")
     columns = {
@@ -63,7 +63,7 @@ def _names() -> dict[str, dict[str, str]]:
 
 
 def plain_text(text: str) -> str:
-    """Return a text in lower case with umlauts spelt out and without accents."""
+    """Return a text in lower case, umlauts spelt out, without accents."""
     spelt = text.strip().lower().translate(_UMLAUTS).replace("°", "")
     return "".join(sign for sign in normalize("NFKD", spelt) if not combining(sign))
 
@@ -74,7 +74,7 @@ def direction_of(text: str) -> str | None:
 
 
 def mass_of(text: str) -> float | None:
-    """Return the payload in kg that a text names: ``200 kg``, ``with 62,5kg``, ``leer``; None where it names none."""
+    """Return the payload in kg that a text names: ``200 kg``, ``with 62,5kg``, ``leer``; else None."""
     if re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
         return 0.0
     found = re.search(r"(\d+(?:[.,]\d+)?)_?\s*kg", plain_text(text))
@@ -82,15 +82,15 @@ def mass_of(text: str) -> float | None:
 
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:
-    """Return a column's name without its unit, plain, and the unit where it names one that calib knows.
+    """Return a column's name without its unit, plain, and the unit if calib knows it.
 
-    `name`: as found, for example ``Strecke [mm]`` or ``Weg in mm``.
+    `name`: ``Strecke [mm]`` or ``Weg in mm``.
     """
     in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
     if unit is None and inside is not None:
-        # a side, a unit that is not known, or one of a counter
+        # a side, an unknown unit, or a counter's
         parts = _names()["parts"]
         is_side = re.fullmatch(f"{parts['left']}|{parts['right']}", plain_text(inside))
         stem = f"{before}_{inside}" if is_side else before
@@ -98,7 +98,7 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
 
 def count_unit(name: str) -> str | None:
-    """Return the unit of a wheel's column where its name has one, as ``rad`` or ``turns``; ``[counts]`` in brackets."""
+    """Return the unit in a wheel's name, as ``rad`` or ``turns``; ``[counts]`` in brackets."""
     unit = unit_spelled(bracketed(name)[1] or "")
     if unit in COUNT_UNITS:
         return unit
@@ -107,13 +107,13 @@ def count_unit(name: str) -> str | None:
 
 
 def guessed_table_column(name: str) -> str | None:
-    """Return the column of the run table that a name may mean, or None."""
+    """Return the run table's column that a name may mean, or None."""
     exact = recognise(name, TABLE_COLUMNS).name
     return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), "table")
 
 
 def reading_of(name: str) -> tuple[str, str] | None:
-    """Return what a column of readings would give as a difference, and ``start`` or ``end``; None where it is neither.
+    """Return what a column of readings gives as a difference, and ``start`` or ``end``; else None.
 
     `name`: as ``Laser start [mm]`` or ``Zähler links Ende``. A difference is a distance or a wheel's counts.
     """
@@ -130,9 +130,9 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 
 def guessed_log_column(name: str) -> str | None:
-    """Return the column of a log that a name may mean, or None.
+    """Return the log's column that a name may mean, or None.
 
-    `name`: as found; of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
+    `name`: of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
     """
     # a unit in brackets may hold a slash
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
@@ -167,7 +167,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
 
 
 def side_of(name: str) -> str | None:
-    """Return ``left`` or ``right`` where a name says the side: ``Geber_links``, ``encoderLeft``, ``QL``."""
+    """Return the side, ``left`` or ``right``, in a name: ``Geber_links``, ``encoderLeft``, ``QL``."""
     for part in (re.split(r"[:/]", name)[-1], re.sub(r"[:/]", "_", name)):
         stem = stem_and_unit(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", part))[0].replace(".", "_")
         if side := next((side for side, pattern in _SIDES.items() if pattern.search(stem)), None):
@@ -176,31 +176,31 @@ def side_of(name: str) -> str | None:
 
 
 def rises_evenly(values: FloatArray) -> bool:
-    """Return whether values of shape (n_rows,) rise in even steps, as a clock does."""
+    """Return whether values (n_rows,) rise in even steps, as a clock does."""
     steps = np.diff(values)
     usual = float(np.median(steps)) if len(steps) > 1 else 0.0
     return usual > 0 and bool((steps >= 0).all() and np.mean(np.abs(steps - usual) < _EVEN * usual) > _MOSTLY)
 
 
 def usual_step(values: FloatArray) -> float:
-    """Return the median step between rows, of the steps other than 0."""
+    """Return the median step between rows, without steps of 0."""
     steps = np.abs(np.diff(values))
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-#: share of all steps that a column rises by in the end, where it rises without a break
+#: share of all steps that a column without a break rises by in the end
 _RISES: Final = 0.98
-#: shares of a turn: a jump back of an angle, and what one that starts again at each turn spans, with rounding
+#: shares of a turn: an angle's jump back, and the span of one that starts again, with rounding
 _JUMP, _ONE_TURN = 0.75, 1.001
-#: how far a clock's step is from the usual one, as a share of it, and the share of steps that are so
+#: a clock's step is off the usual one by this share of it at most, for this share of the steps
 _EVEN, _MOSTLY = 0.05, 0.9
-#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, noise on a speed -0.5
+#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, a speed's noise -0.5
 _ALIKE: Final = 0.2
 #: what a plain counter does, and an angle without end
 RISES: Final = "rises without a break"
-#: turn at which an angle starts again -> what it does then
+#: turn at which an angle starts again -> what it does
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
-#: what the numbers of a wheel do -> the unit that they are in then
+#: what a wheel's numbers do -> their unit
 BEHAVIOURS: Final = {
     "increments, a count a sample": "counts/sample",
     _TURNS[2 * np.pi]: "rad",
@@ -210,9 +210,9 @@ BEHAVIOURS: Final = {
 
 
 def behaviour(values: FloatArray, *, whole: bool) -> str:
-    """Return what a column's numbers do, of `BEHAVIOURS`; empty where they do nothing that a wheel does.
+    """Return what a column's numbers do, of `BEHAVIOURS`; empty where nothing that a wheel does.
 
-    `values` (shape (n_rows,)): finite; `whole`: whether all are integers.
+    `values` (shape (n_rows,)): finite; `whole`: all are integers.
     """
     steps, span = np.diff(values), float(np.ptp(values))
     total = float(np.abs(steps).sum())
@@ -225,8 +225,8 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         if _JUMP * turn < span <= _ONE_TURN * turn and jumps.any() and steady:
             return words
-    # what moves goes on: the steps of a counter are alike from one to the next, but where it starts again; those of
-    # increments are not
+    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
+    # not
     steps = steps[np.abs(steps) < _JUMP * span]
     alike = float(np.sum(steps[1:] * steps[:-1])) / max(float(np.sum(steps * steps)), 1.0)
     return "increments, a count a sample" if whole and alike < _ALIKE else ""
@@ -236,17 +236,17 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
 _JACKKNIFE_BLOCKS: Final = 12
 #: grid points of a correlation; a long recording takes wider steps
 _MAX_GRID_POINTS: Final = 40_000
-#: ratio of the grid's step to the wheels' (the golden section): the grid stays in step with neither stream
+#: the grid's step over the wheels' (the golden section): in step with neither stream
 _GRID_RATIO: Final = 0.6180339887498949
-#: half the window over which a speed is taken, since it comes from differences of rounded readings
+#: half the window of a speed, the difference of rounded readings
 _SPEED_WINDOW_S: Final = 0.2
-#: correlation of two speeds below which no lag is given
+#: no lag is given below this correlation of two speeds
 _LEAST_CORRELATION: Final = 0.5
-#: least change of speed, as a share of it, that shows a lag
+#: least relative change of speed that shows a lag
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: samples of another stream below which no lag is estimated, and lags that are looked at
+#: least samples of another stream for a lag, and lags that are looked at
 _LEAST_LAG_SAMPLES, _LARGEST_LAG_S = 20, 2.0
-#: spacing of the poses of a travelled distance, wide enough that their noise lengthens it little
+#: spacing of the poses of a travelled distance: their noise lengthens it little
 _POSE_SPACING_S: Final = 0.1
 
 #: calib's column -> its source
@@ -259,21 +259,21 @@ class Lag:
 
     #: positive where the second stream's clock is late
     lag_s: float
-    #: 95 % interval, by leaving out each twelfth of the recording in turn
+    #: 95 % interval, each twelfth of the recording omitted in turn
     ci95_s: tuple[float, float]
 
 
 def continuous_counts(
     counts: FloatArray, bits: int | None = None, time_s: FloatArray | None = None
 ) -> tuple[FloatArray, int | None]:
-    """Return counts without overflows, and the counter's width; None where none is seen."""
+    """Return counts without overflows, and the counter's width, if seen."""
     offsets = np.asarray([0, len(counts)])
     width = bits or detect_wrap_bits(counts, offsets, time_s)
     return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
 
 
 def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
-    """Return an angle that may start again after each `turn` as one that goes on; what is not known stays NaN."""
+    """Return an angle, started again after each `turn`, as one that goes on; NaN stays."""
     known = np.isfinite(angle)
     if not known.any() or np.ptp(angle[known]) > _ONE_TURN * turn:
         return angle
@@ -285,7 +285,7 @@ def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
     """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
 
-    The lags are those of ``reference`` and ``range_m``, where there is one.
+    Lags of ``reference`` and ``range_m``, where found.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
     base
         The stream of the wheels.
     shown, border
-        The recording's name in messages, and what takes the notes.
+        Its name in messages; takes notes.
     """
     counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
     wheels = [base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}]
@@ -357,7 +357,7 @@ def estimate_lag(
     step = max(own_step, other_step, 1e-3)
     if not end - start > 4 * _LARGEST_LAG_S:
         return None
-    # an interpolated distance is less noisy between samples: a grid in step with one stream would prefer such a lag
+    # an interpolated distance is less noisy between samples: a grid in step with a stream would prefer such a lag
     grid = np.arange(
         start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     )

@@ -23,7 +23,7 @@ from calib.campaign.settings import Encoder, Recognised, converted, recognise
 from calib.errors import BadFileError
 from calib.types import FloatArray, floats
 
-#: name under which the column that tells the runs is kept
+#: name of the kept column that tells the runs
 CUT_COLUMN: Final = "cut"
 
 
@@ -33,23 +33,23 @@ class MappedLog:
 
     #: its source, for messages
     shown: str
-    #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; beside them ``cut`` where a column tells the runs,
-    #: shape (n_samples,)
+    #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape
+    #: (n_samples,)
     columns: dict[str, FloatArray]
     #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
     start_ns: int
     #: stream -> its lag behind the wheels
     lags: MappingType[str, Lag] = field(default_factory=dict)
-    #: width of the counter where overflows were undone
+    #: the counter's, where overflows were undone
     wrap_bits: int | None = None
-    #: whether range and poses count from the run's start
+    #: range and poses count from the run's start
     from_start: bool = False
 
 
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or the folder of a rosbag2 recording, under an empty name; or the files that a run's log consists
+    `files`: one file, or a rosbag2 folder, under an empty name; or the files that a run's log consists
     of, by the names that ``log.files`` gives them. `encoder`: counts a revolution, and the counter's width where it is
     known; `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has
     no clock or no wheels.
@@ -100,7 +100,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
     if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
-        # only the columns named were read: which there are, the whole file says
+        # only the named columns were read: the whole file has them all
         whole = read_recording(path, shown)
         check_not_empty(whole, shown)
         _refuse_missing(whole.column_names, lines, shown, mapping)
@@ -108,7 +108,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
 
 
 def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
-    """Return the files of one run as streams of a recording: each with its own clock, columns called ``name:column``.
+    """Return the files of one run as streams of a recording, each with its clock, columns called ``name:column``.
 
     Raises BadFileError where a file has no times.
     """
@@ -150,7 +150,7 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
 
 
 def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:
-    """Return the samples at which every wheel is known: streams of two wheels begin, end and pause by themselves."""
+    """Return the samples with every wheel known: streams of two wheels begin, end and pause separately."""
     wheels = [raw.columns[line.column] for name, line in lines.items() if name.startswith(("counts_", "speed_"))]
     known = np.isfinite(np.sum(wheels, axis=0)) if wheels else np.ones(len(raw.line), dtype=np.bool_)
     if known.all() or not known.any():
@@ -171,7 +171,7 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 
 
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
-    """Undo turns of the heading, and overflows beside the wheels' stream, before they are interpolated."""
+    """Undo turns of the heading, and overflows outside the wheels' stream, before interpolation."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:

@@ -22,7 +22,7 @@ from calib.errors import BadFileError
 from calib.io import inside
 from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix
 
-#: a column of the run table that holds the sheet's name, where runs stand on several
+#: a column of the run table: the sheet's name, where runs stand on several
 SHEET: Final = "sheet"
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
@@ -42,7 +42,7 @@ _NOT_NEGATIVE: Final = "a number, not below 0"
 
 
 def units_for(name: str) -> tuple[str, ...]:
-    """Return the units that calib's column `name` may be given in."""
+    """Return the units of calib's column `name`."""
     if name.startswith("counts_"):
         return tuple(COUNT_UNITS)
     suffix = split_suffix(name)[1]
@@ -51,7 +51,7 @@ def units_for(name: str) -> tuple[str, ...]:
 
 
 class _Model(BaseModel):
-    """A part of a mapping; each field's description says in an error what was expected."""
+    """A part of a mapping; a field's description says in an error what was expected."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
@@ -63,7 +63,7 @@ class _UnfitError(ValueError):
 
 
 class MappedColumn(_Model):
-    """One line of a mapping: the source of one of calib's columns."""
+    """A line of a mapping: the source of a column of calib's."""
 
     #: the source's column; empty where `value` is given
     column: str = Field(default="", description=_COLUMN)
@@ -71,28 +71,28 @@ class MappedColumn(_Model):
     value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
         default=None, description="a text or a number, or a list of one a run"
     )
-    #: the source's column that is subtracted, as the reading at a run's start from that at its end
+    #: the source's column that is subtracted: the reading at a run's start
     minus: str = Field(default="", description="the name of a column of numbers")
-    #: the source's column w of a quaternion about the vertical, of which `column` is z
+    #: the source's w of a quaternion about the vertical, `column` its z
     w: str = Field(default="", description="the name of a column of numbers")
     #: the source's unit
     unit: str | None = Field(default=None, description="the name of a unit")
-    #: sheet of the same workbook on which the value is looked up, by the text of the run table's column `by`
+    #: sheet of the workbook to look the value up on, by the text of the run table's column `by`
     sheet: str = Field(default="", description="the name of a sheet")
     by: str = Field(default="", description="the run table's column whose text is looked up")
-    #: the sheet's column that holds these texts; empty: the one of the same name, else its first
+    #: the sheet's column of these texts; empty: that of the same name, else the first
     key: str = Field(default="", description="the sheet's column that holds the texts looked up")
-    #: whether an empty cell means the same as the one above it
+    #: an empty cell means the same as the one above
     fill_down: bool = Field(default=False, description="true or false")
-    #: factor on the source's numbers
+    #: on the source's numbers
     factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
     #: texts of the source -> calib's
     values: dict[str, bool | str | int | float] = Field(
         default_factory=dict, description='texts and their meanings, as {hin = "out", zurueck = "back"}'
     )
-    #: a distance to a target, to be turned into the distance from the start of the run; None: as usual for the source
+    #: a distance to a target, to become the distance from the run's start; None: as usual for the source
     from_start: bool | None = Field(default=None, description="true or false")
-    #: time by which the column lags behind the wheels, to be taken off
+    #: the column's lag behind the wheels, taken off
     lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
     @model_validator(mode="after")
@@ -118,7 +118,7 @@ class MappedColumn(_Model):
         return tuple(filter(None, (self.column, self.minus, self.w)))
 
     def unit_for(self, name: str) -> str | None:
-        """Return the source's unit: the line's, or that in the source's name where column `name` may be in it."""
+        """Return the source's unit: the line's, or one in the source's name that column `name` may have."""
         if self.unit is not None:
             return self.unit
         unit = unit_spelled(bracketed(self.column)[1] or "")
@@ -130,7 +130,7 @@ class MappedColumn(_Model):
         return self.unit_for("counts_left") or "counts"
 
     def target(self, name: str) -> str:
-        """Return calib's column `name` in the source's unit (``t_ms``), as the recognition of columns reads it."""
+        """Return calib's column `name` in the source's unit (``t_ms``)."""
         unit = self.unit_for(name)
         if unit is None or name.startswith("counts_") or self._weighed(name):
             return name
@@ -146,7 +146,7 @@ class MappedColumn(_Model):
         return name.startswith("load_") and unit in SUFFIXES and SUFFIXES[unit][0] == "kg"
 
     def fits(self, name: str) -> bool:
-        """Return whether the unit is one that calib's column `name` may have."""
+        """Return whether calib's column `name` may have the unit."""
         return self.unit is None or self.unit in units_for(name)
 
 
@@ -192,7 +192,7 @@ class TableSection(_Section):
 
     file: str | None = Field(default=None, description="the name of the run table, relative to the mapping")
     runs_in: Literal["rows", "columns"] = Field(default="rows", description='"rows" or "columns"')
-    #: sheets that hold runs, one after another; a line may name the column `SHEET`
+    #: sheets of runs, one after another; a line may name the column `SHEET`
     sheets: list[str] = Field(default_factory=list, description='names of sheets, as ["empty", "200 kg"]')
 
     @property
@@ -206,14 +206,14 @@ class LogSection(_Section):
 
     #: name of a run's log, with ``{run_id}`` or ``{n}``
     file: str | None = Field(default=None, pattern=_OF_A_RUN, description=_LOG_FILE)
-    #: where a run's log is several files: a name for each -> its pattern; columns are called ``name:column`` then
+    #: where a run's log is several files: name of each -> its pattern; columns are called ``name:column``
     files: dict[Annotated[str, Field(pattern=r"^\w+$")], Annotated[str, Field(pattern=_OF_A_RUN)]] = Field(
         default_factory=dict, description=_LOG_FILES
     )
     #: how ``{n}`` is read from the run's name
     run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
-    #: runs whose left and right encoder were exchanged
+    #: runs with left and right encoder exchanged
     swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
 
     @field_validator("columns")
@@ -272,7 +272,7 @@ class Mapping:
     shown: str
     table: TableSection
     log: LogSection
-    #: None where the logs are of one run each
+    #: None where each log is one run
     cut: Segmentation | None
     #: all other keys and sections: those of ``campaign.toml``
     settings: dict[str, object]
@@ -283,8 +283,7 @@ class Mapping:
 def read_mapping(path: Path | None) -> Mapping:
     """Read a mapping.
 
-    `path`: TOML file; None is an empty one. Raises BadFileError where a line cannot be
-    used.
+    `path`: TOML file; None: an empty one. Raises BadFileError where a line cannot be used.
     """
     shown = str(path) if path else "mapping"
     document = load_toml(path, shown) if path else {}
@@ -301,8 +300,8 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
-    `model` is `TableSection`, `LogSection` or `Segmentation`; `section` is as TOML gives it; `shown` and `where` name
-    the mapping and the section in messages.
+    `model`: `TableSection`, `LogSection` or `Segmentation`; `section`: as TOML gives it; `shown`, `where`: names of
+    mapping and section in messages.
 
     Raises BadFileError where it is no section, or at the first key that cannot be used, with what was expected there.
     """

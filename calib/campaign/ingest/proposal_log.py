@@ -18,11 +18,11 @@ from calib.campaign.settings import recognise
 from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix, unit_named
 
-#: letters of a name that alone is no evidence of a wheel: l, r, li, re
+#: letters that alone are no evidence of a wheel: l, r, li, re
 _SHORT_NAME: Final = 2
 #: characters of a remark that lists files
 _LISTED_FILES: Final = 110
-#: message types whose poses measure from outside, best first; wheel odometry is no reference
+#: message types with poses from outside, best first; wheel odometry is no reference
 _POSES: Final = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -41,7 +41,7 @@ _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 #: days since 1900, as spreadsheets keep times: of 1954 to 2064; and a step of 4 s
 _DAYS: Final = (2e4, 6e4)
 _DAY_STEP: Final = 5e-5
-#: least step of times in whole numbers -> their unit; loggers sample at 1 Hz to 1 kHz
+#: least step of whole-number times -> unit; loggers sample at 1 Hz to 1 kHz
 _STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
 _PAIR: Final = ("counts_left", "counts_right")
 #: wheels at four corners, by their sides, front first
@@ -49,10 +49,10 @@ _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
-#: share of its span by which two wheels of a side differ at most that are coupled: they slip, they do not steer
+#: share of its span by which two coupled wheels of a side differ at most: they slip, they do not steer
 _COUPLED: Final = 0.02
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
-#: end of the name of a quaternion's z, which is no heading
+#: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
 #: remark on the wheels of a vehicle that steers by its sides' speeds
@@ -60,9 +60,9 @@ SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a 
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the columns of the recording, or the widest log, and remarks on what no column looks like.
+    """Return the lines for the recording or the widest log, and remarks on what no column looks like.
 
-    `logs`: all logs and recordings; the width of a counter counts where any log alike shows it.
+    `logs`: all logs and recordings; a counter's width counts where any log alike shows it.
     """
     several = {tag: part for tag, (_, part) in files_of_a_run(logs).items()}
     if several:
@@ -104,7 +104,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
     found: dict[str, ColumnContents] = {}
-    # a joint's rate is taken where there is no position of it
+    # a joint's rate is taken where its position is missing
     for column in sorted(columns, key=lambda column: _RATE in column.name):
         target = guessed_log_column(column.name)
         if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
@@ -137,7 +137,7 @@ def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamConten
         for name in _SPEEDS:
             found.pop(name, None)
     bearing = found.pop("bearing_rad", None)
-    # beside a wheel that steers an angle may be the steering's
+    # beside a steered wheel an angle may be the steering's
     steers = "counts_front" in found and "steer_rad" not in found
     if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(found) or "ref_theta_rad" in found or steers:
         return None
@@ -159,7 +159,7 @@ def _may_be(
     joint = stream is not None and stream.kind.endswith("JointState")
     is_wheel = target.startswith("counts_")
     if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
-        # a letter alone: `r` may as well be a range
+        # a letter alone: `r` may be a range
         return False
     if stream is None:
         return column.kind == "number" or (target == "t_s" and column.kind == "time")
@@ -187,7 +187,7 @@ def _time_unit(column: ColumnContents) -> str:
     if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
         return "day"
     unit = next((unit for least, unit in _EPOCHS if high > least), "s")
-    # a counter of milliseconds may be beyond the seconds since 1970
+    # a counter of milliseconds may exceed the seconds since 1970
     return next((one for least, one in _STEPS if column.whole and column.step > least), unit) if unit == "s" else unit
 
 
@@ -219,7 +219,7 @@ def _wheel_lines(
 
 
 def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
-    """Make two wheels of corners that are a pair, or are coupled on each side (skid steer), in place; what to say."""
+    """Make two wheels of corners in a pair, or coupled on each side (skid steer), in place; return a remark."""
     for axle in (0, 1):
         names = [pair[axle] for pair in _CORNERS.values()]
         if sorted(corners) == sorted(names):
@@ -242,7 +242,7 @@ def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
 
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
-    """Find two counters by what they do, in place: they overflow, or rise in whole steps; returns what to check."""
+    """Find two counters in place, by overflows or whole steps; return what to check."""
     counters = [column for column in columns if column.whole and column.wrap_bits]
     what = "overflows"
     if not counters:

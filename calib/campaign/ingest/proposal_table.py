@@ -1,4 +1,4 @@
-"""The lines proposed for a run table: its columns, those of other sheets, and the names of the runs' logs."""
+"""The lines proposed for a run table: its columns, other sheets', and the names of the runs' logs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LISTED_UNITS: Final = 40
 
 
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:
-    """Return one line of a mapping; a plain text where the column's name says all."""
+    """Return a line of a mapping; plain text where the column's name says all."""
     parts: dict[str, object] = {"column": column.name}
     if unit is not None and not (re.search(r"[\[(]", column.name) and stem_and_unit(column.name)[1] == unit):
         parts["unit"] = unit
@@ -32,16 +32,16 @@ def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str
 
 
 def unit_remark(name: str) -> str:
-    """Return the remark on a column that names no unit: those that it may be in."""
+    """Return the remark on a column without unit: those it may have."""
     return f"   # names no unit: {', '.join(units_for(name))[:_LISTED_UNITS]}"
 
 
-#: what a column may mean that holds the load on both rear wheels together
+#: what a column may mean that holds the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 _WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 #: characters of a remark that lists columns
 _LISTED_COLUMNS: Final = 110
-#: a date in a file's name, and a time behind it -> how a mapping says so
+#: date and time in a file's name -> how a mapping writes them
 _MOMENTS: Final = (
     (
         re.compile(r"(?<!\d)(19|20)\d{2}[-_.]?\d{2}[-_.]?\d{2}(?!\d)|(?<!\d)\d{2}[-_.]\d{2}[-_.](19|20)\d{2}(?!\d)"),
@@ -52,9 +52,9 @@ _MOMENTS: Final = (
 
 
 def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
-    """Return the lines that name the run table's columns, and remarks on those without one.
+    """Return the lines for the run table's columns, and remarks on the others.
 
-    `numbered`: whether runs that no column names may be numbered, since no log has to be found by their names.
+    `numbered`: runs without names may be numbered, since no log has to be found by them.
     """
     lines = _place_lines(table)
     own: list[str] = []
@@ -229,16 +229,16 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
-    """Return the several files that a run's log consists of: a name for each -> its pattern and the first such file.
+    """Return the files that a run's log consists of: a name for each -> its pattern and the first such file.
 
-    Empty where a run has one file, or the names do not say which files belong together.
+    Empty where a run has one file, or the names do not say which belong together.
     """
     groups: dict[str, list[FileContents]] = {}
     for log in logs if not any(log.recording for log in logs) else ():
         groups.setdefault(re.sub(r"\d+", "#", Path(log.name).name), []).append(log)
     patterns = {name: name_pattern([Path(log.name).stem for log in group]) for name, group in groups.items()}
     whole = [pattern for pattern in patterns.values() if pattern]
-    # files that each hold the wheels are runs of their own: run_1_out, run_1_back
+    # files that each hold the wheels are separate runs: run_1_out, run_1_back
     wheels = sum(
         "counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups.values()
     )
@@ -284,7 +284,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
 
 
 def name_pattern(stems: Sequence[str]) -> str | None:
-    """Return what the names of logs have in common: a run's number, dates and times, and text that differs."""
+    """Return what logs' names have in common: a run's number, dates and times, text that differs."""
     for form, sign in _MOMENTS:
         if all(form.search(stem) for stem in stems):
             stems = [form.sub(sign, stem, count=1) for stem in stems]
@@ -293,7 +293,7 @@ def name_pattern(stems: Sequence[str]) -> str | None:
         return None
     columns = [[part[at] for part in parts] for at in range(len(parts[0]))]
     numbers = [at for at in range(1, len(columns), 2) if len({int(cell) for cell in columns[at]}) == len(stems)]
-    # a run's number is small: a serial number or a time may differ from log to log as well
+    # a run's number is small: serial numbers and times may differ, too
     best = min(numbers, key=lambda at: (max(int(cell) for cell in columns[at]), -at), default=None)
     if best is None:
         return None
@@ -303,7 +303,7 @@ def name_pattern(stems: Sequence[str]) -> str | None:
         if at == best:
             out += f"{{n:{widths.pop():02}}}" if len(widths) == 1 and next(iter(widths)) > 1 else "{n}"
         else:
-            # a stamp of the next log may begin otherwise
+            # the next log's stamp may begin otherwise
             out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{_common_start(cells)}*"
     return out
 

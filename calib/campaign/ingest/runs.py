@@ -32,13 +32,13 @@ def without_unit(name: str) -> str:
 
 
 def whole_name(column: str, names: Collection[str]) -> str:
-    """Return the name in the file that a mapping gives without the unit in brackets; `column` where none is like it."""
+    """Return the name in the file that a mapping gives without its unit; `column` where none is like it."""
     alike = [name for name in names if without_unit(name) == column.strip()]
     return alike[0] if len(alike) == 1 and column not in names else column
 
 
 def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
-    """Return lines with the columns' whole names, where a line names one without the unit that the file gives it."""
+    """Return lines with the columns' whole names where they lack the file's unit."""
 
     def whole(line: MappedColumn) -> MappedColumn:
         update = {key: whole_name(name, names) for key in ("column", "minus", "w") if (name := getattr(line, key))}
@@ -50,7 +50,7 @@ def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> d
 def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) -> tuple[RawTable, Mapping]:
     """Return the run table with columns looked up on other sheets and empty cells filled, and the mapping's lines.
 
-    `path`: the workbook. Raises BadFileError where a sheet, column or label is not there.
+    `path`: the workbook. Raises BadFileError where a sheet, column or label is missing.
     """
     shown = str(path)
     lines = dict(mapping.table.columns)
@@ -124,7 +124,7 @@ def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, bor
 
 
 def names_runs(raw: RawTable, mapping: Mapping) -> bool:
-    """Return whether a table names runs, by the mapping or by calib's own name."""
+    """Return whether a table names runs, by the mapping or by calib's name."""
     line = mapping.table.columns.get("run_id")
     own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
     return own or (line is not None and line.column in raw.columns)
@@ -157,7 +157,7 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
             factors[recognise(line.target(name), TABLE_COLUMNS).name] = factor
     used = {name for line in lines.values() for name in line.sources}
     for name, cells in raw.columns.items():
-        # a column that the mapping uses is not taken a second time under its own name
+        # a column in use is not taken again under its own name
         if name not in used and recognise(name, TABLE_COLUMNS).name not in lines:
             columns.setdefault(name, cells)
     for name, line in lines.items():
@@ -228,7 +228,7 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> n
 
 
 def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    """Return the table without rows that repeat an earlier one cell by cell, each of them noted."""
+    """Return the table without rows that repeat an earlier one, each of them noted."""
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)
     for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):
@@ -241,9 +241,9 @@ def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
 
 
 def listed_files(sources: Sequence[Path]) -> list[Path]:
-    """Return the files of sources: themselves, rosbag2 folders, and the files in other folders.
+    """Return the files of sources: files, rosbag2 folders, and other folders' files.
 
-    Raises BadInputError where a source is not there.
+    Raises BadInputError where a source is missing.
     """
     files: list[Path] = []
     for source in sources:
@@ -257,7 +257,7 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
 
 
 def _files_inside(folder: Path) -> list[Path]:
-    """Return the files of a folder that calib reads, and those of the folders in it where it has one at most.
+    """Return a folder's files that calib reads, and those of the folders in it where it has one at most.
 
     That is a run table beside folders of logs; campaigns among them are omitted.
     """
@@ -271,10 +271,7 @@ def _files_inside(folder: Path) -> list[Path]:
 
 
 def run_number(run_id: str, pattern: str | None) -> int | None:
-    """Return the number in a run's name, as a pattern (``Run {n}``) reads it, or the last number in it.
-
-    `pattern`: text with ``{n}`` where the number stands.
-    """
+    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
     if pattern is None:
         numbers = re.findall(r"\d+", run_id)
         return int(numbers[-1]) if numbers else None
@@ -292,11 +289,9 @@ _PARTS: Final = {
 
 
 def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None where there is no pattern, or no number in the run's name.
+    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
 
-    `pattern`: of ``log.files``; else ``log.file``.
-
-    ``{date}``, ``{time}`` and ``*`` stay as they are: `fits_name` compares.
+    `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
     """
     pattern = pattern or log.file
     if pattern is None:
@@ -309,12 +304,12 @@ def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> s
 
 
 def with_number(pattern: str, number: int) -> str:
-    """Return a pattern with its ``{n}`` or ``{n:03}`` replaced by a number."""
+    """Return a pattern with a number for its ``{n}`` or ``{n:03}``."""
     return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), pattern)
 
 
 def fits_name(name: str, wanted: str) -> bool:
-    """Return whether a file's name is the one wanted, in any letter case; `wanted`: as `expected_name` gives it."""
+    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
     parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
     pattern = "".join(_PARTS.get(part, re.escape(part)) for part in parts)
     return re.fullmatch(pattern, name, re.IGNORECASE) is not None
@@ -325,15 +320,15 @@ def match_logs(
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Find the log of each run.
 
-    Returned by number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
-    name of a log that was expected and is not there.
+    By number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
+    name of a missing log.
 
     Raises BadFileError where no run finds its log although there are files, or a run finds two.
 
     Parameters
     ----------
     runs, files, log
-        The runs, the log files, and how they are named.
+        Runs, log files, and their names.
     shown, border
         The table's name in messages, and what takes notes.
     """
@@ -389,6 +384,6 @@ def run_in(name: str, pattern: str) -> str | None:
 
 
 def runs_of_files(files: Sequence[Path], log: LogSection) -> list[str]:
-    """Return the runs that files belong to by the patterns of ``log.files``, in the order of their names."""
+    """Return the runs of files by the patterns of ``log.files``, in the order of their names."""
     found = {run_in(path.name, pattern) for path in files for pattern in log.files.values()} - {None}
     return sorted(filter(None, found), key=lambda run: (run_number(run, None) or 0, run))

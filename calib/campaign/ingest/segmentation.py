@@ -24,11 +24,11 @@ from calib.types import BoolArray, FloatArray
 
 #: counts by which a standing wheel may toggle
 _TOGGLE_COUNTS: Final = 3.0
-#: counts by which a wheel may differ from its last one while it stands at the end
+#: a wheel that stands at the end may differ from its last count by so many
 _STANDING_COUNTS: Final = 1.5
 #: window in which a driving wheel moves by more
 _WINDOW_S: Final = 0.5
-#: most of a standstill that is kept with the run beside it, so that both ends of the run stand
+#: a run keeps so much of the standstill beside it, so that both its ends stand
 _STANDSTILL_S: Final = 0.5
 #: runs whose times an error lists
 _LISTED_RUNS: Final = 12
@@ -66,7 +66,7 @@ def segment_recordings(
     Parameters
     ----------
     runs, table
-        Rows that name the runs in the order driven (None: they are numbered), and the table as read, for columns of
+        Rows of the runs in the order driven (None: numbered), and the table as read, for columns of
         times.
     recordings, mapping
         In the order driven, and how they are cut.
@@ -190,7 +190,7 @@ def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
 def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: float) -> list[slice]:
     edges = np.flatnonzero(np.diff(np.concatenate(([0], moving(time, wheels).astype(np.int8), [0]))))
     starts, ends = edges[::2], edges[1::2] - 1
-    # the window looks ahead: a drive ends half a second after its last flag at most
+    # the window looks ahead: a drive ends up to half a second after its last flag
     ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)
     # a standstill shorter than the least ends no run
     apart = time[starts[1:]] - time[ends[:-1]] >= min_stop_s
@@ -233,9 +233,9 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
 def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
     """Return a run's columns with poses in its start frame and the range as distance from the start.
 
-    The start is the median over the samples before the wheels turn, so that one noisy sample does not turn the path.
+    The start is the median before the wheels turn, so that one noisy sample does not turn the path.
 
-    `columns` (shape (n_samples,)): of one run; `poses`, `distance`: which of the two to change.
+    `columns` (shape (n_samples,)): of one run; `poses`, `distance`: whether to change these.
     """
     out = dict(columns)
     time, wheels = _time_and_wheels(columns)
@@ -261,7 +261,7 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
 
 
 def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
-    """Return distance and end pose of a run: medians over the samples after the wheels have stopped.
+    """Return distance and end pose of a run: medians after the wheels have stopped.
 
     `columns` (shape (n_samples,)): of one run, its poses and range from the start.
     """

@@ -17,9 +17,9 @@ __all__ = [
     "READERS", "Layout", "RawTable", "Wanted", "holds_recording", "is_bag_folder", "read_recording", "read_table",
 ]  # fmt: skip
 
-#: suffix -> module and function of this package, imported when first needed: ``read…(path, shown, wanted, layout)``,
-#: which returns a `RawTable`, or ``record…(path, shown, wanted)``, which returns a `Recording`. `shown` is the file's
-#: name in messages; `wanted` picks the columns and makes them numeric, None keeps everything as read.
+#: suffix -> module and function of this package, imported when first needed: ``read…(path, shown, wanted, layout)``
+#: returns a `RawTable`, or ``record…(path, shown, wanted)`` a `Recording`. `shown` is the file's name in messages;
+#: `wanted` picks the columns and makes them numeric, None keeps all as read.
 READERS: Final[dict[str, str]] = {
     ".csv": "delimited.read",
     ".tsv": "delimited.read",
@@ -33,7 +33,7 @@ READERS: Final[dict[str, str]] = {
     ".mat": "daq.record_mat",
     ".tum": "recording.record",
 }
-#: a rosbag2 recording is a folder with this file
+#: a rosbag2 folder has this file
 BAG_METADATA: Final = "metadata.yaml"
 
 
@@ -75,12 +75,12 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
 
 
 def holds_recording(path: Path) -> bool:
-    """Return whether a path is of a format that holds streams rather than one table."""
+    """Return whether a path's format holds streams rather than one table."""
     return ".record" in _name(path)
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Return whether a path is the folder of a rosbag2 recording."""
+    """Return whether a path is a rosbag2 folder."""
     return path.is_dir() and (path / BAG_METADATA).is_file()
 
 

@@ -1,8 +1,8 @@
 """Files of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra.
 
 Of MATLAB numeric arrays and structures of them; objects and cells are never loaded, and the element tree is checked
-before it is handed to a reader in C that trusts every tag. Of TDMS groups, channels, properties at three levels,
-waveform times.
+before a reader in C that trusts every tag gets it. Of TDMS groups, channels, properties at three levels, waveform
+times.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ELEMENT_TYPES: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 1
 #: classes of arrays (table 1-2, with function handles and opaque objects)
 _ARRAY_CLASSES: Final = range(1, 18)
 _CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15
-#: bit of the flags: an imaginary part follows
+#: flag: an imaginary part follows
 _COMPLEX_FLAG: Final = 0x800
 #: cells, structures and objects hold arrays, one a place
 _CONTAINER_CLASSES: Final = range(1, 4)
@@ -55,7 +55,7 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
     properties: dict[str, str] = {}
 
     def flatten(name: str, value: Any) -> None:
-        """Take an array as columns, a number as a property, a structure field by field."""
+        """Take an array as columns, a number as property, a structure field by field."""
         kind = value.dtype.kind if isinstance(value, np.ndarray) else ""
         if kind == "V" and value.size == 1:
             for part in value.dtype.names or ():
@@ -86,7 +86,7 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
 
     remedy = "save it again with: save('file.mat', '-v7')"
     with damage_named(shown, "a MATLAB file", "a whole one of version 5 to 7.2", remedy):
-        # the reader is machine code that takes every tag for granted
+        # the reader is machine code that trusts every tag
         check_elements(path.read_bytes())
         try:
             listed = scipy.io.whosmat(str(path))
@@ -105,7 +105,7 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
 
 
 def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
-    """Return an array of one or two dimensions as columns, ``name`` or ``name[0]``, ``name[1]``, ..."""
+    """Return an array of one or two dimensions as columns ``name`` or ``name[0]``, ``name[1]``, ..."""
     matrix = floats(values)
     if matrix.ndim == 1 or (matrix.ndim == 2 and 1 in matrix.shape):
         return {name: matrix.ravel()}
@@ -116,9 +116,9 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
 
 
 def check_elements(data: bytes) -> None:
-    """Raise ValueError, which says how, where a tag, class or length of a file's elements is none that may be.
+    """Raise ValueError, which says how, where a tag, class or length of a file's elements is wrong.
 
-    `data`: the whole file, its header of 128 bytes included. A header that is not of version 5 is left to the reader.
+    `data`: the whole file with its header of 128 bytes. A header of another version than 5 is left to the reader.
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
     if order is None:
@@ -163,11 +163,11 @@ def _array(content: memoryview, order: str, depth: int) -> None:
     kind, is_complex = flags & 0xFF, bool(flags & _COMPLEX_FLAG)
     if kind not in _ARRAY_CLASSES:
         raise ValueError(f"an array of class {kind}")
-    # flags, dimensions and name, then rows and columns of a sparse one, then real and imaginary numbers
+    # flags, dimensions, name, then a sparse one's rows and columns, then real and imaginary numbers
     wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
     if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
         raise ValueError(f"an array of class {kind} with {len(parts)} of {wanted} elements")
-    # objects of MATLAB's own kind have a name where others have dimensions
+    # MATLAB's own objects have a name where others have dimensions
     sizes = struct.unpack(f"{order}{len(parts[1][1]) // 4}i", parts[1][1][: len(parts[1][1]) // 4 * 4])
     places = 1
     for size in sizes:
@@ -188,7 +188,7 @@ def _unpacked(content: memoryview) -> bytes:
 
 #: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
-#: samples read at a time, so that a channel is never held twice
+#: samples read at a time: no channel is held twice
 _CHUNK_SAMPLES: Final = 1 << 20
 
 
@@ -237,7 +237,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _moments_ns(stamps: Any) -> IntArray:
-    """Return nanoseconds since 1970 of time stamps kept as seconds since 1904 and 2^-64 of a second, rounded."""
+    """Return nanoseconds since 1970 of time stamps in seconds since 1904 and 2^-64 of a second, rounded."""
     seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
     fractions = np.rint(floats(stamps.second_fractions) * (NS_PER_S / 2.0**64)).astype(np.int64)
     return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)
@@ -257,7 +257,7 @@ def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
         time, clock, columns, units = _time(next(iter(members.values()))), "waveform properties", {}, {}
         for name, channel in members.items():
             if channel[0:1].dtype.names:
-                # a channel of time stamps is the clock of the channels beside it
+                # a channel of time stamps is the clock of those beside it
                 time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
                 continue
             columns[name] = _values(channel)

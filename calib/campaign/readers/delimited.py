@@ -20,18 +20,18 @@ from calib.errors import BadFileError
 from calib.types import FloatArray
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
-#: delimiter -> all bytes but it and the end of a line
+#: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 _MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for
 _HEAD_BYTES: Final = 1 << 16
-#: tables of numbers only, up to so many bytes, are read by numpy: as fast as pandas there, whose import takes as long
-#: as two hundred such logs
+#: numpy reads tables of numbers up to so many bytes: as fast as pandas, whose import takes as long as two hundred of
+#: them
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
-#: rows that suffice to show a header in the first of them
+#: rows that show a header in the first of them
 _FEW_ROWS: Final = 8
-#: what keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, a zero with a sign
+#: keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, a zero with a sign
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 #: beyond it a float64 no longer holds every whole number
@@ -74,10 +74,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
     """Read the plain ones of many small files, those of one header in one go.
 
-    The same numbers as `calib.campaign.readers.read_table` gives for each.
-
-    `files`: files and their names in messages; `wanted`: called with each column name; True keeps the column. One a
-    file; None where it has to be read by itself.
+    The numbers are those of `calib.campaign.readers.read_table`. `files`: files and their names in messages; `wanted`:
+    called with each column name; True keeps the column. One a file; None where it has to be read by itself.
     """
     tables: list[RawTable | None] = [None] * len(files)
     groups: dict[str, list[tuple[int, bytes]]] = {}
@@ -111,7 +109,7 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
     start = data.find(b"\n") + 1
     if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
         return None
-    # one sign is found at the speed of memory, several are not
+    # one sign is found at the speed of memory, several not
     if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
         return None
     if not data.endswith(b"\n"):
@@ -138,7 +136,7 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if layout.header_row is None:
-        # most logs begin with their header, and a few rows as wide as it and of numbers show it
+        # most logs begin with their header, which a few rows of numbers as wide show
         lines = _first_lines(data, _FEW_ROWS)
         usual = _first_delimiter(lines)
         rows = split_cells(lines, usual)
@@ -164,10 +162,9 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
 
 
 def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
-    """Return whether every line of a text without quotes has `width` cells, none more and none fewer.
+    """Return whether every line of a text without quotes has `width` cells.
 
-    The text without its cells has to be the same line over and over: a row too long beside one too short, which are as
-    many cells in all, is seen.
+    The text without its cells has to be one line over and over, which a row too long beside one too short is not.
     """
     line = delimiter.encode() * (width - 1) + b"\n"
     marks = body.translate(None, _CELL_BYTES[delimiter])
@@ -194,13 +191,13 @@ def _first_lines(data: bytes, n_lines: int) -> list[str]:
 def _read_numeric(
     body: bytes, names: list[str], delimiter: str, wanted: Wanted
 ) -> tuple[dict[str, FloatArray], int, bool] | None:
-    """Read clean numeric columns at once; None where anything is odd, and then every cell is read by itself."""
+    """Read clean numeric columns at once; None where anything is odd: then every cell is read by itself."""
     rows = body.count(b"\n") + (0 if body.endswith(b"\n") or not body else 1)
     keep = [name for name in names if name and wanted(name)]
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):
         return None
     comma = delimiter != "," and b"," in body
-    # with a point or an ambiguous 1,234 anywhere beside the commas, only the reading cell by cell can tell
+    # with a point or an ambiguous 1,234 among the commas, only reading cell by cell can tell
     if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
     values = numpy_table(body, rows, len(names), delimiter)
@@ -217,7 +214,7 @@ def _read_numeric(
 
 
 def numpy_table(body: bytes, rows: int, width: int, delimiter: str) -> FloatArray | None:
-    """Return a small table of numbers only, shape (rows, width); None where it is anything else."""
+    """Return a small table of numbers, shape (rows, width); None for anything else."""
     if len(body) > NUMPY_BYTES or body.translate(None, _NUMBER_BYTES + delimiter.encode()):
         return None
     try:
@@ -232,7 +229,7 @@ def _parsed(
 ) -> tuple[FloatArray, list[bool]] | None:
     """Return the kept columns as pandas reads them, shape (rows, n_kept), and which hold decimals.
 
-    None where a cell is no number or too large, or the rows are not as many as the lines.
+    None where a cell is no number or too large, or rows and lines differ in number.
     """
     import pandas as pd
 
@@ -254,7 +251,7 @@ def _parsed(
         kinds = [dtype.kind for dtype in frame.dtypes]
         if len(frame) != rows or not set(kinds) <= set("iuf"):
             return None
-        # all columns at once: asking for each costs more than its numbers
+        # all columns at once: asking for each is slower
         values = frame.to_numpy(np.float64)
     except (ValueError, OverflowError):
         return None

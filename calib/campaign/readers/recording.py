@@ -19,30 +19,30 @@ from calib.campaign.readers.table import NS_PER_S, RawTable
 from calib.errors import BadFileError
 from calib.types import FloatArray, IntArray
 
-#: a step is a gap where it exceeds so many usual steps
+#: a gap exceeds so many usual steps
 GAP_STEPS: Final = 5.0
-#: code of a note that lists the types of messages that calib does not read
+#: note of the message types that calib does not read
 UNREAD_TYPES: Final = "skipped"
 #: columns of a pose in space; `planar_pose` makes x, y, z and yaw of them
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-#: least squared length of a quaternion that stands for an orientation; a unit quaternion has 1, an unset one 0
+#: least squared length of a quaternion of an orientation: a unit quaternion has 1, an unset one 0
 _LEAST_QUATERNION: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class StreamContents:
-    """What a stream holds and its clock shows; zeros where it has no clock."""
+    """What a stream holds and its clock shows; zeros without a clock."""
 
     name: str
     kind: str
     n_samples: int
     clock: str
     columns: tuple[str, ...]
-    #: time from the first to the last sample
+    #: from the first to the last sample
     span_s: float = 0.0
-    #: samples a second, from the median step
+    #: samples a second, by the median step
     rate_Hz: float = 0.0
-    #: steps longer than five usual ones, and the longest of them
+    #: steps longer than five usual ones, and the longest
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     #: first time, nanoseconds as recorded
@@ -60,28 +60,28 @@ class StreamContents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """One stream of a recording: a topic, a group of channels, the variables of a file."""
+    """A stream of a recording: a topic, a group of channels, variables of a file."""
 
     #: topic or group
     name: str
     #: message type, or ``channels``, ``variables``, ``poses``
     kind: str
-    #: under names that are unique in the recording (``/odom:x``), shape (n_samples,)
+    #: by names unique in the recording (``/odom:x``), shape (n_samples,)
     columns: Mapping[str, FloatArray]
-    #: nanoseconds as recorded, exact; None where the stream has no clock of its own, shape (n_samples,)
+    #: nanoseconds as recorded, exact; None without a clock of its own, shape (n_samples,)
     time_ns: IntArray | None
-    #: where the times come from, in words
+    #: source of the times, in words
     clock: str
-    #: units that the file names, by column
+    #: as the file names them, by column
     units: Mapping[str, str] = field(default_factory=dict)
-    #: median of arrival minus stamp where messages carry stamps; it differs between streams whose clocks differ
+    #: median of arrival minus stamp, where messages have stamps; it differs between clocks
     behind_arrival_s: float | None = None
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
 
     def contents(self) -> StreamContents:
-        """Return what the stream holds, with span, rate and gaps of its clock."""
+        """Return what the stream holds, and its clock's span, rate and gaps."""
         names, behind_s = tuple(self.columns), self.behind_arrival_s
         found = StreamContents(self.name, self.kind, len(self), self.clock, names, behind_arrival_s=behind_s)
         if self.time_ns is not None and len(self.time_ns):
@@ -107,7 +107,7 @@ class Recording:
     streams: tuple[Stream, ...]
     #: what was recognised or omitted
     notes: tuple[Note, ...] = ()
-    #: properties that the file names, by place (``/``, ``group``, ``group/channel``)
+    #: as the file names them, by place (``/``, ``group``, ``group/channel``)
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def stream_of(self, column: str) -> Stream | None:
@@ -128,22 +128,21 @@ class WantedColumns(frozenset[str]):
         return name in self
 
     def of_topic(self, topic: str) -> bool:
-        """Return whether a column of the topic may be wanted; names of frames and joints follow the topic's."""
+        """Return whether a column of the topic may be wanted; frames' and joints' names follow the topic's."""
         return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self)
 
 
 def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
     """Return a column at other times, linearly between samples and empty across gaps.
 
-    `stream`: with a clock that does not run backward; `at_ns` (shape (n_times,)): where it is wanted, on the clock of
-    the recording; `shift_ns`: taken off the stream's times first: the time that the stream lags behind. Shape
-    (n_times,): NaN outside the stream's span and within its gaps.
+    `stream`: its clock does not run backward; `at_ns` (shape (n_times,)): on the clock of the recording; `shift_ns`:
+    the stream's lag, taken off its times first. Shape (n_times,): NaN outside the stream's span and within its gaps.
     """
     known = ~np.isnan(stream.columns[column])
     if stream.time_ns is None or not known.any():
         return np.full(len(at_ns), np.nan)
     times, values = stream.time_ns[known] - shift_ns, stream.columns[column][known]
-    # differences of integers first: nanoseconds since 1970 are no longer exact as float
+    # differences of integers first: nanoseconds since 1970 are not exact as float
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
@@ -159,9 +158,9 @@ def joined_table(
 ) -> RawTable:
     """Return the recording as one table on the times of one stream, the others interpolated.
 
-    `base`: that stream; the one with most samples where it is None. `shifts_s`: column -> time that it lags behind,
-    taken off. `clock`: whether `base` has the clock; else columns of its length are taken as they are. The columns
-    under their names and, where there is a clock, ``t_s`` from the first sample with its epoch.
+    `base`: that stream; None: the one with most samples. `shifts_s`: column -> lag, taken off. `clock`: whether `base`
+    has the clock; else columns of its length are taken as they are. The columns by name and, with a clock, ``t_s`` from
+    the first sample with its epoch.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
@@ -183,7 +182,7 @@ def joined_table(
 
 
 def check_not_empty(recording: Recording, shown: str) -> None:
-    """Refuse a recording without a number that calib reads, naming what it holds instead.
+    """Refuse a recording without a number that calib reads; the error names what it holds.
 
     Raises BadFileError where no stream holds a sample.
     """
@@ -198,7 +197,7 @@ def check_not_empty(recording: Recording, shown: str) -> None:
 def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return columns with a quaternion (qx, qy, qz, qw) replaced by its yaw, continuous over the turn.
 
-    `columns` (shape (n_samples,)); without a quaternion they are returned as they are.
+    `columns` (shape (n_samples,)); those without a quaternion stay.
     """
     if "qw" not in columns:
         return dict(columns)
@@ -209,7 +208,7 @@ def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     yaw = np.where(known, yaw, np.nan)
     yaw[known] = np.unwrap(yaw[known])
     out = {name: values for name, values in columns.items() if name not in POSE[3:]} | {"yaw": yaw}
-    # yaw follows the place; further columns of the message follow both
+    # yaw follows the place, further columns both
     order = [*POSE[:3], "yaw", *(name for name in out if name not in (*POSE, "yaw"))]
     return {name: out[name] for name in order if name in out}
 
@@ -245,7 +244,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
 
 
 def decimal_ns(text: str) -> int:
-    """Return seconds written as a decimal number as nanoseconds, exactly; further digits are rounded off.
+    """Return decimal seconds as nanoseconds, exactly; further digits are rounded off.
 
     Raises ValueError where the text is no such number.
     """

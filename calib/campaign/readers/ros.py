@@ -20,18 +20,18 @@ from calib.campaign.readers.table import NS_PER_S
 from calib.errors import BadFileError, error_words, missing_reader
 from calib.types import IntArray
 
-#: share of the messages whose stamps have to be set for the stamps to be the clock
+#: stamps are the clock where this share of the messages has them set
 _STAMPED_SHARE: Final = 0.99
 _TWIST: Final = ("v_x", "v_y", "omega")
 
-#: a part of a message: suffix of its stream, names of its columns, its numbers, the header that carries its stamp
+#: part of a message: suffix of its stream, names of its columns, its numbers, the header with its stamp
 Part = tuple[str, tuple[str, ...], Sequence[float], Any]
 
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read the topics whose message types calib knows, message by message; see `calib.campaign.readers.read_recording`.
+    """Read the topics of known message types, message by message; see `calib.campaign.readers.read_recording`.
 
-    What is kept is eight bytes a number that is wanted; messages themselves are not kept.
+    Only the wanted numbers are kept, eight bytes each.
     """
     with _opened(path, shown) as reader:
         known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
@@ -73,7 +73,7 @@ class _Buffer:
         self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
-        """Return what came, in the order of the stamps where messages carry them, else of their arrival."""
+        """Return what came, by the stamps where messages carry them, else by arrival."""
         table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
         arrival: IntArray = np.frombuffer(self.arrival, dtype=np.int64)
         stamp: IntArray = np.frombuffer(self.stamp, dtype=np.int64)
@@ -98,7 +98,7 @@ class _Buffer:
 
 
 def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
-    """Give streams of one topic that hold different joints different names; the largest keeps the topic's."""
+    """Rename streams of one topic that hold different joints; the largest keeps the topic's name."""
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1
@@ -122,7 +122,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         raise _damaged(shown, "the file is empty")
     with _damage_named(shown):
         try:
-            # definitions come from the file; those of the library are for a file that has none
+            # definitions come from the file, else from the library
             reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
         except OSError as error:
@@ -139,7 +139,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @contextmanager
 def _damage_named(shown: str) -> Iterator[None]:
-    """Turn what the library answers to damage into one error: its own kinds, struct, assertions, sqlite, YAML."""
+    """Turn the library's errors on damage into one: its own kinds, struct, assertions, sqlite, YAML."""
     try:
         yield
     except (MemoryError, BadFileError):
@@ -209,7 +209,7 @@ def _finite(value: float) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-#: message type -> function that returns its parts; one entry a type
+#: message type -> function that returns its parts
 MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/JointState": _joint_state,
     "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],
@@ -232,7 +232,7 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     ),
 }
 
-#: units of the columns, by the last part of their name; what a JointState's position counts, only its driver knows
+#: by the last part of a column's name; only its driver knows what a JointState's position counts
 COLUMN_UNITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
     **dict.fromkeys(("v_x", "v_y"), "mps"),

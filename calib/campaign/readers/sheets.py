@@ -21,7 +21,7 @@ from calib.errors import BadFileError
 from calib.types import IntArray
 from calib.units import SUFFIXES, unit_named
 
-#: unit of a wheel's column -> what its numbers are, and how many turns (or counts) one of its units makes
+#: unit of a wheel's column -> what its numbers are, and turns (or counts) a unit
 COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "counts": ("counts", 1.0),
     "counts/sample": ("increments", 1.0),
@@ -35,7 +35,7 @@ COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rpm": ("rate", 1.0 / 60.0),
     "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
 }
-#: how people write the units of wheels, in lower case
+#: ways to write the units of wheels, in lower case
 _COUNT_SPELLINGS: Final = (
     ("counts", r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
     ("counts/sample", r"increments|(cnt|ticks)/sample|counts/step"),
@@ -51,15 +51,15 @@ _OTHER_UNITS: Final = re.compile(r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m
 #: forms of dates and times: hh:mm:ss,f, dd.mm.yyyy
 _CLOCK_FORM: Final = re.compile(r"[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE)
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
-#: a unit in a row of units that is not known is no longer than this
+#: an unknown unit in a row of units is no longer
 _SHORT: Final = 8
 #: share of the columns of numbers in which a header row holds texts
 _TEXT_SHARE: Final = 0.6
-#: header rows at most: groups, names, further names, units
+#: most header rows: groups, names, further names, units
 _HEADER_ROWS: Final = 4
-#: rows in which names, units and columns of numbers are looked for
+#: rows searched for names, units and columns of numbers
 LOOKED_AT: Final = 20
-#: columns that a table has at least where a row of one text is a remark
+#: least columns of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
 #: what columns are called that no row names
 UNNAMED: Final = re.compile(r"column \d+")
@@ -116,7 +116,7 @@ def heading(
         block = block[:1]
     over = filled_cells(above)
     grouped = len(over) > 1 and not any(map(is_number, over))
-    # a row of sides may end before the columns that need none
+    # a row of sides may end before the columns without sides
     last = block[-1] + [""] * (max(map(len, block)) - len(block[-1]))
     names = _joined(last, [_texts(above), *block[:-1]] if grouped else block[:-1])
     if units_at is None:
@@ -126,7 +126,7 @@ def heading(
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:
-    """Return whether a row holds units: texts, some of them known or in brackets, and the others short."""
+    """Return whether a row holds units: texts, some known or in brackets, the others short."""
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
@@ -136,7 +136,7 @@ def looks_like_units(row: Sequence[Any]) -> bool:
 
 
 def unit_spelled(text: str) -> str:
-    """Return a unit as calib writes it, where calib knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
+    """Return a unit as calib writes it, if it knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
     clean = text.strip()
     if clean in COUNT_UNITS:
         return clean
@@ -178,7 +178,7 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
             break
         texts = [cell for cell in over if cell.lower() not in table.EMPTY]
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
-        # a second row of names stands over columns of numbers alone
+        # a second row of names stands over numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)
         if looks_like_units(row):
             return at + 1
@@ -192,7 +192,7 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     for group in groups:
         last = ""
         for at in range(len(names)):
-            # cells merged over the last columns end a row early
+            # merged last cells end a row early
             cell = group[at] if at < len(group) else ""
             last = cell or last
             spread[at] = last or spread[at]
@@ -201,7 +201,7 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     for at, name in enumerate(names):
         unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
         group = (spread[at] if name else own[at]) if unclear else ""
-        # a unit of the group stands last, where units are read
+        # a group's unit stands last, where units are read
         unit = _UNIT_AT_END.search(group) if name else None
         parts = (group[: unit.start()].rstrip(), name, unit[0].strip()) if unit else (group, name)
         out.append(" ".join(part for part in parts if part))

@@ -1,4 +1,4 @@
-"""Tables as read, and the careful reading of their header, numbers and times: nothing is guessed."""
+"""Tables as read, and their header, numbers and times read with care: nothing is guessed."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from calib.types import BoolArray, FloatArray, IntArray
 Wanted = Callable[[str], bool]
 
 NS_PER_S: Final = 1_000_000_000
-#: largest number of a cell; no measurement is larger, and squares of it would overflow
+#: largest number of a cell; no measurement is larger, and squares would overflow
 LARGEST_VALUE: Final = 1e30
-#: rows in which the header is looked for; preambles of loggers are shorter
+#: rows searched for the header; loggers' preambles are shorter
 HEADER_ROWS: Final = 60
-#: share of the usual width that a header must fill, and share of its cells that must be texts
+#: share of the usual width that a header fills, and of its cells that are texts
 _HEADER_SHARE: Final = 0.6
 
-#: texts by which people say that nothing was measured: read as empty, with a note
+#: say that nothing was measured: read as empty, with a note
 _NOT_MEASURED: Final = frozenset({"n.a.", "n/a", "k.a.", "k. a.", "--", "?"})
 EMPTY: Final = frozenset({"", "nan", "na", "#n/a", "null", "none", "-"}) | _NOT_MEASURED
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
-#: one to three digits, one mark, exactly three digits: 1,234 is 1.234 in one country and 1234 in another
+#: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 #: thousands with a mark before each three digits: 39.287,5 and 39 287,5; whole numbers of base 16
 _GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
@@ -76,7 +76,7 @@ FORMAT_NAMES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Sheet and rows (counted from 1) of a table; None where they are to be found."""
+    """Sheet and rows (from 1) of a table; None: to be found."""
 
     sheet: str | None = None
     header_row: int | None = None
@@ -86,7 +86,7 @@ class Layout:
     skip_rows: tuple[int, ...] = ()
     #: whether each run stands in a column of its own, the names of what was measured in the first
     runs_in_columns: bool = False
-    #: whether the file is as a laboratory keeps it (`calib.campaign.readers.sheets`), not one of a campaign
+    #: the file is a laboratory's (`calib.campaign.readers.sheets`), not a campaign's
     lab: bool = False
 
 
@@ -94,15 +94,15 @@ class Layout:
 class RawTable:
     """A table as read."""
 
-    #: under the names in the file, in its order, shape (n_rows,): float64 where numeric, else str, float and None
+    #: by the names in the file, in its order, shape (n_rows,): float64 where numeric, else str, float and None
     columns: Mapping[str, npt.NDArray[Any]]
-    #: line of each row in the file, counted from 1, header included, shape (n_rows,)
+    #: of each row in the file, from 1, header included, shape (n_rows,)
     line: IntArray
     #: what was recognised (encoding, delimiter, decimal comma)
     notes: tuple[Note, ...] = ()
-    #: for a column of times of the clock, as seconds since its first cell: that in nanoseconds since 1970 or midnight
+    #: column of clock times, in seconds since its first cell -> that cell in nanoseconds since 1970 or midnight
     epochs: Mapping[str, int] = field(default_factory=dict)
-    #: of these columns the first cell and the format of all, as they were written
+    #: of these columns the first cell and the format of all, as written
     written: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     def select(self, keep: slice | BoolArray) -> RawTable:
@@ -119,7 +119,7 @@ def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:
 
 
 def check_header(names: Sequence[str], shown: str, row: int = 1) -> None:
-    """Refuse a header that names a column twice, too many columns, or none at all."""
+    """Refuse a header with a column twice, too many columns, or none."""
     refuse_beyond(len(names), COLUMNS, shown=shown, what="columns", remedy="export those that are needed", row=row)
     seen: set[str] = set()
     for name in names:
@@ -160,18 +160,18 @@ def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
 
 
 def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
-    """Return in words how times are written, the first of which names the format; empty where it is no time."""
+    """Return in words how times are written, the first of which names the format; empty for no time."""
     form = time_format(str(cells[0]))
     month_first = form == "slashes" and month_before_day(cells)
     return FORMAT_NAMES.get(form or "", "").replace("day/month", "month/day" if month_first else "day/month")
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
-    """Return the index of the row that names the columns, or None where no row does so better than the first.
+    """Return the index of the row that names the columns, or None where none does so better than the first.
 
-    The header is the first row of texts that is about as wide as the rows below it, with a number beneath it soon.
+    The header is the first row of texts about as wide as those below it, with a number soon beneath.
 
-    `rows`: the first rows of the file, cells as read.
+    `rows`: the file's first rows, cells as read.
     """
     filled = [filled_cells(row) for row in rows]
     for index, cells in enumerate(filled):
@@ -269,7 +269,7 @@ def _without_marks(text: str, marks: set[str]) -> str | None:
 
 
 def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
-    """Return the marks that stand between thousands in a column; ``?``: they may; ``x``: base 16."""
+    """Return the marks between thousands in a column; ``?``: possible ones; ``x``: base 16."""
     texts = [cell.strip() for cell in cells if isinstance(cell, str)]
     parts = [found for text in texts if (found := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
     marks = {found[1] for found in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())
@@ -293,7 +293,7 @@ def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
-    """Return whether a file writes decimal commas: True or False where some cell can be read in one way only."""
+    """Return whether a file writes decimal commas, by cells that can be read in one way only; else None."""
     comma = point = False
     for cells in columns:
         for cell in cells if cells.dtype == object else ():
@@ -308,7 +308,7 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
 
 
 def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
-    """Return a note where a table writes decimal commas in some cells and points in others: which, and where.
+    """Return a note where a table has both decimal commas and points: which, and where.
 
     `columns` (shape (n_rows,)): cells as text, by name; `line` (shape (n_rows,)): line of each row in the file.
     """
@@ -335,7 +335,7 @@ def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, lin
 
 
 def time_format(text: str) -> str | None:
-    """Return the name of the format that a text is written in (of `TIME_FORMATS`), or None."""
+    """Return the name of a text's format (of `TIME_FORMATS`), or None."""
     clean = text.strip()
     found = next((name for name, form in _TIMES.items() if form.fullmatch(clean)), None)
     return None if found == "time_of_day" and clean.count(":") != 2 else found
@@ -373,7 +373,7 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
 
 
 def month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
-    """Return whether times between slashes name the month first: some cell has a day beyond 12 in second place."""
+    """Return whether times between slashes name the month first: a day beyond 12 is in second place."""
     matches = (_TIMES["slashes"].fullmatch(str(cell).strip()) for cell in cells)
     return any(int(match["month"]) > 12 for match in matches if match)
 
@@ -393,7 +393,7 @@ def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int |
         except ValueError:
             return out, index
         if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIMES["time_of_day"].fullmatch(str(cell).strip()):
-            # a time of day that falls by more than half a day has passed midnight
+            # a time of day that falls by half a day or more has passed midnight
             passed_ns += 2 * _HALF_DAY_NS
             out[index] += 2 * _HALF_DAY_NS
     return out, None

@@ -16,14 +16,14 @@ from calib.errors import BadFileError
 
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
-#: bytes in which it is seen how the cells are separated
+#: bytes that show how cells are separated
 _HEAD_BYTES: Final = 1 << 16
 #: lines of numbers that show that blanks separate the cells
 _LEAST_LINES: Final = 2
 
 
 def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without a byte order mark, with line feeds only, and notes of what was changed."""
+    """Return the file as UTF-8 without byte order mark, with line feeds only, and notes of changes."""
     notes: list[Note] = []
     encoding = None
     if data.startswith(codecs.BOM_UTF8):
@@ -54,10 +54,10 @@ def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text file with the lines that hold no cells emptied, so that rows keep their numbers, and notes.
+    """Return a text file with lines without cells emptied, so that rows keep their numbers, and notes.
 
-    Lines that begin with ``#`` are remarks, but for the one right above the numbers where it names as many columns.
-    Runs of blanks become tabs where nothing else separates the cells; a table of a run a column is turned.
+    Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns. Blanks
+    become tabs where nothing else separates the cells; a table of a run a column is turned.
     """
     notes: list[Note] = []
     if layout.skip_rows:
@@ -131,12 +131,12 @@ def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 
 
 def find_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that splits the most consecutive lines into one number of cells, more than one.
+    """Return the delimiter that splits the most consecutive lines into one number of cells, above one.
 
-    `lines`: the first lines of the file.
+    `lines`: the file's first.
     """
     filled = [line for line in lines if line.strip()][:HEADER_ROWS]
-    # the first of equals is taken: commas as regular as semicolons are decimal
+    # first of equals: commas as regular as semicolons are decimal
     regular = {}
     for mark in (";", "\t", ","):
         counts = itertools.groupby(len(row) for row in split_cells(filled, mark))

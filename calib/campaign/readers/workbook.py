@@ -1,7 +1,7 @@
 """Excel workbooks (``.xlsx``), and Parquet tables with the ``parquet`` extra.
 
-Of a workbook the first sheet that holds a table, or the one asked for; what it unpacks to is counted before a library
-lays out every empty place between its cells.
+Of a workbook the first sheet with a table, or the one asked for; its unpacked size is counted before a library lays out
+every empty place between its cells.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ from calib.errors import (
     refuse_beyond,
 )
 
-#: parts of the archive that hold cells and their texts; all others describe, and are small
+#: the archive's parts with cells and their texts; all others are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
 _TEXTS_PART: Final = re.compile(r"(?i)/?xl/sharedstrings\.xml")
 _BOOK_PART: Final = re.compile(r"(?i)/?xl/workbook\.xml")
 _OTHER_PART: Final = re.compile(r"(?i).*\.(xml|rels)")
 _OTHER_BYTES: Final = 8 << 20
-#: XML read at once; no element of a sound workbook is as long
+#: XML read at once; no sound element is as long
 _BLOCK_BYTES: Final = 1 << 20
-#: column, row, and whether the cell ends at once and so holds nothing
+#: column, row, and whether the cell ends at once: empty
 _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9]{1,7})[\"'][^<>]*?(/?)>")
 #: first column and row, last column and row of merged cells
 _MERGED: Final = re.compile(
@@ -118,7 +118,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
     except (BadFileError, MemoryError):
         raise
     except Exception as error:
-        # the library answers damaged workbooks with errors of many kinds (zip, XML, keys, values)
+        # the library has errors of many kinds (zip, XML, keys, values) for damaged workbooks
         expected = "an .xlsx file that a spreadsheet program opens"
         remedy = "open it and save it again, or export it as CSV"
         raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
@@ -174,7 +174,7 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
 
 
 def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, *, across: bool) -> list[Note]:
-    """Fill cells merged over several rows with what the first of them holds, in place, and note where.
+    """Fill cells merged over several rows with their first, in place, and note where.
 
     `across`: over several columns instead, but for titles: rows that hold nothing else.
     """
@@ -232,10 +232,10 @@ def _dated(cells: list[Any]) -> list[Any]:
 
 
 def check_size(path: Path, shown: str) -> int:
-    """Refuse a workbook that holds more than `calib.errors` allows, or few cells that are spread widely.
+    """Refuse a workbook beyond `calib.errors`, or of few cells widely spread.
 
-    Returns the number of the last row, of any sheet, in which a cell holds something; what is below need not be read.
-    Raises BadFileError where it is no zip archive, or beyond the limits.
+    Returns the last row, of any sheet, with a filled cell; nothing below need be read. Raises BadFileError where it is
+    no zip archive, or beyond the limits.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -275,7 +275,7 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
 def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int, int]:
     """Return a sheet's filled cells, the empty places and rows before the last of them, and the last filled row.
 
-    Counted without a parser: an element that is written in no usual way is left to the library.
+    Counted without a parser: elements written in an unusual way are left to the library.
     """
     from openpyxl.utils import column_index_from_string
 
@@ -315,7 +315,7 @@ _THREADS_ROWS: Final = 100_000
 
 
 def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
-    """Return a column of numbers of eight bytes, `empty` where it has none; Arrow's own conversion imports pandas."""
+    """Return a column of numbers of eight bytes, `empty` for none; Arrow's own conversion imports pandas."""
     whole = (column.fill_null(empty) if column.null_count else column).combine_chunks()
     dtype = np.dtype(str(whole.type).replace("double", "float64"))
     if not len(whole):
@@ -327,12 +327,12 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
     import pyarrow as pa
 
     if column.type in (pa.float64(), pa.int64()) and not column.null_count:
-        # without Arrow's functions, which take longer to import than a small table to read
+        # Arrow's functions take longer to import than a small table to read
         return _filled(column, np.nan).astype(np.float64, copy=False), None
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         return _filled(column.cast(pa.float64(), safe=False), np.nan), None
     if pa.types.is_timestamp(column.type):
-        # exact: nanoseconds as recorded, told from other integers by the note of their epoch
+        # exact: nanoseconds as recorded, known by the note of their epoch
         moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
         epoch = int(moments[0]) if len(moments) else 0
         return (moments - epoch) / NS_PER_S, epoch

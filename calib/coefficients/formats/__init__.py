@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from calib.coefficients.file import CoefficientFile
 
-#: name of the format -> module and function of this package, which takes file and options and returns its files; empty
-#: for the coefficient file itself
+#: format -> module and function of this package, from file and options to its files; empty: the coefficient file
 FORMATS: Final = {
     "json": "",
     "ros2": "ros2.render",
@@ -35,7 +34,7 @@ WITH_NOISE: Final = frozenset({"json", "ros2", "c"})
 #: formats that change a copy of the user's model, and those that know two wheels on one axle alone
 PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
 AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
-#: of a name of the user in a comment
+#: of a user's name in a comment
 COMMENT_LENGTH: Final = 120
 
 
@@ -67,7 +66,7 @@ def parse_loads(texts: Iterable[str]) -> tuple[LoadPair, ...]:
             values = [float(part) for part in parts]
         except ValueError:
             values = []
-        # the comparison also refuses NaN
+        # refuses NaN, too
         if len(values) not in (1, 2) or not all(0.0 <= value < float("inf") for value in values):
             raise BadInputError(f"load: found {text!r}; expected N, or LEFT,RIGHT in N; for example 600 or 500,700")
         pairs.append(LoadPair(values[0], values[-1]))

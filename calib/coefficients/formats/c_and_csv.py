@@ -24,11 +24,10 @@ from calib.radius.law import JOINT, WheelLaw
 from calib.types import FloatArray
 
 INT32_MAX: Final = 2**31 - 1
-#: bound of every intermediate of the integer form; half the range of int64_t, so that rounding cannot overflow it
+#: bound of intermediates of the integer form: half of int64_t, so that rounding cannot overflow it
 INT64_HALF: Final = 2**62
 MAX_SHIFT: Final = 40
 LAST_BITS_MN: Final = Fraction(1, 10**6)
-#: numbers of the vehicle that the header holds
 GEOMETRY: Final = ("track", "track_std", "wheelbase", "mass", "cog_x", "cog_y", "max_wheel_load", "gravity")
 
 
@@ -71,7 +70,7 @@ def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     while shift > 1 and (base_nm + abs(slope_nm_per_mN) * span + 2) * 2**shift >= INT64_HALF:
         shift -= 1
     base, slope = round(base_nm * 2**shift), round(slope_nm_per_mN * 2**shift)
-    # rounding to whole nanometres, plus the error of the rounded base and slope at the ends (linear: worst at an end)
+    # rounding to nanometres, plus the error of rounded base and slope (linear: worst at an end)
     rounding = [abs(base + slope * at - (base_nm + slope_nm_per_mN * at) * 2**shift) / 2**shift for at in (0, span)]
     return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(rounding))
 
@@ -90,7 +89,6 @@ def coefficients_header(file: CoefficientFile, options: ExportOptions) -> tuple[
             **file.noise.si("count_std", "along", "heading"),
             **file.limits.si("max_step", "max_gap"),
         },
-        # covariances that couple the wheels and the track
         coupled=[(one, other) for one, other in combinations(range(len(JOINT)), 2) if one // 2 != other // 2],
     )
     return (Artifact("calib_coefficients.h", data),)
@@ -192,7 +190,7 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]
     if not pairs:
         low, high = min(law.load_min_N for law in sides.values()), max(law.load_max_N for law in sides.values())
-        # the ends as they are valid, rounded between them
+        # valid ends, rounded between them
         between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
     columns = {f"load_{side}_N": [pair[at] for pair in pairs] for at, side in enumerate(sides)}
@@ -209,7 +207,7 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     cells["simulated"] = [str(file.simulated).lower()] * len(pairs)
     cells["checksum"] = [file.checksum[:CHECKSUM_DIGITS]] * len(pairs)
     if file.effects:
-        # a column, since CSV has no comments that every reader skips
+        # CSV has no comments that every reader skips
         cells["effects_not_in_table"] = [" ".join(effect.effect for effect in file.effects)] * len(pairs)
     if file.accepted_implausible is not None:
         cells["accepted_implausible"] = [file.accepted_implausible.reason] * len(pairs)

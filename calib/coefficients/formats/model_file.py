@@ -22,7 +22,7 @@ from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
 LARGEST: Final = 50_000_000
 #: significant digits of a length: a nanometre of a metre
 DIGITS: Final = 9
-#: a wheel's radius in the model beyond this factor of the calibrated one is in another unit, or another wheel
+#: a radius beyond this factor of the calibrated one is in another unit, or another wheel's
 FACTOR: Final = 2.0
 _ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -201,7 +201,7 @@ class Wheel:
     beside: bool = False
 
 
-#: finds a wheel of a model by its name; the third argument is the option that gave the name
+#: model, wheel's name, and the option that gave it -> the wheel
 FindWheel = Callable[[ModelFile, str, str], Wheel]
 
 
@@ -278,7 +278,7 @@ def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str)
     raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")
 
 
-#: a joint turns a wheel like those that are set where its radius is within this share of theirs
+#: share of its radius within which another wheel counts as like those that are set
 LIKE_RADIUS: Final = 0.1
 #: types of a joint that turns; MuJoCo's where none is stated
 TURNING: Final = frozenset({"continuous", "revolute", "hinge"})

@@ -135,8 +135,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
     """Return the diagonals of odometry from the steering, assumed where the geometry lacks it, and traction wheels.
 
-    `traction` ({"front", "rear", "shaft"}): whether the front wheel's turning is measured, that of the rear wheels, or
-    that of the drive shaft behind.
+    `traction` ({"front", "rear", "shaft"}): what turning is measured: front wheel, rear wheels, or drive shaft behind.
     """
     shaft = traction == "shaft"
     names = ("rear_radius_m" if shaft else "front_radius_m", "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
@@ -159,7 +158,6 @@ def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -
     steered = _diagonals(file, rates, covariance)
     if traction != "rear":
         return replace(steered, assumed=assumed)
-    # path by the rear wheels, heading by the steering
     rear = rear_diagonals(file, pair)
     return Diagonals((rear.pose[0], *steered.pose[1:]), (rear.twist[0], *steered.twist[1:]), assumed)
 
@@ -178,7 +176,7 @@ def _diagonals(
 ) -> Diagonals:
     """Return the diagonals from the change of path and heading by each parameter; see the head of this file.
 
-    `reading`: variances that reading each encoder once adds, to the path in m^2 and to the heading in rad^2.
+    `reading`: variances of path in m^2 and heading in rad^2 by reading each encoder once.
     """
     of_path, of_heading = reading
     stretch, bend, turn = (float(variance) for variance in np.einsum("ij,jk,ik->i", rates, covariance, rates))
@@ -192,7 +190,7 @@ def _diagonals(
     walked = SPEED_MPS / WINDOW_S
     twist = (
         SPEED_MPS**2 * stretch + walked * along + 2.0 * of_path / WINDOW_S**2,
-        # the odometry takes the lateral speed as zero; its random walk is taken to be that of the path
+        # lateral speed is taken as zero, its random walk as that of the path
         walked * along,
         *UNSEEN,
         SPEED_MPS**2 * bend + TURN_RATE_RADPS**2 * turn + walked * heading + 2.0 * of_heading / WINDOW_S**2,

@@ -100,7 +100,7 @@ def _link(joint: Node, tag: str) -> str:
 
 
 def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
-    """Return the name of a joint above a link whose frame is rolled or pitched; empty where there is none."""
+    """Return the name of a joint above a link whose frame is rolled or pitched, else nothing."""
     for _ in range(len(joints) + 1):
         above = next((joint for joint in joints if _link(joint, "child") == link), None)
         if above is None:
@@ -150,9 +150,9 @@ def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
 
 
 def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
-    """Return the place of a wheel whose link states none: that of its collision; all poses inside and its joint move.
+    """Return the place of a wheel whose link states none: its collision's; all poses inside and its joint move.
 
-    None where a shape has no pose of its own, or a pose is relative to another frame.
+    None where a shape has no pose, or one relative to another frame.
     """
     shapes = [part for part in link.children if part.tag in ("collision", "visual", "inertial")]
     siblings = [] if link.parent is None else link.parent.children
@@ -177,7 +177,7 @@ def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
 
 
 def _pose(link: Node) -> tuple[Node | None, str]:
-    """Return the element that places a wheel's link, that of its joint where the link sits on it; else why not."""
+    """Return what places a wheel's link: its joint where the link sits on it; else why not."""
     siblings = [] if link.parent is None else link.parent.children
     pose = link.child("pose")
     if pose is None:
@@ -243,7 +243,7 @@ def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:
 
 
 def _inherited(model: ModelFile, geom: Node, attribute: str) -> str | None:
-    """Return an attribute as MuJoCo reads it: the geom's own, its class's, the nearest childclass's, the defaults'."""
+    """Return an attribute as MuJoCo reads it: the geom's, its class's, the nearest childclass's, the defaults'."""
     if attribute in geom.attributes:
         return geom.attributes[attribute]
     children = (node.attributes["childclass"] for node in geom.ancestors() if "childclass" in node.attributes)

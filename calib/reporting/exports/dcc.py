@@ -75,7 +75,7 @@ class Person(_Section):
 
 
 class Equipment(_Section):
-    """An instrument; without `certificate` nothing is said of its traceability."""
+    """An instrument; without `certificate` its traceability is not stated."""
 
     name: Text
     serial: Text
@@ -85,7 +85,7 @@ class Equipment(_Section):
 
 
 class Certificate(_Section):
-    """Everything that a certificate states and no measurement gives."""
+    """All that a certificate states and no measurement gives."""
 
     identifier: Text
     country: Country
@@ -149,7 +149,7 @@ NAMESPACES: Final = {
     "si": "https://ptb.de/si",
     "xsi": "http://www.w3.org/2001/XMLSchema-instance",
 }
-#: loads at which the radius is stated where the runs do not repeat a few
+#: the radius is stated at so many loads where runs do not repeat a few
 LOAD_STEPS: Final = 5
 #: column of the run table -> name, unit in D-SI and factor to it
 CONDITIONS: Final = {
@@ -165,7 +165,7 @@ CONDITIONS: Final = {
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`."""
-    # the date of issue is not written: it only has to be a date until the end of the measurement is known
+    # the date of issue, not written, need only be a date until the end of the measurement is known
     given = opened(path, progress=progress)
     source = source_of(given, issued="2000-01-01", accept=accept, where=path)
     fit, driven = source.fit, isinstance(given, Campaign)
@@ -204,7 +204,7 @@ def document(source: Source, stated: Certificate) -> Element:
             if np.isfinite(ranges.get(name, np.nan)).all()
         ],
         "radii": {name: _radii(wheel, fit) for name, wheel in fit.wheels.items()},
-        # of the ellipse that holds both coefficients
+        # of the ellipse of both coefficients
         "factors": {name: math.sqrt(2.0 * float(f.ppf(COVERAGE, 2, w.law.dof))) for name, w in fit.wheels.items()},
     }
     template = templates_of(__package__, markup=True).get_template("dcc.xml.j2")
@@ -251,7 +251,7 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     side = 0 if wheel.wheel == "left" else 1
     points = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
     loads = sorted({round(pair[side], 3) for pair in points.values()})
-    # every run with a load of its own is weighing's scatter, not a set of load points
+    # runs that each have their own load are weighing's scatter, no load points
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
         return [float(load) for load in np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS)]
     return loads

@@ -29,15 +29,15 @@ from calib.types import FloatArray, Progress, evenly
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-#: between two runs, so that each can be told in the time line
+#: between two runs, to tell them in the time line
 PAUSE_S: Final = 2.0
-#: poses of one path; more are thinned evenly
+#: poses of a path; more are thinned evenly
 MOST_POSES: Final = 1000
 #: speed at which a run without a log is shown
 UNKNOWN_SPEED_MPS: Final = 1.0
 #: frame of all poses: the start of the run that is shown
 FRAME: Final = "start"
-#: topic -> message type; numbers: one topic a channel
+#: topic -> message type; numbers: a topic a channel
 PATHS: Final = ("measured", "simulated", "corrected")
 NUMBERS: Final = ("gap", "gap_corrected", "noise")
 INFO: Final = 20
@@ -53,7 +53,7 @@ class Track:
     poses: FloatArray
 
     def thinned(self) -> Track:
-        """Return at most `MOST_POSES` of the poses, both ends among them."""
+        """Return at most `MOST_POSES` poses, both ends among them."""
         kept = evenly(len(self.time_s), MOST_POSES)
         return Track(self.time_s[kept], self.poses[kept])
 

@@ -24,17 +24,17 @@ from calib.gap.predict import Path as PredictedPath
 from calib.reporting.exports import diagnosed
 from calib.types import BoolArray, FloatArray, Progress, StrArray
 
-#: motion between two updates of the filter: the defaults of nav2_amcl
+#: motion between the filter's updates: defaults of nav2_amcl
 UPDATE_MIN_D_M: Final = 0.25
 UPDATE_MIN_A_RAD: Final = 0.2
-#: a shorter way has no direction: the filter takes the first turn as zero
+#: a shorter way has no direction: the filter's first turn is zero
 SHORTEST_WAY_M: Final = 0.01
 #: end pose: along and left of the final heading, and heading
 POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: the value that nav2_amcl has where nothing is stated
 DEFAULT_ALPHA: Final = 0.2
-#: a component that at its usual size adds less than this share to every variance shows nothing
+#: a component whose usual size adds less to every variance shows nothing
 LEAST_SHARE: Final = 0.1
 #: runs are held out in so many parts: each is predicted by nine tenths of the others of its kind
 FOLDS: Final = 10
@@ -60,14 +60,14 @@ class Spread:
 
 
 def _levers(way: FloatArray, end: FloatArray) -> FloatArray:
-    """Return what a turn at poses (n, 3) does to the end pose, in the frame of the end heading, shape (n, 3)."""
+    """Return the end pose's change by a turn at poses (n, 3), in the frame of the end heading, shape (n, 3)."""
     dx, dy = end[0] - way[:, 0], end[1] - way[:, 1]
     c, s = math.cos(end[2]), math.sin(end[2])
     return np.column_stack((-c * dy + s * dx, s * dy + c * dx, np.ones(len(way))))
 
 
 def _directions(heading: FloatArray, end: FloatArray) -> FloatArray:
-    """Return what a metre of way in headings (n,) does to the end pose, in the frame of the end heading."""
+    """Return the end pose's change by a metre in headings (n,), in the frame of the end heading."""
     return np.column_stack((np.cos(heading - end[2]), np.sin(heading - end[2]), np.zeros(len(heading))))
 
 
@@ -84,7 +84,7 @@ def amcl_components(poses: FloatArray) -> FloatArray:
     course = np.arctan2(step[:, 1], step[:, 0])
     first = np.where(way < SHORTEST_WAY_M, 0.0, _wrapped(course - knots[:-1, 2]))
     second = _wrapped(step[:, 2] - first)
-    # a vehicle that drives backward has not turned by half a turn
+    # a vehicle that drives backward has not made half a turn
     turns = [np.minimum(np.abs(turn), np.abs(_wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
     before, after = _levers(knots[:-1], end), _levers(knots[1:], end)
     along = _directions(np.where(way < SHORTEST_WAY_M, knots[:-1, 2], course), end)
@@ -116,7 +116,7 @@ def constant_components(poses: FloatArray) -> FloatArray:
 
 
 def _updates(poses: FloatArray) -> list[int]:
-    """Return where the filter updates: after a way or a turn since the update before; both ends of the path."""
+    """Return where the filter updates: after a way or a turn since the last; both ends of the path."""
     kept = [0]
     for at in range(1, len(poses)):
         dx, dy, turn = poses[at] - poses[kept[-1]]
@@ -150,17 +150,17 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
 
 
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
-    """Return the sizes of the components (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
+    """Return the components' sizes (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
 
-    Likeliest with each of along, lateral and heading by itself: what a filter's particles spread over shall be right in
-    each. `begin`: sizes near the solution, for a shorter search.
+    Likeliest with each of along, lateral and heading by itself: a filter's particles shall spread right in each.
+    `begin`: sizes near the solution, for a shorter search.
     """
     from scipy.optimize import minimize
 
     components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), -1)
     reference = np.einsum("uii->ui", spread.reference).ravel()
     square = residuals.ravel() ** 2
-    # in the unit that makes each component as large as the residuals: one step of the search fits all
+    # scaled so that each component is as large as the residuals: one step of the search fits all
     relative = components.reshape(len(components), -1, 3) / np.mean(residuals**2, axis=0)
     unit = 1.0 / np.maximum(np.mean(relative, axis=(1, 2)), 1e-30)
     scaled = unit[:, None] * components
@@ -176,7 +176,7 @@ def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = N
 
 
 def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:
-    """Return the components that these runs say nothing of: at their usual size they would hardly show."""
+    """Return the components that hardly show in these runs at their usual size."""
     total = np.einsum("uii->ui", spread.covariance(sizes))
     shares = np.einsum("cuii->cui", DEFAULT_ALPHA * spread.components) / total
     largest = shares.max(axis=(1, 2), initial=0.0)
@@ -190,7 +190,7 @@ def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """Sizes of the components, and observed over predicted standard deviation of runs that they were not fitted on."""
+    """Sizes of the components, and observed over predicted standard deviation of other runs."""
 
     sizes: FloatArray
     ratios: FloatArray  #: along, lateral, heading, shape (3,)
@@ -217,8 +217,8 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
     found = ratios(variance, residuals)
-    # the mean square has so many degrees of freedom as its own scatter says (Satterthwaite): few with heavy tails, but
-    # never more than with normal ones, which the scatter of few squares hides
+    # the mean square's degrees of freedom follow from its own scatter (Satterthwaite): few with heavy tails, but never
+    # more than with normal ones, which the scatter of few squares hides
     normal = found**2 * variance
     scatter = np.sum((residuals**2 - normal) ** 2, axis=0)
     freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))
@@ -238,14 +238,14 @@ def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -
     return ratios(np.einsum("uii->ui", amcl.covariance(sizes_of(amcl, expected))), expected)
 
 
-#: fewer end poses do not show a spread: its standard error is then beyond a sixth
+#: fewer end poses do not show a spread: its standard error exceeds a sixth
 FEWEST_RUNS: Final = 20
 #: rate and speed at which the variances of a twist are stated
 RATE_HZ: Final = 50.0
 SPEED_MPS: Final = 1.0
 #: names of the three ratios
 CHANNELS: Final = ("along", "lateral", "heading")
-#: a ratio by the form of AMCL's model that is further from 1 is pointed out
+#: a ratio by the form of AMCL's model further from 1 is pointed out
 FORM_TOLERANCE: Final = 0.1
 
 

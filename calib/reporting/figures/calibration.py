@@ -40,12 +40,12 @@ MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6
 WHEELS: Final = ("left", "right")
-#: a smaller excess is drawn as this one: a hair's breadth over a corridor
+#: a smaller excess is drawn as this: a hair's breadth over a corridor
 LEAST_EXCESS_PPM: Final = 1e-4
 NO_SESSION: Final = "(no session)"
 #: light to dark, told apart in print and by colour-blind readers
 LOAD_COLOURS: Final = "viridis_r"
-#: loads within this share of the largest are one load that scatters
+#: loads within this share of the largest are one, scattered
 LOADS_ALIKE: Final = 0.05
 
 
@@ -146,7 +146,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
     """
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
-    # NaN where unknown, which is above nothing
+    # NaN is above nothing
     known = (radii.amplitude_m > 0) & (radii.wavelength_m > 0)
     amplitude, wavelength = radii.amplitude_m[known], radii.wavelength_m[known]
     low, high = 1e-3, 1.0
@@ -158,7 +158,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
         excess = PPM * whole_period_excess(grid, value)
         chart.plot(grid, excess, color=shade, lw=0.9)
         chart.annotate(
-            # the lines run together where the weave is steep: their names are held apart
+            # lines run together where the weave is steep: their names are held apart
             f"λ = {value:g} m", (grid[-1], float(excess[-1])), xytext=(3, 3 * (2 - number)),
             textcoords="offset points", fontsize=6,
             va="center", color=shade, annotation_clip=False,
@@ -243,18 +243,18 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
 
 
 COLUMNS: Final = 3
-#: two rows of panels and six rows of residuals fill a page
+#: two rows of panels or six of residuals fill a page
 PANEL_CM: Final = 4.8
 LONE_PANEL_CM: Final = 8.5
-#: paths drawn a panel; more of one kind lie on one another
+#: paths a panel; more of one kind overlap
 MOST_PATHS: Final = 12
-#: runs with residuals in time drawn in a figure; more say the same
+#: runs a figure with residuals in time; more say the same
 MOST_RUNS: Final = 6
 #: points of a line: the width of a panel in half a point
 MOST_POINTS: Final = 200
-#: signs of a run's name beside its row of residuals
+#: signs of a run's name beside its residuals
 NAME_LENGTH: Final = 10
-#: share of the errors that the colours span: a single failed measurement does not bleach the others
+#: share of the errors that colours span: one failed measurement does not bleach the others
 SPANNED: Final = 98.0
 #: channels of a residual: title, unit, factor
 CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mrad", 1e3))

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from calib.gap.plan.identifiability import Outlook
     from calib.gap.predict import Path
 
-#: longest arrow of the map over the larger side of the floor plan
+#: longest arrow over the floor plan's larger side
 ARROW_SHARE: Final = 0.12
 #: greatest height of the map: half a page
 MAP_HEIGHT_CM: Final = 11.5
 #: covariates drawn of one channel: two rows of three
 MAX_PANELS: Final = 6
-#: correlation from which on two covariates make the same picture
+#: covariates of this correlation make one picture
 ALIKE: Final = 0.98
 #: figures of ``calib diagnose --figures``
 GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
@@ -37,21 +37,21 @@ GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.l
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapArrays:
-    """Arrays of a diagnosis as its figures and panels show them."""
+    """Arrays of a diagnosis for its figures and panels."""
 
     #: name and unit (``m`` or ``rad``) of each channel, shape (n_channels,)
     channels: tuple[tuple[str, str], ...]
     #: run, session and kind of each observation, shape (n,)
     labels: Mapping[str, StrArray]
-    #: measured minus simulated without and with the named causes, on held-out runs; NaN where an observation lacks the
-    #: channel, shape (n, n_channels)
+    #: measured minus simulated without and with the named causes, on held-out runs; NaN without the channel, shape (n,
+    #: n_channels)
     before: FloatArray
     after: FloatArray
-    #: noise level, one standard deviation; NaN as above, shape (n, n_channels)
+    #: one standard deviation; NaN as above, shape (n, n_channels)
     noise_level: FloatArray
-    #: candidates that the gap may correlate with, by name with unit suffix, shape (n,)
+    #: candidates for the gap to correlate with, by name with unit suffix, shape (n,)
     covariates: Mapping[str, FloatArray]
-    #: predicted path of each observation from its own start, x and y, shape (n_samples, 2); empty without end positions
+    #: predicted path of each observation from its start, x and y, shape (n_samples, 2); empty without end positions
     paths_m: tuple[FloatArray, ...] = ()
     #: measured minus predicted end position in the frame of the paths, shape (n, 2)
     offset_m: FloatArray | None = None
@@ -105,7 +105,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset_m, 0.0))
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     margin = 0.04 * float(max(np.max(high - low), 1e-3))
-    # a long corridor is a flat figure: the height follows the plan, within reason
+    # the height follows the plan, within reason: a long corridor is flat
     aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
     stretched = aspect < 0.12
     figure = style.canvas(float(np.clip(2.6 + 0.86 * style.WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
@@ -157,7 +157,7 @@ def gap_by_covariate(
     gap = factor * residual
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
-        # its edges as lines: a band far below the gap would be hidden by the zero line
+        # edges as lines: the zero line would hide a band far below the gap
         axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
         groups.draw(axis, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
@@ -166,7 +166,7 @@ def gap_by_covariate(
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
         axis.set_xlabel(legible(with_unit(title)))
         axis.margins(x=0.06, y=0.08)
-        # numbers with many decimals would run into each other
+        # long decimals would run into each other
         axis.locator_params(axis="x", nbins=4)
     # the runs set the limits: the interval of a class of two runs may leave the panel
     known = gap[np.isfinite(gap)]
@@ -199,7 +199,7 @@ def before_after(
         axis.axhline(0.0, color=GREY, lw=0.6)
         for place, (values, tint) in enumerate(((before[:, k], style.ORANGE), (after[:, k], style.BLUE))):
             gaps = factor * values[np.isfinite(values)]
-            # dots beside each other, evenly, not by chance
+            # dots side by side, evenly, not by chance
             aside = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
             axis.plot(
                 place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > style.MANY
@@ -238,7 +238,7 @@ def gap_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 
 def distinct(covariates: Mapping[str, FloatArray]) -> dict[str, list[str]]:
-    """Return the covariates that are worth a panel each, with the later ones that go with it and would look alike."""
+    """Return the covariates worth a panel each, with later ones that would look alike."""
     kept: dict[str, list[str]] = {}
     for name, values in covariates.items():
         like = next((other for other in kept if _alike(values, covariates[other])), None)
@@ -274,7 +274,7 @@ def _groups(group: StrArray) -> Groups:
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean x, mean y and half the 95 % interval of classes: the values themselves where few, else equal counts.
 
-    A class stands where its runs are: empty stretches between them hold none, and a class of one run has no interval.
+    Classes stand where runs are: empty stretches hold none, and a class of one run has no interval.
     """
     from scipy.special import stdtrit
 
@@ -292,7 +292,7 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 SIGNED = ("distance", "along", "lateral", "heading", "front", "steering")
 ANGLES = frozenset({"heading", "steering"})
-#: a channel that changes by less (m or rad) counts as unchanged: no instrument resolves a micrometre
+#: a channel changed by less (m or rad) is unchanged: no instrument resolves a micrometre
 UNCHANGED = 1e-6
 
 
@@ -343,7 +343,7 @@ def _draw_channel(axes: Axes, change: FloatArray, name: str, kinds: StrArray, na
     axes.set_xlim(-0.5, len(names) - 0.5)
 
 
-#: bounds of the classes in standard deviations; below 3 two effects cannot be told apart
+#: classes' bounds in standard deviations; two effects below 3 cannot be told apart
 BOUNDS: Final = (0.0, 1.0, 3.0, 5.0, 10.0, 1e12)
 SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")
 

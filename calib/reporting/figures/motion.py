@@ -141,7 +141,7 @@ def replay_figure(replayed: Replay) -> Figure:
     return figure
 
 
-#: component -> what its axis says, and by what its values are multiplied
+#: component -> its axis's title and factor
 _AXES: Final = {
     "along_m": ("along the route (m)", 1.0),
     "lateral_m": ("left of the route (m)", 1.0),
@@ -201,7 +201,7 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     plan, graph = figure.subplots(1, 2)
     drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
     route = path.corrected.poses
-    # so much larger that the largest axis is about an eighth of the plan
+    # enlarged until the largest axis is about an eighth of the plan
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
     scale = round_down(0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9))
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:

@@ -21,7 +21,7 @@ from calib.types import BoolArray, FloatArray, IntArray, Progress, StrArray, sil
 
 P = ParamSpec("P")
 
-#: Okabe and Ito's colours, told apart by colour-blind readers, dark ones first
+#: Okabe and Ito's, told apart by colour-blind readers, dark first
 PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7A5C00", "#56B4E9", "#E69F00", "#5D5D5D")
 BLUE, ORANGE, SKY = PALETTE[0], PALETTE[1], PALETTE[5]
 INK: Final = "#222222"
@@ -29,11 +29,11 @@ GREY: Final = "#8A8A8A"
 #: width of the text on the page
 WIDTH_CM: Final = 17.0
 CM_PER_INCH: Final = 2.54
-#: characters of a legend that fit the width, and those that handle and gap take
+#: legend's characters in the width, and those of handle and gap
 LINE_CHARACTERS: Final = 118
-#: groups that still get a legend entry each
+#: groups that each get a legend entry
 LEGEND_LIMIT: Final = 8
-#: points beyond which markers are drawn as pixels inside the vector figure
+#: more markers are pixels inside the vector figure
 MANY: Final = 2000
 LEGEND_GAP: Final = 6
 #: characters of a group's name in a legend
@@ -41,7 +41,7 @@ LABEL_LIMIT: Final = 18
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make `draw` use the report's style, for any user's matplotlib settings are."""
+    """Make `draw` use the report's style, despite any user's matplotlib settings."""
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -76,10 +76,10 @@ def figure_title(figure: Figure, text: str) -> None:
 
 
 def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:
-    """Put one legend outside the axes, in as many columns as the longest label leaves room for."""
+    """Put one legend outside the axes, in as many columns as its longest label allows."""
     if labels:
         lengths = [len(text) + LEGEND_GAP for text in labels]
-        # all in one row, else in columns as wide as the longest
+        # one row, else columns as wide as the longest
         columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
         figure.legend(
             handles,
@@ -93,14 +93,14 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
 
 
 def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool = False) -> None:
-    """Put the legend of groups outside the axes where there are several, and not too many to be told apart."""
+    """Put a legend of several groups outside the axes, unless too many to be told apart."""
     if 1 < len(names) <= LEGEND_LIMIT:
         shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """Runs by session or kind: names as a legend shows them, in order of first appearance, and each run's number."""
+    """Runs by session or kind: names for a legend, as they first appear, and each run's number."""
 
     names: list[str]
     index: IntArray
@@ -126,7 +126,7 @@ def _short(name: str, none: str, limit: int) -> str:
 
 
 def over_runs(axis: Axes, label: str = "run, in the order driven") -> None:
-    """Label an axis that counts runs; between two of them there is none."""
+    """Label an axis that counts runs, in whole numbers."""
     axis.set_xlabel(label)
     axis.locator_params(axis="x", integer=True)
 
@@ -160,7 +160,7 @@ def _known_signs() -> frozenset[int]:
 
 
 def legible(text: str) -> str:
-    """Return a text with signs that the font lacks given by their code points, so that labels stay apart."""
+    """Return a text with code points for signs that the font lacks, so that labels stay apart."""
     if text.isascii():
         return text
     return "".join(sign if known(sign) else f"U+{ord(sign):X} " for sign in text).strip()

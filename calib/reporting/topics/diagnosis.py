@@ -122,7 +122,7 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
         return []
     from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
 
-    # covariates that explain most come first: the number of panels is limited
+    # those that explain most come first: panels are limited
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
     rank = {line.name: number for number, line in reversed(list(enumerate(lines)))}
     varied = {
@@ -264,7 +264,7 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 
 
-#: below this (m or rad) a channel counts as unchanged: no instrument resolves a micrometre
+#: a channel below this (m or rad) is unchanged: no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
 _SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
 

@@ -78,7 +78,7 @@ def quality_text(wheel: WheelFit) -> str:
     """Return the scatter about the law, and how much of the spread of the radii it explains."""
     text = f"{wheel.wheel.capitalize()} wheel: residual standard deviation {two_digits(UM * wheel.residual_std_m)} µm"
     if wheel.model == "line":
-        # more digits only where the line explains nearly everything
+        # more digits where the line explains nearly all
         text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
     if wheel.session_std_m > 0:
         of_runs, of_sessions = two_digits(UM * wheel.run_std_m), two_digits(UM * wheel.session_std_m)
@@ -130,7 +130,7 @@ def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
         mean, single = (UM * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
-        # one number of decimals for all radii: that of the narrowest band
+        # one number of decimals for all radii: the narrowest band's
         decimals = places(1e-3 * float(mean.min()))
         columns.append([fixed(MM * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
         columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
@@ -144,7 +144,7 @@ def coefficients_section(source: Source) -> Section:
     for wheel in fit.wheels.values():
         for number, (title, unit, value, std, dof) in enumerate(_coefficients(wheel)):
             k = float(t_quantile(dof))
-            # two digits of u fix the last place of the value, too
+            # two digits of u fix the value's last place, too
             numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
             rows.append(("" if number else wheel.wheel, title, unit, *numbers))
     blocks: list[Block] = [

@@ -21,7 +21,7 @@ from calib.reporting.source import Source
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
 
-#: beyond this many runs the report's table is one of sessions
+#: more runs make the report's table one of sessions
 MOST_ROWS: Final = 200
 #: runs named for one reason
 MOST_NAMED: Final = 12
@@ -209,10 +209,10 @@ def deviation_picture(fit: Fit) -> Picture:
     )
 
 
-#: entries of a list of names, and runs named for one note
+#: entries of a list of names, and runs of one note
 MAX_NAMES: Final = 12
 MAX_RUNS: Final = 6
-#: lines of one kind of note that differ in their numbers alone; the JSON has them all
+#: lines of notes that differ in their numbers alone; the JSON has them all
 MAX_SIMILAR: Final = 8
 
 
