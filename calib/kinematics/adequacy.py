@@ -28,25 +28,25 @@ LACK_OF_FIT: Final = 3.0
 #: a residual below this share of the distance travelled (of the rotation, for headings) is as small as calibrated wheel
 #: odometry gets (UMBmark's and our real recordings: 0.1 to 0.5 %), even where replicates scatter less
 SMALL_SHARE: Final = 0.005
-#: a result that leaves more than this share of the error on held-out runs explains nothing of it
+#: a result that leaves more of the error on held-out runs explains nothing of it
 USELESS_SHARE: Final = 0.9
 #: where sessions differ, one calibration for all is to take away three quarters of the mean square at least
 WORTH_SHARE: Final = 0.5
-#: a residual above this share of the distance travelled, or of the rotation, is no calibration
+#: a residual above this share of the distance or rotation is no calibration
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
 REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
-#: degrees of freedom from which on the scatter of replicates is known well enough to judge by: to about a third
+#: degrees of freedom from which the scatter of replicates is judged by: known to about a third
 REPLICATE_DOF: Final = 4
-#: drift of a calibrated odometry where no replicates say it: share of the way (UMBmark's robots: 0.1 to 0.5 %), and
-#: heading as a share of the rotation and in rad per metre
+#: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
+#: a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
-#: at most this share of the runs are single bad ones, which take no part; one run always may be
+#: largest share of single bad runs, which take no part; one run always may be
 FEW_OUTLIERS: Final = 0.1
-#: share of runs that the noise cannot explain, from which on the result is doubtful
+#: share of runs that noise cannot explain, from which the result is doubtful
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
@@ -78,7 +78,7 @@ class Residuals:
     usual_noise: float = math.inf
     #: what fits of each session leave, where sessions differ beyond chance
     within: float = math.inf
-    #: what differences between recordings that are part of the fit, such as their steering zeros, add to the noise
+    #: what differences between recordings that are part of the fit, such as steering zeros, add to the noise
     between: float = 0.0
 
     @property
@@ -148,7 +148,7 @@ class Judgement:
     position: Residuals
     heading: Residuals
     why: tuple[str, ...]
-    #: blunders that are named: none of those recognised where the data stay unexplained once they are corrected
+    #: blunders named: none recognised where the data stay unexplained once they are corrected
     faults: tuple[Fault, ...] = ()
 
     @property
@@ -170,8 +170,7 @@ def judged(
     whole
         Whole runs, or the longest windows of long recordings: where the position errors are taken.
     faults, outliers
-        Blunders that were recognised; runs that the noise cannot explain, which are named by themselves and take no
-        part.
+        Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
     """
     used = _used(whole, outliers)
     seen = whole.segments.seen
@@ -187,7 +186,6 @@ def judged(
     within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
-        """Return the figures of a part of the pose."""
         at = used & seen[:, columns].any(axis=1)
         scatter = _scatter(after[:, columns], in_session, at) or _scatter(after[:, columns], replicates, at)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
@@ -228,7 +226,7 @@ def judged(
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
-    """Return the segments that are judged: all but those of few single bad runs, which are named by themselves.
+    """Return the segments judged: all but those of few single bad runs, which are named by themselves.
 
     Where all replicates are outliers, they are no single bad ones.
     """
@@ -266,7 +264,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
-    """Return a number for each segment, the same for those that are replicates by their wheels."""
+    """Return a number for each segment, the same for replicates by their wheels."""
     measured = whole.segments.measured
     told = measured - whole.predict(nominal_values(whole.drive)).residuals
     group = np.full(len(path), -1, dtype=np.int64)
@@ -282,7 +280,7 @@ def _replicates(whole: Model, path: FloatArray) -> IntArray:
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
-    """Return the residuals of runs, or blocks of few runs, that the fit has not seen, shape (n, 3)."""
+    """Return the residuals of runs, or blocks of few runs, held out of the fit, shape (n, 3)."""
     model, solution = fitted.model, fitted.solution
     runs = np.unique(model.segments.run)
     by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
@@ -319,7 +317,7 @@ def _sideways(position: Residuals, heading: Residuals) -> list[str]:
 
 
 def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
-    """Return what a standard deviation of the recordings' steering zeros does to each segment, shape (n, 3)."""
+    """Return each segment's change by a standard deviation of the recordings' steering zeros, shape (n, 3)."""
     if not fitted.zero_spread_rad:
         return np.zeros((len(logged.segments), 3))
     values = fitted.solution.values.copy()
@@ -341,7 +339,7 @@ def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
 
 
 def _copied(position: Residuals) -> list[str]:
-    """Return a sentence where the reference is the nominal odometry itself: no instrument agrees with it that well."""
+    """Return a sentence where the reference is the nominal odometry: no instrument agrees that well."""
     if not 0.0 < position.before < COPIED_SHARE * position.travelled:
         return []
     return [
@@ -364,9 +362,9 @@ def _lengths_alone(fitted: Fitted) -> list[str]:
 
 
 def _at_odds(whole: Model, outliers: Sequence[str], large: BoolArray) -> list[str]:
-    """Return a sentence where so many runs are outliers that they are no single bad ones.
+    """Return a sentence where the outliers are too many for single bad runs.
 
-    `large` (shape (n_segments,)): which residuals are no small share of the way; small ones are no blunder.
+    `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
     """
     n_runs = len(np.unique(whole.segments.run))
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 def route_table(
     recording: Recording, segments: Segments, before: FloatArray, after: FloatArray
 ) -> tuple[RouteResidual, ...]:
-    """Return the residuals by kind of route; where no kind is given, by the sense of the turn.
+    """Return the residuals by kind of route, else by the sense of the turn.
 
-    `before`, `after` (shape (n, 3)): residuals of the nominal and the calibrated vehicle.
+    `before`, `after` (shape (n, 3)): of the nominal and the calibrated vehicle.
     """
     kind = recording.kind[segments.run]
     if (kind == "").all():
@@ -69,14 +69,14 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
     return campaign.select(np.isin(kind, sorted(wanted)))
 
 
-#: an outlier is a run that chance makes once in a hundred campaigns
+#: chance of an outlier: one in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01
 #: no run is driven slower: a metre takes a quarter of an hour
 SLOWEST_MPS: Final = 1e-3
 
 
 def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, faults: tuple[Fault, ...]) -> Geometry:
-    """Return the result of a fit; for what it was made from see `calib.kinematics.estimate.estimate_geometry`."""
+    """Return the result of a fit; see `calib.kinematics.estimate.estimate_geometry`."""
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
@@ -161,7 +161,7 @@ def _gyro_alone(fitted: Fitted) -> bool:
 def _whole(model: Model) -> Model:
     """Return the model of whole runs where many end poses are known, else of the longest windows.
 
-    The end of one long recording says little: what heading noise has gathered by then is all that it shows.
+    The end of one long recording shows little but the heading noise gathered by then.
     """
     many = int(np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).sum()) >= ENOUGH_RUNS
     if many or model.segments.are_runs_of(model.recording):
@@ -226,14 +226,14 @@ class Promise:
 
     @classmethod
     def of(cls, geometry: Geometry) -> Promise:
-        """Return what the runs of a geometry gave; noise that they do not show is assumed, as of runs not driven."""
+        """Return what a geometry's runs gave; noise that they do not show is assumed, as of runs not driven."""
         scales = np.square([geometry.noise[name] for name in COMPONENTS])
         if any(LENGTHS_ALONE in why for why in geometry.why):
             scales[1:3] = first_scales(Reference())[1:3]
         return cls(geometry.estimates, geometry.undetermined, scales)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return standard deviation and half width of the 95 % interval of each parameter, as plain JSON values."""
+        """Return each parameter's standard deviation and half 95 % interval, as plain JSON values."""
         parameters = {each.name: {"sd": each.std, "half_width95": each.half_width} for each in self.estimates}
         return {"parameters": parameters, "undetermined": list(self.undetermined)}
 
@@ -241,9 +241,8 @@ class Promise:
 def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
-    The runs are driven as the model says; driven ones may be among them, where the model is the one found by them.
-    `scales`, shape (4,), are variances of the components of the noise: by default the stated sigmas and small random
-    walks.
+    The runs are driven as the model says; driven ones may be among them, where they gave the model. `scales`, shape
+    (4,), are variances of the noise's components: by default the stated sigmas and small random walks.
 
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
@@ -259,7 +258,7 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
 
 
-#: how far from a side's direction a piece of the way may point and still belong to it
+#: how far a piece of the way may point from its side's direction
 SIDE_RAD: Final = 0.35
 #: share of the way that belongs to sides, and of the shortest side beside the mean one
 SIDES_SHARE: Final = 0.8
@@ -293,8 +292,7 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
 def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
     """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
 
-    `prediction`: of the nominal vehicle: its errors are what is looked at; `calibrated`: of the calibrated one: its way
-    shows which runs are squares; `track_m`: nominal track.
+    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal.
     """
     side, left = squares(calibrated, segments)
     square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)

@@ -2,11 +2,11 @@
 
 A blunder (other units, axes, columns, wraps) changes the recording, and the vehicle's parameters are fitted again
 within plausible bounds. Residuals are compared relative to the distance travelled, so that no unit makes them small by
-itself; a blunder is named only where its correction leaves a small part of the uncorrected residuals.
+itself; a blunder is named only where its correction leaves a small part of them.
 
-A departure is one more parameter, a change of the recording of unknown size that no residual need show. It is fitted
-beside the parameters of the vehicle in the linearised problem. It is named where its size is beyond noise, by the
-scatter between groups of segments, and of whole runs, where it explains more of the residual than is left without it.
+A departure is one more parameter: a change of the recording of unknown size that no residual need show, fitted beside
+those of the vehicle in the linearised problem. It is named where its size is beyond noise, by the scatter between
+groups of segments, and of whole runs, where it explains more of the residual than is left without it.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
 
-#: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter of its
-#: mean square
+#: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter in
+#: squares
 CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03
-#: a right reading's displacements are as long as those of the wheels, within this factor, and point their way, in rad:
-#: lengths and mounting angles stay within it
+#: a right reading's displacements are as long as the wheels', within this factor, and point their way, in rad: lengths
+#: and mounting angles stay within it
 SAME_LENGTH: Final = 1.3
 SAME_WAY_RAD: Final = 0.3
 #: linearisations of a trial: a right reading is near its end after four, a wrong one never
@@ -60,11 +60,11 @@ TRIAL_ROUNDS: Final = 6
 TRIAL_NOISE_ROUNDS: Final = 1
 #: and up to a step that gains less log likelihood
 TRIAL_STEADY: Final = 0.1
-#: readings that leave no more than this much of the least are alike: the first of them, the simplest, is named
+#: readings within this factor of the least are alike: the first of them, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
 PLAUSIBLE_CHANGE: Final = 0.2
-#: turns of less say little: added to the total absolute rotation that heading residuals are taken relative to
+#: turns of less say little: added to the rotation that heading residuals are relative to
 LEAST_TURN_RAD: Final = 0.2
 Divide = Callable[["Campaign", Recording], Segments]
 
@@ -73,11 +73,11 @@ Divide = Callable[["Campaign", Recording], Segments]
 class Trial:
     """Residuals under a hypothesis, and whether it is plausible."""
 
-    #: residual, root mean square, as a share of the distance and rotation
+    #: rms residual as a share of the distance and rotation
     share: float
     #: lengths are near nominal, and displacements as long as those of the wheels and of their direction
     plausible: bool
-    #: angle by which the reference's displacements are turned against those of the wheels
+    #: angle of the reference's displacements against those of the wheels
     turned_rad: float
     #: fitted mean radius over the nominal one, and scale of the steering angle
     scales: tuple[float, float] = (1.0, 1.0)
@@ -88,9 +88,8 @@ def find_blunder(
 ) -> tuple[Campaign, Recording, Fault] | None:
     """Return settings and recording corrected, and the blunder; None where no reading explains the data.
 
-    The campaign states vehicle, encoder and noise of the reference. `source` says which wheels drive the odometry
-    (``rear``, ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into the segments that are compared, by the
-    nominal vehicle of a campaign.
+    The campaign states vehicle, encoder and noise of the reference. `source`: wheels that drive the odometry (``rear``,
+    ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into segments by a campaign's nominal vehicle.
     """
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
@@ -167,19 +166,19 @@ CLEAR_AXIS: Final = 12.0
 EXPLAINED: Final = 0.5
 #: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
 LEAD: Final = 0.1
-#: plays of a steering that are tried, rad
+#: plays of a steering tried, rad
 PLAYS_RAD: Final = (0.01, 0.04)
-#: shifts in time of a steering angle that are tried, s: from half the least on, which is no step of a log any more
+#: shifts in time of a steering angle tried, s: from half the least on, which is no step of a log any more
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of one axis of a tracking system, tried from this size on
 AXIS_SCALE: Final = 0.01
-#: resultant of the doubled headings at the starts, above which runs begin along one axis, in either sense
+#: resultant of the doubled start headings, above which runs begin along one axis, in either sense
 ALONG_ONE: Final = 0.9
 #: scale of the reference's heading beside its positions
 HEADING_SCALE: Final = 0.005
 #: rate of a clock: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
-#: recordings, and part of the longest that they differ by, from which on their delays tell of a clock
+#: recordings, and part of the longest that they differ by, from which their delays tell of a clock
 FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
 #: slip by the yaw rate
@@ -201,7 +200,7 @@ class Departure:
 def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] | None:
     """Return the departure that explains most, and its size; None where none is clear.
 
-    `misfit`: the residuals speak against the fit, so that departures are tried which sound ones need not be tested for.
+    `misfit`: the residuals speak against the fit: departures that sound ones need no test for are tried, too.
     """
     most, found = 0.0, None
     for departure in _departures(fitted.model, misfit=misfit):
@@ -248,7 +247,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
 
 #: runs from which on they are the groups, not blocks of them
 FEWEST_GROUPS: Final = 8
-#: a size below this part of the one that was tried is another one's, or of the wrong sign
+#: a size below this part of the one tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
 
 
@@ -348,7 +347,7 @@ def _wound(recording: Recording, share: float) -> Recording:
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
-    """Return the recording with headings that turn more by a share from the start of each run, as a gyro's do."""
+    """Return headings that turn more by a share from each run's start, as a gyro's do."""
     begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
     wound = _wound(recording, share)
     return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))

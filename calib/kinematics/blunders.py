@@ -16,17 +16,17 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.types import FloatArray, IntArray
 
-#: how far a ratio may be from a factor and still be taken for it, relative
+#: relative distance from a factor within which a ratio is taken for it
 NEAR: Final = 0.08
-#: turns of the wheels by less, root mean square over the stretches, say nothing of the heading's unit
+#: turns of the wheels by less, rms over the stretches, say nothing of the heading's unit
 TURNS_RAD: Final = 0.1
-#: a steering angle that straight ahead reads further from zero was never set to it: assembly leaves hundredths
+#: a steering angle that reads more straight ahead was never zeroed: assembly leaves hundredths
 FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
 #: no wheel is steered further
 LARGEST_STEERING_RAD: Final = 2.0
-#: an angle that moves by less over a whole campaign is not that of a wheel that steers
+#: an angle that moves less over a campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
 #: a reference mirrored in y and heading is to the wheels the same as left for right
 OR_MIRRORED: Final = (
@@ -85,12 +85,8 @@ def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tu
 def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float:
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1, along a way of any shape.
 
-    Parameters
-    ----------
-    segments : Segments
-        Stretches whose displacement was measured.
-    turn_rad, rolled : array of float, shape (n_steps,)
-        Turn in each step, as the measured headings tell it, and the wheels' own way.
+    `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
+    measured headings, and the wheels' own way.
     """
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
@@ -160,14 +156,8 @@ def front_faults(
 def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatArray, run: IntArray) -> str:
     """Return what is wrong where the angle never moves and the vehicle does not keep to one curvature; empty if right.
 
-    Parameters
-    ----------
-    steer_rad : array of float, shape (n_steps,)
-        Angle read.
-    rolled, turned_rad : array of float, shape (n,)
-        What the wheel rolled over each stretch, and the measured turn; stretches of one run follow each other.
-    run : array of int, shape (n,)
-        Run of each stretch.
+    `steer_rad` (shape (n_steps,)): angle read; `rolled`, `turned_rad`, `run` (shape (n,)): what the wheel rolled over
+    each stretch, its measured turn and its run; stretches of one run follow each other.
     """
     if not len(run) or not float(np.ptp(steer_rad)) <= STILL_RAD:
         return ""
@@ -188,14 +178,8 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
     c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
 
-    Parameters
-    ----------
-    rolled, steer_rad : array of float, shape (n_steps,)
-        What the front wheel rolls in each step, and the angle read in it.
-    turned_rad : array of float, shape (n,)
-        Measured turns of stretches.
-    between : callable
-        Sums of steps over these stretches.
+    `rolled`, `steer_rad` (shape (n_steps,)): way of the front wheel in each step, and the angle read; `turned_rad`
+    (shape (n,)): measured turns of stretches; `between`: sums of steps over these.
     """
     if len(turned_rad) < 4 or float(np.ptp(steer_rad)) > 2.0 * LARGEST_STEERING_RAD:
         return 0.0
@@ -213,10 +197,10 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
-    """Refuse a reference whose heading is in another unit than radians.
+    """Refuse a reference whose heading is not in radians.
 
-    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the wheels of the nominal vehicle, and by the
-    reference. Raises RefusedError where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
+    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the nominal wheels, and by the reference. Raises
+    RefusedError where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
     """
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
@@ -236,11 +220,11 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
-#: the columns as they stand count as wrong where others leave less than this part of what they leave
+#: columns as they stand count as wrong where others leave less than this part of what they leave
 CLEARLY_LESS: Final = 0.25
 #: and where they leave more than this part of the way and of the turns
 POOR: Final = 0.1
-#: readings that leave no more than this much of the least are as good
+#: readings within this factor of the least are as good
 ALIKE: Final = 1.1
 #: turns of less are noise
 LEAST_TURN_RAD: Final = 0.05
@@ -252,7 +236,7 @@ def corrected(
     """Return the recording with blunders of the wheels corrected, and these faults.
 
     `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
-    heading is in another unit than radians.
+    heading is not in radians.
     """
     if source in STEERED:
         recording, faults = front_faults(recording, segments, by_shaft=source == "shaft")
@@ -269,7 +253,7 @@ def corrected(
 def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault]:
     """Yield the counters, of two wheels, that stand still in a run whose reference does not turn about that wheel.
 
-    `told_rad` (shape (n_samples,)): turn in each step by the wheels, of fitted lengths: other units are no still wheel.
+    `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
     """
     names = recording.speeds or ("counts_left", "counts_right")
     for side, name in enumerate(names if TWIST not in recording.speeds else ()):
@@ -297,7 +281,7 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
 def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
-    `recording`: of four wheels; `drive`: its nominal values tell which reading of the four columns fits the reference.
+    `drive`: its nominal values tell which reading of the four columns fits the reference.
     """
 
     def left_by(turned: FloatArray) -> tuple[float, float]:
@@ -311,7 +295,7 @@ def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tup
     least = min(left for (left, _), *_ in tried)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
-    # two readings can differ by half a turn of the sensor alone: the one that turns it less is the likelier
+    # two readings can differ by half a turn of the sensor alone: the one that turns it less is likelier
     alike = [one for one in tried if one[0][0] <= ALIKE * least + 1e-9]
     _, fault, order, signs = min(alike, key=lambda one: one[0][1])
     return recording.with_turned(turned[order] * signs[:, None]), (fault,)
@@ -336,7 +320,7 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
 
 
 def _left(model: Model, values: FloatArray) -> tuple[float, float]:
-    """Return the unexplained share of displacements and turns under a reading, and the turn of the sensor in rad."""
+    """Return the unexplained share of displacements and turns, and the turn of the sensor in rad."""
     segments = model.segments
     seen = segments.seen.all(axis=1)
     measured = segments.measured[seen]

@@ -13,8 +13,7 @@ from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 #: factor on the true turn that a gyro measures
 GYRO_SCALE: Final = "gyro_scale"
-#: the gyro's scale, the pose of the reference's sensor on the vehicle, and the time by which its stamps lag behind the
-#: encoders'
+#: the gyro's scale, the sensor's pose on the vehicle, and the lag of its stamps behind the encoders'
 SENSOR: Final = (GYRO_SCALE, "sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
 #: a sensor where the settings' defaults have it
 UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
@@ -24,7 +23,7 @@ GYRO_SCALE_STD: Final = 0.01
 #: random walks of heading and distance to begin with, per metre
 WALKS: Final = (2.5e-7, 2.5e-7)
 
-#: how far a lever arm, an angle and a delay may be from what the settings say
+#: how far lever arm, angle and delay may be from the settings
 SENSOR_STD: Final = {
     GYRO_SCALE: GYRO_SCALE_STD,
     "sensor_x_m": 0.2,
@@ -36,14 +35,14 @@ SENSOR_STD: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its name, which ends in its unit, its nominal value, and the spread of what is possible."""
+    """One parameter; its name ends in its unit."""
 
     #: for example ``track_m``
     name: str
     #: value before the calibration
     nominal: float
     #: standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
-    #: that do not do clearly better leave the parameter undetermined
+    #: that do not do clearly better leave it undetermined
     prior_std: float
 
 
@@ -89,7 +88,7 @@ class Parameters:
         return np.array([item.prior_std for item in self.items])
 
     def without(self, names: Iterable[str]) -> Parameters:
-        """Return the parameters with those in `names` held at their nominal value."""
+        """Return the parameters, those in `names` held at nominal."""
         held = set(names)
         return Parameters.of(self.items, (name for name in self.free_names if name not in held))
 
@@ -102,7 +101,7 @@ def parameters_of(drive: Drive, reference: Reference) -> tuple[Parameter, ...]:
 
 
 def first_scales(reference: Reference) -> FloatArray:
-    """Return the variances of the noise's components to begin with, in the order of `calib.kinematics.solve`."""
+    """Return the noise components' variances to begin with, as ordered in `calib.kinematics.solve`."""
     return np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
 
 
@@ -306,7 +305,7 @@ SMALL_RAD: Final = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Poses at the samples; runs continue one another, since only displacements within a run are used."""
+    """Poses at the samples; runs continue one another: only displacements within a run are used."""
 
     #: x and y in m, heading in rad, shape (3, n_samples)
     pose: FloatArray
@@ -315,10 +314,7 @@ class Path:
 
 
 def integrate_motion(motion: Motion) -> Path:
-    """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle.
-
-    `motion`: motion of the body in each step.
-    """
+    """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle."""
     forward, left, turn = motion.body
     d_forward, d_left, d_turn = (motion.by_parameter[:, axis] for axis in range(3))
     half = 0.5 * turn
@@ -347,9 +343,8 @@ def displacement(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the displacement from pose `first` to pose `last` in the frame of the former, and its derivatives.
 
-    `pose` (shape (3, n)); `by_parameter` (shape (n_parameters, 3, n)): their derivatives; `first`, `last` (shape
-    (n_segments,)): which poses. Returns `moved` (shape (n_segments, 3)): forward, left, turn; `derivative` (shape
-    (n_segments, 3, n_parameters)): derivatives of `moved`.
+    `pose` (shape (3, n)); `by_parameter` (shape (n_parameters, 3, n)); `first`, `last` (shape (n_segments,)). Returns
+    `moved` (shape (n_segments, 3)): forward, left, turn; `derivative` (shape (n_segments, 3, n_parameters)).
     """
     moved = moved_between(pose, first, last)
     cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])

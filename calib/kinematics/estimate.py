@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 Using = Literal["end_poses", "windows"]
 
-#: blocks that windows of a few long recordings are laid in, coarse to fine; many runs are blocks themselves
+#: blocks for windows of a few long recordings, coarse to fine; many runs are blocks themselves
 BLOCKS: Final = (40, 160, 640)
-#: a finer division is taken where its intervals are at most this much wider: a failed measurement then spoils less, and
-#: a standard deviation from some dozens of blocks is itself known to 15 %
+#: a finer division is taken where its intervals are at most this much wider: a bad measurement then spoils less, and a
+#: standard deviation from some dozens of blocks is itself known to 15 %
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path between two poses by more than a linear model of them allows
 BENT_RAD: Final = 0.1
-#: fits in which each recording's own delay is found, where one for all will not do
+#: fits in which each recording's own delay is found
 DELAY_ROUNDS: Final = 3
 #: fits in which the size of a departure is found; its last change
 SIZE_ROUNDS, SIZE_FOUND = 6, 0.05
@@ -77,7 +77,7 @@ def estimate_geometry(
         Estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it takes
         that to explain them.
     leave_out : {"session", "kind", "run_id"}, optional
-        Leave each of these out in turn and say the end position error of the held-out runs, before and after.
+        Hold each of these out in turn and give its end position error, before and after.
     progress
         See `calib.types.Progress`.
     """
@@ -100,7 +100,7 @@ def _best(
     sensor: bool | None,
     progress: Progress,
 ) -> Geometry:
-    """Return the geometry by the way asked for; by default by windows, or by end poses alone where these are no fit."""
+    """Return the geometry as asked for; by default by windows, or by end poses alone where these are no fit."""
 
     def estimated(way: Using) -> Geometry:
         task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
@@ -235,7 +235,7 @@ def _without_departure(fit: _Fit) -> Geometry:
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:
-    """Return the mean position error of a model's segments at fitted values."""
+    """Return the segments' mean position error at fitted values."""
     residuals = model.predict(fitted.solution.values).residuals
     return float(np.mean(np.hypot(residuals[:, 0], residuals[:, 1])))
 
@@ -262,7 +262,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
 
 
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
-    """Return the fit with the place of the reference's sensor estimated too; None where that explains no more.
+    """Return the fit with the reference's sensor placed too; None where that explains no more.
 
     Along the path, where the reference follows the vehicle; in any case where end headings are far off.
     """
@@ -272,7 +272,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
     except RefusedError:
         return None
     bent = way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
-    # a fault that is named there is why end poses alone are not explained: a wrong angle takes whole turns with it
+    # a fault named there is why end poses are not explained: a wrong angle takes whole turns with it
     named = fit.geometry.misfit and other.geometry.faults and not other.geometry.misfit
     return other if other.geometry.passed or bent or named else None
 
@@ -299,7 +299,7 @@ def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[
 
 
 def _with_own_zeros(campaign: Campaign, fitted: Fitted, task: _Task) -> Fitted:
-    """Return the fit with a steering zero for each recording; of end poses, for each session where sessions differ."""
+    """Return the fit with a steering zero for each recording; of end poses, for each session where these differ."""
     model, free = fitted.model, fitted.parameters.free
     if task.way == "windows":
         return with_own_zeros(fitted)
@@ -325,10 +325,7 @@ def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> Floa
 
 
 def divisions(recording: Recording, using: str) -> Iterator[Segments]:
-    """Yield stretches: whole runs (``end_poses``), or windows in ever finer divisions, of many runs a block each first.
-
-    `using`: as in `estimate_geometry`.
-    """
+    """Yield whole runs (``end_poses``), or windows in ever finer divisions, of many runs a block each first."""
     if using == "end_poses":
         yield end_pose_segments(recording)
         return

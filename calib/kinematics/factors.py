@@ -10,7 +10,7 @@ import numpy as np
 from calib.kinematics.blunders import NEAR, TWIST, Fault
 from calib.kinematics.joint_fit import Fitted
 
-#: factors that faults of settings leave, and what they mean
+#: factors of wrong settings, and what they mean
 TRACK_FACTORS: Final = {0.5: "half the track", 2.0: "twice the track"}
 RADIUS_FACTORS: Final = {
     0.5: "half the radius: twice the counts per revolution, or the radius for the diameter",
@@ -27,9 +27,9 @@ RADIUS_FACTORS: Final = {
     float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
     float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
 }
-#: a radius off by more than this factor is no radius, no matter what made it
+#: a radius off by more is no radius, no matter what made it
 FARTHEST: Final = 5.0
-#: a length further from what is stated is a wrong setting, unit or count; rubber, wear and load stay within it
+#: a length further off is a wrong setting, unit or count; rubber, wear and load stay within it
 PLAUSIBLE_CHANGE: Final = 0.15
 #: a track may be an effective one, of two tyres that scrub or of a wide tread
 PLAUSIBLE_TRACK_CHANGE: Final = 0.3
@@ -46,7 +46,7 @@ def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
 
 
 def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
-    """Return the lengths that are further from the stated ones than wheels and floors can make them, of a `drive`."""
+    """Return the lengths further from the stated ones than wheels and floors can make them, of a `drive`."""
     sentences, parameters, free = [], fitted.parameters, fitted.parameters.free
     sizes = zip(parameters.free_names, parameters.nominal[free], fitted.solution.values[free], strict=True)
     for name, nominal, value in sizes:

@@ -1,10 +1,10 @@
 """Joint estimation of the parameters that the data determine; the others are held at nominal and named.
 
-Some parameters differ between recordings: the delay of the reference, and the zero of the steering angle. A servo, or a
-linkage with play, comes to rest at another angle each time. One zero for all recordings then bends what the other
-parameters say; a free zero for each says nothing of a further recording. Here the deviations are random effects: the
-common zero and the other parameters are estimated by generalised least squares, each deviation is the mean of its
-distribution given the data, and the spread is part of the uncertainty.
+Some parameters differ between recordings: the reference's delay, and the zero of the steering angle, since a servo, or
+a linkage with play, rests at another angle each time. One zero for all bends what the other parameters say; a free zero
+for each says nothing of a further recording. So the deviations are random effects: generalised least squares estimates
+the common zero and the other parameters, each deviation is the mean of its distribution given the data, and the spread
+is part of the uncertainty.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from calib.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
-#: a direction in which data leave more than this part of the prior spread is not determined
+#: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: how well the scale of radii and track is known beforehand, relative
+#: prior uncertainty of the scale of radii and track, relative
 NOMINAL_STD: Final = 0.01
 #: part that each of three parameters has in a direction in which all grow alike; 0.58 where they do so exactly
 ALIKE: Final = 0.3
@@ -50,8 +50,7 @@ ALIKE: Final = 0.3
 def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
     """Return the least determined direction of the free parameters, shape (n_free,); None where all are determined.
 
-    `solution`: its whitened Jacobian, in units of the prior spread of each parameter, is decomposed; `parameters`:
-    which are free, and their prior spread.
+    By the whitened Jacobian, in units of each parameter's prior spread.
     """
     free = parameters.free
     jacobian = whitened(solution, free)[0] * parameters.prior_std[free]
@@ -60,10 +59,9 @@ def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
 
 
 def loosest(std: FloatArray, parameters: Parameters) -> str | None:
-    """Return the parameter whose standard deviation is largest beside its prior spread, where that is too large.
+    """Return the parameter of the largest standard deviation beside its prior spread, where that is too large.
 
-    `std` (shape (n_free,)): standard deviations that allow for shared noise; `parameters`: which are free, and their
-    prior spread.
+    `std` (shape (n_free,)): standard deviations that allow for shared noise.
     """
     ratio = std / parameters.prior_std[parameters.free]
     at = int(np.argmax(ratio))
@@ -87,8 +85,8 @@ class Fitted:
     dropped: tuple[str, ...]
     #: the recording with the steering angles as they were logged
     logged: Recording
-    #: standard deviation of the steering zeros of single recordings, which the angles of the model's recording are
-    #: corrected for; 0 where one zero suits all
+    #: standard deviation of single recordings' steering zeros, corrected for in the model's angles; 0: one zero suits
+    #: all
     zero_spread_rad: float = 0.0
 
     @property
@@ -107,8 +105,7 @@ class Fitted:
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     """Return the drive with its nominal values.
 
-    `campaign`: its vehicle, and its model of the wheels; `source` (one of `WHEEL_COLUMNS`); `recording`: says
-    whether the loads varied, so that radii have slopes.
+    `source` (one of `WHEEL_COLUMNS`); `recording`: says whether the loads varied, so that radii have slopes.
     """
     vehicle, model = campaign.vehicle, campaign.model
     if source == "front":
@@ -141,8 +138,8 @@ def fit_parameters(
 ) -> Fitted:
     """Estimate, and leave out what the data cannot determine, one parameter at a time; see `Fitted`.
 
-    `sensor`: estimate the pose of the reference's sensor and its delay, too; `start`: a fit to begin from;
-    `known`: variances of the noise, shape (4,), for runs that are not driven yet.
+    `sensor`: estimate the sensor's pose and delay, too; `start`: a fit to begin from; `known`: variances of the noise,
+    shape (4,), for runs not driven yet.
     """
     free = [item.name for item in drive.parameters]
     dropped: list[str] = []
@@ -195,7 +192,7 @@ def fit_parameters(
         values = np.where(parameters.free, solution.values, parameters.nominal)
 
 
-#: chance with which recordings of one delay are taken for ones of several
+#: chance of taking recordings of one delay for ones of several
 CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps
 REACH_S: Final = 0.5
@@ -216,10 +213,10 @@ class Delay:
 def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> FloatArray:
     """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search.
 
-    The robust fit treats a recording with another delay as an outlier, so that the gradient does not find its delay.
-    Zero where the common delay fits each recording best.
+    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Zero where
+    the common delay fits best.
 
-    `model`: with windows; `solution`: of the joint fit; `parameters`: the delay is the last of them.
+    `model`: with windows; `parameters`: the delay is the last of them.
     """
     group = recording_groups(model.recording)
     n_groups = int(group.max()) + 1
@@ -242,9 +239,9 @@ def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> F
 def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tuple[tuple[Delay, ...], FloatArray]:
     """Return the delay of each recording, and each run's difference from the common one; none where one fits all.
 
-    `model`: with windows; its recording knows what the delay of each run was taken to add so far; `solution`: of the
-    joint fit; `parameters`: the delay is the last of them. Returns `delays`: in the order driven; empty where the
-    recordings do not ask for several; `added_s` (shape (n_runs,)): to be added to the common delay in each run.
+    `model`: with windows; its recording knows what each run's delay was taken to add so far; `parameters`: the delay is
+    the last of them. Returns `delays`: in the order driven; empty where one fits all; `added_s` (shape (n_runs,)): to
+    be added to the common delay.
     """
     recording = model.recording
     shifts = shifts_of(model, solution, parameters, "delay_s")
@@ -266,8 +263,8 @@ def shifts_of(
 ) -> tuple[IntArray, FloatArray, FloatArray] | None:
     """Return by how much each recording alone would change one parameter of a joint fit.
 
-    `model`: with windows; `name`: of the parameter. Returns the group of each run (n_runs,), and the shift of each
-    group with its standard deviation (n_groups,); None where the parameter is not free or blocks are too few.
+    `model`: with windows. Returns the group of each run (n_runs,), and each group's shift with its standard deviation
+    (n_groups,); None where the parameter is not free or blocks are too few.
     """
     group = recording_groups(model.recording)
     n_groups = int(group.max()) + 1
@@ -298,7 +295,7 @@ def steering_zero_spread_rad(model: Model, solution: Solution, parameters: Param
 
 
 def recording_groups(recording: Recording) -> IntArray:
-    """Return the number of each run's recording, shape (n_runs,)."""
+    """Return each run's recording by its number, shape (n_runs,)."""
     return np.asarray(np.unique(recording.labels, return_inverse=True)[1])
 
 
@@ -314,7 +311,7 @@ def _disagree(shift: FloatArray, std: FloatArray) -> bool:
 ROUNDS: Final = 8
 #: of these, those in which the noise is estimated again
 NOISE_ROUNDS: Final = 4
-#: a last change of the spread below this share of it ends the search
+#: a last change of the spread below this share ends the search
 SETTLED: Final = 0.01
 
 
@@ -348,8 +345,8 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
     """Return the random effect of the recordings' zeros.
 
-    `solution`, at the deviations, is of the `fitted` with one zero; `group` is the recording of each run; `spread` the
-    standard deviation of `deviation`, that of the zero of each recording from the common one, in rad.
+    `solution`: at the deviations; `fitted`: with one zero; `group`: recording of each run; `spread`: standard deviation
+    of `deviation`, each recording's zero from the common one, rad.
     """
     names = fitted.parameters.names
     # a deviation is added to the angle before its scale
@@ -361,7 +358,7 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
 
 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
-    """Return values of the parameters, deviations of the recordings and their spread after one linear step.
+    """Return parameters, recordings' deviations and their spread after one linear step.
 
     `solution`: with its random effect; `spread`: standard deviation of the deviations now, rad.
     """

@@ -41,7 +41,7 @@ class Segments:
     measured: FloatArray
     #: which of these were measured, shape (n, 3)
     seen: BoolArray
-    #: stretches of one block share their noise; they are nested in it, shape (n,)
+    #: stretches of one block share noise and are nested in it, shape (n,)
     block: IntArray
     #: 0 for the longest windows, shape (n,)
     level: IntArray
@@ -89,12 +89,11 @@ def end_pose_segments(recording: Recording) -> Segments:
 def window_segments(recording: Recording, blocks: int) -> Segments:
     """Return windows of three lengths, nested in blocks of equal travel.
 
-    `recording`: with a reference along the path; `blocks`: how many blocks all runs together are cut into, about; a run
-    is one at least. Raises RefusedError where the reference follows the vehicle nowhere.
+    `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
+    reference follows the vehicle nowhere.
 
-    The travel of the wheels, not the time, sets the length, so that a standing vehicle makes no windows. Shorter
-    windows overlap by half. No window reaches over the end of its block. Of positions alone every window begins where
-    its run does, with a heading of zero.
+    Wheel travel, not time, sets the length: a standing vehicle makes no windows. Shorter windows overlap by half; none
+    reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
@@ -208,7 +207,7 @@ def _at_times(
     t_s = recording.t_s
     delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
-    # samples are few steps away, so a global search on time within runs is done with shifted clocks
+    # samples are few steps away: a global search on time within runs takes shifted clocks
     shift = np.concatenate(([0.0], np.cumsum(t_s[recording.offsets[1:] - 1] + 1.0)))[:-1]
     clock = t_s + shift[recording.run]
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
@@ -225,8 +224,8 @@ def _at_times(
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
     """Return the weights of four samples in the pose between the inner two: a cubic, shape (4, n) as `t_s`.
 
-    At each inner sample its velocity is the mean one of the steps on both sides. A chord would cut curves and lag
-    behind a vehicle that speeds up, by a constant share of a step wherever the delay is no whole number of steps.
+    An inner sample's velocity is the mean of the steps on both sides. A chord would cut curves and lag behind a vehicle
+    that speeds up, by a constant share of a step wherever the delay is no whole number of steps.
     """
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)
@@ -245,7 +244,7 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
 
 
 def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the sensor's displacement for displacements of the vehicle, and its derivatives by the sensor's pose."""
+    """Return the sensor's displacements for the vehicle's, and derivatives by the sensor's pose."""
     x, y, yaw = place
     turn = moved[:, 2]
     cosine, sine = np.cos(turn) - 1.0, np.sin(turn)
@@ -275,7 +274,7 @@ SIDE_SLIP: Final = "side_slip_s2_per_m"
 #: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m; spreads allow for several
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
-#: turns below this lateral acceleration make slip angles of a few milliradians at the most: nothing to estimate
+#: turns below this lateral acceleration slip by a few milliradians: nothing to estimate
 SLIPS_MPS2: Final = 0.5
 #: quantile of the lateral acceleration that has to reach it: not single samples
 OFTEN: Final = 0.9

@@ -42,13 +42,13 @@ COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four t
 #: factors that a track is stated wrong by: from the middle to a wheel
 TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
 
-#: a step so many times as large as those beside it, and above a revolution, is no motion
+#: a step so many times those beside it, and above a revolution, is no motion
 JUMP_FACTOR: Final = 8.0
 #: jumps a run, on average; more are a counter that wraps
 MOST_JUMPS: Final = 2.0
 #: how far its jumps differ: wheels speed up
 ALIKE: Final = 0.1
-#: gear ratios tried, near enough to each other for the scale of the steering angle to be found from one of them
+#: gear ratios tried, near enough for the scale of the steering angle to be found from one of them
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
 Change = Callable[[Recording], Recording]
@@ -167,7 +167,7 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
 
 
 def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
-    """Return the heading of which z is the sine of half, of all such the one nearest to what the wheels say."""
+    """Return the heading of whose half z is the sine, the one nearest to what the wheels say."""
     half = np.arcsin(np.clip(z, -1.0, 1.0))
     headings = np.stack([2.0 * half, 2.0 * (np.pi - half)])
     headings += 4.0 * np.pi * np.rint((told_rad - headings) / (4.0 * np.pi))

@@ -27,10 +27,10 @@ POSITION_ALONE: Final = (
 TURNS_CLEARLY_RAD: Final = 1.2
 #: a run in its own start frame begins nearer to its origin than this
 AT_START_M: Final = 0.1
-#: kinds of runs that were led along a line, and the turn by nominal wheels up to which that is believed
+#: kinds of runs led along a line, and the nominal turn up to which that is believed
 LED: Final = ("corridor", "straight", "line")
 LED_RAD: Final = 1.2
-#: turn of a run of which only the end counts are known, up to which it is taken for one arc
+#: turn up to which a run of end counts alone is taken for one arc
 ONE_ARC_RAD: Final = 0.2
 
 
@@ -48,16 +48,16 @@ class Recording:
     t_s: FloatArray
     #: what the wheels did from sample to sample
     steps: Steps
-    #: pose by the reference at the samples, heading not wrapped; NaN where it has none, shape (3, n_samples)
+    #: pose by the reference, heading not wrapped; NaN where it has none, shape (3, n_samples)
     reference: FloatArray
-    #: end pose relative to the start by the reference; NaN where it was not measured. A straight run of measured length
-    #: has x alone, shape (n_runs, 3)
+    #: end pose relative to the start by the reference; NaN where not measured; a straight run of measured length has x
+    #: alone, shape (n_runs, 3)
     end_pose: FloatArray
     #: runs whose turn a gyro measured, shape (n_runs,)
     by_gyro: BoolArray
     #: runs that cannot be used: id and reason
     left_out: tuple[tuple[str, str], ...] = ()
-    #: what each run's delay of the reference adds to the common one; None: nothing, shape (n_runs,)
+    #: what each run adds to the common delay; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
     #: columns of speeds that the wheels' angles were integrated from; empty of counts
     speeds: tuple[str, ...] = ()
@@ -79,7 +79,7 @@ class Recording:
 
     @property
     def delay_added_s(self) -> FloatArray:
-        """What each run's delay adds to the common one, shape (n_runs,)."""
+        """What each run adds to the common delay, shape (n_runs,)."""
         return np.zeros(len(self)) if self.own_delay_s is None else self.own_delay_s
 
     @property
@@ -89,7 +89,7 @@ class Recording:
 
     @property
     def continuous(self) -> bool:
-        """Whether the reference follows the vehicle along the path, in half of the runs at least."""
+        """Whether the reference follows the vehicle along the path, in at least half of the runs."""
         has = np.isfinite(self.reference).any(axis=0)
         counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
         return bool(np.mean(counts >= MANY_POSES) >= 0.5)
@@ -102,8 +102,8 @@ class Recording:
     def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
         """Return the recording with end headings corrected by whole turns, and the few runs that alone were off.
 
-        Headings that are all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)),
-        or of a reference that was followed along the path.
+        Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
+        reference followed along the path.
         """
         end_pose, turn_rad = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
@@ -120,7 +120,7 @@ class Recording:
         return replace(self, end_pose=end_pose), self.run_id[off].tolist()
 
     def _turns_followed(self, turn_rad: FloatArray) -> FloatArray:
-        """Return the turn of each run by the reference where it was followed, else by the wheels, shape (n_runs,)."""
+        """Return each run's turn by the reference where it was followed, else by the wheels, shape (n_runs,)."""
         turned = np.add.reduceat(turn_rad, self.offsets[:-1])
         total = np.cumsum(turn_rad)
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
@@ -130,7 +130,7 @@ class Recording:
         return turned
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
-        """Raise RefusedError where every heading is the same number, although the wheels turn the vehicle.
+        """Raise RefusedError where every heading is the same, although the wheels turn the vehicle.
 
         `turn_rad` (shape (n_samples,)): turn in each step by the wheels.
         """
@@ -164,15 +164,15 @@ class Recording:
         return replace(self, steps=replace(self.steps, steer_rad=steer_rad))
 
 
-#: share of runs that can be off by whole turns beside the others; more are another convention
+#: share of runs that can be off by whole turns; more are another convention
 FEW_OFF: Final = 0.25
-#: how near to a whole turn: the wheels of a nominal vehicle tell a few turns to this part of one
+#: how near to a whole turn: nominal wheels tell a few turns to this part of one
 WHOLE_TURN: Final = 0.1
 #: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
 MOST_TURNS_RAD: Final = 10.0 * np.pi
-#: a heading that the vehicle turns by less between two samples of the reference, twice what its wheels say, is followed
+#: a heading that turns by less between two reference samples, twice what the wheels say, is followed
 FOLLOWED_RAD: Final = 1.0
-#: poses of a run that make a reference a continuous one
+#: poses of a run that make a reference continuous
 MANY_POSES: Final = 20
 
 
@@ -205,7 +205,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     offsets = np.cumsum([0] + [len(piece.t_s) for piece in pieces]).astype(np.int64)
 
     def joined(name: str) -> FloatArray | None:
-        """Return an array of all runs laid end to end; None where a run has none."""
+        """Lay an array of all runs end to end; None where a run has none."""
         parts = [getattr(piece, name) for piece in pieces]
         return None if any(part is None for part in parts) else np.concatenate(parts, axis=-1)
 
@@ -302,11 +302,10 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    """Return the end pose of a straight run whose length alone was measured: x, the others NaN; NaN of other runs.
+    """Return a straight run's end pose whose length alone was measured: x, the others NaN; NaN of other runs.
 
-    `campaign`: its row says a ``distance_m`` where one was measured; `row`: number of the run; `source`: only two
-    wheels on one axle tell by themselves whether a run was straight; `turned_rad` (shape (2,)): angle that each wheel
-    turned in all.
+    `row`: number of the run, which may have a ``distance_m``; `source`: only two wheels on one axle tell by themselves
+    whether a run was straight; `turned_rad` (shape (2,)): turn of each wheel in all.
     """
     model, end = campaign.model, np.full(3, np.nan)
     if source != "rear":

@@ -78,7 +78,7 @@ class RouteResidual:
     after_mean: Channels
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain values."""
+        """Return plain values."""
         columns = ("before_rms", "after_rms", "after_mean")
         return plain_fields(self, **{name: getattr(self, name)._asdict() for name in columns})
 
@@ -125,7 +125,6 @@ class RunTrace:
     any; with an end pose alone they begin at the start.
     """
 
-    #: labels
     run_id: str
     kind: str
     #: x and y of the sensor in m, shape (n_samples, 2)
@@ -236,7 +235,7 @@ class Geometry(Result):
         return replace(self, judgement=judgement, faults=(fault,))
 
     def with_wide_track(self, stated_m: float, fault: Fault) -> Geometry:
-        """Return the result beside the track that is stated, with the fault where no skid steering makes it so wide."""
+        """Return the result beside the stated track, with the fault where no skid steering makes it so wide."""
         rows = (replace(row, nominal=stated_m) if row.name == "track_m" else row for row in self.estimates)
         found = replace(self, estimates=tuple(rows))
         return self.doubted(fault) if implausible("track_m", found.values["track_m"] / stated_m, 1.0, "skid") else found

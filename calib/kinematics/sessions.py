@@ -10,7 +10,7 @@ from calib.kinematics.model import Segments
 from calib.kinematics.solve import Solution
 from calib.types import BoolArray, StrArray
 
-#: chance with which sessions that are alike are taken for ones that differ: a campaign is judged once
+#: chance of taking sessions that are alike for ones that differ: a campaign is judged once
 CHANCE: Final = 1e-4
 #: columns that depend on the others by more than this part tell nothing of their own
 DEPENDENT: Final = 1e-6
@@ -22,12 +22,7 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
     its own parameters, start heading of the reference, and yaw of its axes.
 
-    Parameters
-    ----------
-    solution, free, segments
-        Of the fit of all sessions.
-    labels : array of str, shape (n_runs,)
-        Session of each run.
+    `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
     """
     from scipy.special import fdtrc
 

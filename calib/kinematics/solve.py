@@ -24,9 +24,8 @@ POWER: Final = 0.9
 def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
     """Return the covariance of each displacement for each component of unit size.
 
-    `path`: poses at the samples; `body` (shape (3, n_samples)): motion of the body in each step; `yaw_rad`: yaw of the
-    sensor on the vehicle. Shape (4, n, 3, 3): in the order of `COMPONENTS`, in the sensor's frame at the start of the
-    stretch.
+    `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle. Shape (4, n, 3, 3):
+    in the order of `COMPONENTS`, in the sensor's frame at the start of the stretch.
     """
     n = len(segments)
     kernel = np.zeros((len(COMPONENTS), n, 3, 3))
@@ -51,7 +50,7 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
 
 
 def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray, FloatArray]:
-    """Return covariances of the end pose, in the path's own frame, of unit walks of heading and distance."""
+    """Return covariances of end poses, in the path's own frame, of unit walks of heading and distance."""
     x, y, theta = path.pose
     # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
     weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
@@ -81,8 +80,8 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray
     return walk, along
 
 
-#: where the entries of a lower triangle stand, row by row; symmetric matrices of many stretches are kept as these six,
-#: shape (6, n): products of matrices so small cost more in calls than in sums
+#: entries of a lower triangle, row by row; symmetric matrices of many stretches are kept as these six, shape (6, n):
+#: products so small cost more in calls than in sums
 _ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
 _COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
 #: how often an entry stands in the whole matrix
@@ -94,6 +93,8 @@ def update_scales(
 ) -> tuple[FloatArray, float]:
     """Return better variances, by a step that does not lower the likelihood (Zhou et al. 2019), and what it gains.
 
+    The gain: of log likelihood, by the component that gains most.
+
     Parameters
     ----------
     kernel : array, shape (4, 6, n)
@@ -104,13 +105,6 @@ def update_scales(
         Lower triangles of the inverse covariances at `scales`.
     pulled : array, shape (3, n)
         Inverse covariances times residuals, times the square root of the robust weights.
-
-    Returns
-    -------
-    array, shape (4,)
-        The better variances.
-    float
-        Log likelihood gained by the component that gains most.
     """
     flat = kernel.reshape(len(kernel), -1)
     size = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel()
@@ -125,16 +119,16 @@ DEGREES: Final = 5.0
 ROUNDS: Final = 15
 NOISE_ROUNDS: Final = 4
 INNER: Final = 40
-#: stretches from which the noise is estimated; more of them cost time and tell nothing new about four numbers
+#: stretches from which the noise is estimated; more cost time and tell nothing new about four numbers
 NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
 #: a change within a step below this part of it ends the steps within: the next linearisation corrects far more
 INEXACT: Final = 1e-2
-#: a step of the noise's variances that gains less log likelihood than this is the last: a component that adds nothing
-#: to the covariance may go on falling for ever
+#: a step of the noise's variances that gains less log likelihood is the last: a component that adds nothing may go on
+#: falling for ever
 STEADY: Final = 1e-3
-#: strength of the pull to the nominal values, in parts of the information there is; only for solvability
+#: pull to the nominal values, in parts of the information there is; only for solvability
 RIDGE: Final = 1e-10
 #: longest step, in spreads of what is possible
 LONGEST: Final = 3.0
@@ -142,11 +136,11 @@ LONGEST: Final = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shared:
-    """A random effect that segments of one group have in common, of unit variance."""
+    """A random effect of unit variance that segments of one group share."""
 
     #: group of each segment, shape (n,)
     group: IntArray
-    #: what a unit of it adds to whitened and weighted residuals, shape (n, 3)
+    #: what a unit of it adds to whitened, weighted residuals, shape (n, 3)
     change: FloatArray
     #: what it is taken to be in each group, shape (n_groups,)
     amount: FloatArray
@@ -184,8 +178,6 @@ def solve(
     steady: float = STEADY,
 ) -> Solution:
     """Return the parameters that the data make most likely.
-
-    `converged` is False where the last step was long.
 
     Parameters
     ----------
@@ -231,7 +223,7 @@ def solve(
 
 
 def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
-    """Return the solution that runs will have which are not driven yet, at known variances of the noise, shape (4,)."""
+    """Return the solution of runs not driven yet, at known variances of the noise, shape (4,)."""
     prediction, seen = model.predict(values), model.segments.seen
     whitener = _whiteners(_kernel(model, prediction, values), scales, seen)
     n = len(seen)
@@ -240,7 +232,7 @@ def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
-    """The problem made linear: residuals, derivatives by parameters in units of their spread, what was measured."""
+    """The linear problem: residuals, derivatives by parameters in units of their spread, what was measured."""
 
     residuals: FloatArray  #: shape (3, n)
     jacobian: FloatArray  #: shape (3, n, n_free)
@@ -248,7 +240,6 @@ class _Linear:
     size: IntArray  #: shape (n,)
 
     def part(self, some: slice) -> _Linear:
-        """Return the problem of some of the stretches."""
         jacobian = np.ascontiguousarray(self.jacobian[:, some])
         return _Linear(self.residuals[:, some].copy(), jacobian, self.seen[some], self.size[some])
 
@@ -292,13 +283,13 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
 
 
 def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
-    """Return the lower triangles of what a unit of each component adds, shape (4, 6, n)."""
+    """Return lower triangles of each component of unit size, shape (4, 6, n)."""
     whole = kernels(prediction.path, model.motion(values).body, model.segments, float(values[-2]))
     return np.ascontiguousarray(whole[:, :, _ROWS, _COLUMNS].transpose(0, 2, 1))
 
 
 def _whiteners(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> FloatArray:
-    """Return the triangles that make covariances ones of unit size; 1 on the diagonal where nothing was measured."""
+    """Return triangles that whiten covariances; 1 on the diagonal where nothing was measured."""
     total = (scales @ kernel.reshape(len(kernel), -1)).reshape(6, -1)
     total[_ROWS == _COLUMNS] += np.where(seen.T, 1e-18, 1.0)
     xx, yx, yy, tx, ty, tt = total
@@ -314,7 +305,7 @@ def _whiteners(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> Float
 
 
 def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
-    """Return whitened values, shape (3, n) or (3, n, n_columns)."""
+    """Whiten values, shape (3, n) or (3, n, n_columns)."""
     a, b, c, d, e, f = whitener if values.ndim == 2 else whitener[:, :, None]
     x, y, turn = values
     white = np.empty_like(values)
@@ -323,7 +314,7 @@ def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
-    """Return inverse covariances times residuals from whitened residuals, shape (3, n)."""
+    """Return inverse covariances times residuals, shape (3, n)."""
     a, b, c, d, e, f = whitener
     x, y, turn = white
     return np.stack([a * x + b * y + d * turn, c * y + e * turn, f * turn])
@@ -335,14 +326,14 @@ def _inverse(whitener: FloatArray) -> FloatArray:
 
 
 def _whole(whitener: FloatArray) -> FloatArray:
-    """Return triangles as matrices, shape (n, 3, 3)."""
+    """Return full matrices, shape (n, 3, 3)."""
     whole = np.zeros((whitener.shape[1], 3, 3))
     whole[:, _ROWS, _COLUMNS] = whitener.T
     return whole
 
 
 def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the robust weights of whitened residuals, shape (3, n), and their squares."""
+    """Return robust weights of whitened residuals, shape (3, n), and their squares."""
     squares = np.square(white).sum(axis=0)
     return (DEGREES + size) / (DEGREES + squares), squares
 
@@ -364,9 +355,9 @@ def _advance(
     least_part: float,
     loss: Callable[[Prediction], float],
 ) -> tuple[FloatArray, Prediction, bool]:
-    """Return the point along `step` that lowers the loss, by backtracking from `part` of it, and whether there is one.
+    """Backtrack from `part` of `step`; return the point, its prediction, and whether the loss fell.
 
-    A part of the step below `least_part` is not worth a trial; the first one always is.
+    A part below `least_part` is not worth a trial; the first one always is.
     """
     values, prediction = here
     now = loss(prediction)

@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 
 def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
-    """Return paths and residuals of the runs of a campaign by the nominal and by the calibrated vehicle.
-
-    `campaign`: the one that was calibrated.
-    """
+    """Return paths and residuals of the calibrated campaign's runs, by the nominal and the calibrated vehicle."""
     source, recording = geometry.source, recording_of(campaign, geometry.source)
     coarse = next(divisions(recording, geometry.using))
     recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
@@ -81,7 +78,7 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
 
 
 def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
-    """Return a path turned and shifted as a whole so that its samples `seen` lie nearest to those of `onto`, (3, n)."""
+    """Return a path (3, n) turned and shifted as a whole so that samples `seen` lie nearest to those of `onto`."""
     good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
     if good.sum() < 2:
         turn = float(np.nanmean(onto[2] - path[2, seen]))

@@ -62,14 +62,14 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
     return out
 
 
-#: cosines for n blocks: this times n to the power 2/3, so that of many blocks only the slower part of them counts
+#: cosines for n blocks: this times n^(2/3), so that of many blocks only the slower part counts
 COSINES: Final = 3.3
 #: how much steeper than level a spectrum may be: by the slope at zero over the square of the frequency
 STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspace(-1.0, 2.0, 13)])
 
 
 def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal cosines over n blocks, the slowest first, and the squares of their frequencies."""
+    """Return orthonormal cosines over n blocks, the slowest first, and their squared frequencies."""
     number = np.arange(1.0, min(round(COSINES * n ** (2.0 / 3.0)), n - 1) + 1.0)
     waves = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(number, (np.arange(n) + 0.5) / n))
     return waves, 4.0 * np.square(np.sin(0.5 * np.pi * number / n))
@@ -78,8 +78,8 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
     """Return the level of a spectrum at frequency zero, its degrees of freedom, and the spectrum's shape.
 
-    `powers` (shape (n_cosines,)): squared amplitudes; `squares` (shape (n_cosines,)): squares of the frequencies;
-    `dof`: degrees of freedom of the amplitudes together; fewer than there are of them where blocks are unequal.
+    `powers`, `squares` (shape (n_cosines,)): squared amplitudes and frequencies; `dof`: degrees of freedom of the
+    amplitudes together; fewer than there are of them where blocks are unequal.
 
     For each steepness the level has a scaled inverse chi squared distribution; steepnesses are weighted by the
     likelihood with the level integrated out. The mixture is met by the one such distribution whose logarithm has the
@@ -107,9 +107,8 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
 
     `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all blocks
     together have unit information; `information` (shape (n_blocks, n_parameters, n_parameters)): of each block in the
-    same columns; their sum is the identity; `directions` (shape (n_parameters, n_parameters)): rows: sums of parameters
-    with separate sources of error, in the same columns. Returns `covariance` (shape (n_parameters, n_parameters)):
-    of the directions; `freedom`: standard deviations of the directions, and their degrees of freedom.
+    same columns; `directions` (shape (n_parameters, n_parameters)): rows: sums of parameters with separate sources of
+    error, in the same columns. The covariance, of the directions, has the same shape.
     """
     waves, squares = _cosines(len(pulls))
     number = len(squares)
@@ -194,7 +193,7 @@ def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
 
 
 def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
-    """Return the score of each block by the parameters, scaled to unit information, shape (n_blocks, n_free)."""
+    """Return each block's score by the parameters, scaled to unit information, shape (n_blocks, n_free)."""
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
@@ -222,9 +221,8 @@ def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
 def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
     """Return the covariance of the free parameters from blocks along the path, which share noise with neighbours.
 
-    `solution`: of the robust fit; `free` (shape (n_parameters,)): which parameters were free; `block` (shape (n,)):
-    blocks are numbered along the path; `directions` (shape (n_free, n_free)): rows: sums of parameters that err for
-    reasons of their own.
+    `free` (shape (n_parameters,)); `block` (shape (n,)): numbered along the path; `directions` (shape (n_free,
+    n_free)): rows: sums of parameters with separate sources of error.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     parts = [(flat[rows], residuals[rows]) for rows in _rows_of(block)]
@@ -302,11 +300,11 @@ def _influence(solution: Solution) -> float:
     return float(np.mean(solution.weights) / max(np.mean(slope), 0.2 * np.mean(solution.weights)))
 
 
-#: groups that a covariance needs at least
+#: groups that a covariance needs
 FEWEST: Final = 4
-#: so many runs are the groups to begin with; of fewer runs, blocks within them
+#: so many runs are the groups; of fewer, blocks within them
 ENOUGH_RUNS: Final = 8
-#: standard deviations of the correlation of scores within a group from which on the group counts as one
+#: standard deviations of the correlation of scores within a group from which it counts as one
 ALIKE: Final = 2.6
 
 
@@ -316,8 +314,6 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
     differ: a shared error does not average out over repeats. Of several such groupings the one with the widest
     intervals is used.
-
-    `solution`: of the robust fit.
     """
     free = parameters.free
     block = np.unique(segments.block, return_inverse=True)[1]

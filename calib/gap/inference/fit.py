@@ -16,19 +16,19 @@ from calib.gap.predict import Path, predict, residuals, signature
 from calib.gap.steps import joined_perturbation, total_perturbation
 from calib.types import BoolArray, FloatArray
 
-#: prior standard deviation of each size in typical sizes; wide, it only keeps the solution finite
+#: prior standard deviation of sizes, in typical sizes; wide: it only keeps the solution finite
 SIZE_SD = 30.0
-#: prior standard deviation of a plain recalibration: left, right radius, track, front radius (relative); the front
-#: radius is held, because a front wheel that disagrees with the rear ones is a gap to be named
+#: prior standard deviation of a recalibration, relative: left, right radius, track, front radius; the last is held: a
+#: front wheel that disagrees with the rear ones is a gap to be named
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
-#: a step that raises the misfit is halved so often before it is given up: to a thousandth
+#: halvings of a step that raises the misfit: to a thousandth
 _MAX_HALVINGS: Final = 10
-#: squares that differ by less than this share are equal in double precision
+#: squares closer than this share are equal in double precision
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: how often noise alone makes a recalibration gain more than one has to about whose path all is linear: rarely, since
-#: a small one shows as well about the model's own path
+#: chance that noise alone makes all linear about a recalibration's path: rare, since a small one shows about the
+#: model's own path too
 BY_CHANCE: Final = 0.001
 
 
@@ -46,7 +46,7 @@ class Fitted:
 
     @property
     def parameters(self) -> FloatArray:
-        """All theta end to end in units of their typical size, shape (n_parameters,)."""
+        """All theta end to end, in typical sizes, shape (n_parameters,)."""
         parts = [theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -74,7 +74,7 @@ def hypothesis_path(
     forms : sequence of Form
         The hypothesis.
     theta : sequence of array of float, each shape (n_parameters,)
-        Sizes of each form's parameters, in the parameters' units.
+        Sizes of each form, in its parameters' units.
     about : Path
         Where the perturbations are taken.
     """
@@ -100,9 +100,9 @@ def recalibration_columns(path: Path) -> FloatArray:
 
 
 def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
-    """Return what a calibration and `n_others` sizes are made of that changes along some directions alone.
+    """Return a basis of calibration and `n_others` sizes, the calibration along some directions alone.
 
-    `along`: (k, 4), directions. Shape (4 + n_others, k + n_others), each of unit prior variance.
+    `along`: (k, 4). Shape (4 + n_others, k + n_others), each of unit prior variance.
     """
     whole = np.zeros((4 + n_others, len(along) + n_others))
     scaled = (along / CALIBRATION_SD).T
@@ -119,28 +119,27 @@ class _Misfit:
     noise: Noise
     forms: Sequence[Form]
     freedom: BoolArray  #: shape (4,): which of the calibration may change
-    prior_sd: FloatArray  #: shape (n_parameters,): prior standard deviation of each scaled parameter
+    prior_sd: FloatArray  #: shape (n_parameters,): of each scaled parameter
     rows: BoolArray  #: shape (n_rows,): which of the usable (unit, channel) rows count
-    along: FloatArray | None  #: shape (k, 4): directions that the calibration may change along; None: all
+    along: FloatArray | None  #: shape (k, 4): directions of the calibration; None: all
 
     def sizes(self, scaled: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """Return calibration and sizes at scaled parameters."""
         cuts = np.cumsum([4, *(len(form.parameters) for form in self.forms)])
         theta = [scaled[a:b] * form.typical for form, a, b in zip(self.forms, cuts[:-1], cuts[1:], strict=True)]
         return np.where(self.freedom, scaled[:4] * CALIBRATION_SD, 0.0), theta
 
     def moved(self, path: Path, scaled: FloatArray) -> Path:
-        """Return the path at scaled parameters, perturbations taken about another."""
+        """Re-simulate at scaled parameters, perturbations taken about `path`."""
         calibration, theta = self.sizes(scaled)
         return hypothesis_path(self.nominal.s, calibration, self.forms, theta, path)
 
     def cost(self, path: Path, scaled: FloatArray) -> float:
-        """Return the squares of the whitened residual and of the parameters under their prior."""
+        """Return the squares of whitened residual and parameters under their prior."""
         white = whitened_rows(path, self.noise, residuals(path, self.nominal)[:, :, None])[self.rows, 0]
         return float(white @ white + np.sum((scaled / self.prior_sd) ** 2))
 
     def gauss_newton(self, path: Path, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix (n_parameters, n_parameters) about a path and the step (n_parameters,) from it."""
+        """Return normal matrix (n_parameters, n_parameters) and step (n_parameters,) about a path."""
         gap = residuals(path, self.nominal)
         columns = [recalibration_columns(path), *signature_columns(path, self.forms), gap[:, :, None]]
         whole = whitened_rows(path, self.noise, np.concatenate(columns, axis=2))[self.rows]
@@ -177,19 +176,13 @@ def fit(
     forms : sequence of Form
         Effects to fit.
     along : array, shape (k, 4), optional
-        Directions in which left radius, right radius, track and front radius may change, from the model's own; all by
-        default.
+        Directions in which left radius, right radius, track and front radius may change; all by default.
     use : array of bool, shape (n_units,), optional
         Units to fit on; all by default.
     start : Fitted, optional
         Where to begin (its calibration; its parameters where the forms are the same).
     steps : int
-        Most Gauss-Newton steps; it ends when a step is below a hundredth of the standard uncertainty. None: it stays
-        where it begins.
-
-    Returns
-    -------
-    Fitted
+        At most; a step below a hundredth of the standard uncertainty is the last. 0: stay at the start.
     """
     s = nominal.s
     freedom = np.array([True, True, True, bool(s.usable[:, 4:].any())]) & (not s.calibration_held)
@@ -248,15 +241,13 @@ def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fit
 
     Where routes say next to nothing of a direction (closed loops of one sense, of radii and track together), the best
     recalibration is far off, and nothing that is linear about its path holds for the model's own.
-
-    `start`: where to begin.
     """
     alone, fitted = fit(nominal, noise, steps=0), fit(nominal, noise, start=start)
     return fitted if is_gain(alone.chi_square - fitted.chi_square, alone) else alone
 
 
 def is_gain(squares: float, fitted: Fitted) -> bool:
-    """Return whether a recalibration takes more squares away than noise alone lets it."""
+    """Return whether a recalibration takes more squares away than noise may."""
     from scipy.special import chdtri
 
     channels = fitted.path.s.usable[:, 4:].any()
@@ -264,7 +255,7 @@ def is_gain(squares: float, fitted: Fitted) -> bool:
 
 
 def linear_rest(fitted: Fitted, noise: Noise) -> float:
-    """Return the squares that the linear fit about a hypothesis, from where it stands, would leave of the residual."""
+    """Return the squares that the linear fit about a hypothesis would leave of the residual."""
     columns = [recalibration_columns(fitted.path), *signature_columns(fitted.path, fitted.forms)]
     whole = whitened_rows(fitted.path, noise, np.concatenate([*columns, fitted.left[:, :, None]], axis=2))
     gram = whole.T @ whole
@@ -273,7 +264,7 @@ def linear_rest(fitted: Fitted, noise: Noise) -> float:
 
 
 def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = slice(None)) -> FloatArray:
-    """Whiten columns (n_units, 6, k) of all observations, or some, and lay the usable rows end to end, (n_rows, k)."""
+    """Whiten columns (n_units, 6, k) of some or all observations; usable rows end to end, (n_rows, k)."""
     usable = path.s.usable[units]
     masked = np.where(usable[:, :, None], columns, 0.0)
     whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
@@ -281,7 +272,7 @@ def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = 
 
 
 def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
-    """Return the signatures of each form's parameters times their typical sizes, each (n_units, 6, n_parameters)."""
+    """Return each form's signatures times typical sizes, each (n_units, 6, n_parameters)."""
     columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
     for number, units, some in signatures_by_part(path, forms):
         columns[number][units] = some
@@ -289,9 +280,9 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
 
 
 def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
-    """Yield number of a form, observations, and the signatures of these times typical sizes, (n, 6, n_parameters).
+    """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters).
 
-    Every part of the path is gone through once for all forms; a form whose signature needs no steps comes as a whole.
+    Each part of the path is visited once for all forms; a form whose signature needs no steps comes whole.
     """
     n_channels = path.s.usable.shape[1]
     along_path: list[tuple[int, list[Perturbation | None], dict[int, FloatArray]]] = []
@@ -301,7 +292,7 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
         if not form.by_parts:
             whole = list(form.perturbations(path))
             for place, (push, typical) in enumerate(zip(whole, form.typical, strict=True)):
-                # what is the same in all steps of an observation needs none of them
+                # what all steps of an observation share needs none of them
                 if push is not None and push.is_of_observations(path.s):
                     known[place], whole[place] = signature(path, push) * typical, None
         if form.by_parts or any(push is not None for push in whole):
@@ -325,10 +316,9 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
     """Return the names of the parameters that the runs do not determine.
 
-    Their interval holds zero and reaches beyond what is physically plausible on both sides: it says nothing.
+    Their interval holds zero and reaches beyond what is physically plausible on both sides.
 
-    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), their values and half the width of their
-    intervals.
+    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of their intervals.
     """
     return tuple(
         parameter.name
@@ -340,10 +330,10 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 def identifiability_message(
     parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
 ) -> str:
-    """Return in words what the runs do not determine, and what they determine together; empty where all are.
+    """Say what the runs leave undetermined or determine only together; empty where there is none.
 
-    `parameters`: of one effect; `sizes`: (n_parameters,), their values; `covariance`: (n_parameters, n_parameters), of
-    the values; `coverage`: half an interval's width in standard uncertainties.
+    `parameters`: of one effect; `sizes`: (n_parameters,); `covariance`: of these; `coverage`: half an interval's width
+    in standard uncertainties.
     """
     spread = np.sqrt(np.diag(covariance))
     open_ones = undetermined(parameters, sizes, coverage * spread)

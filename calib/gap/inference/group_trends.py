@@ -26,16 +26,14 @@ class _Alike:
     units: slice  #: their units
     #: shape (n_units, 6, 9 + q): what each group may have of its own, the gap, and the trends that it takes part in
     columns: FloatArray
-    #: shape (n_groups, q): which of the basis gap and trends are for each group; the last, which is nothing, where it
-    #: has fewer
+    #: shape (n_groups, q): each group's gap and trends in the basis; the last, which is nothing, where it has fewer
     index: IntArray
-    #: where the products of these stand among those of the groups, one triangle, and in those of the basis
+    #: where their products stand among those of the groups, one triangle, and of the basis
     there: IntArray
     place: IntArray
 
     @staticmethod
     def of(units: slice, columns: FloatArray, index: IntArray, n_basis: int) -> _Alike:
-        """Find where the products stand."""
         known = index != n_basis - 1
         there = np.flatnonzero(known[:, :, None] & known[:, None, :] & np.tri(index.shape[1], dtype=bool))
         place = index[:, :, None] * n_basis + index[:, None, :]
@@ -47,7 +45,7 @@ class GroupTrends:
     """Gap and trends of units, group by group in the order of the groups' sizes."""
 
     alike: list[_Alike]  #: groups of one size
-    places: IntArray  #: where the products of all of them stand among those of the basis
+    places: IntArray  #: where the products of all stand among those of the basis
     mix: FloatArray  #: shape (n_basis, 1 + k): gap and trends over the basis
 
     @staticmethod
@@ -142,15 +140,9 @@ class GroupTrends:
 def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return what takes each group's own columns out: F with F^T F the inverse of their products, and F times others.
 
-    `gram`: (n_groups, 9, 9 + q), products of its own columns with themselves and with others; `prior`: (9,), prior
-    precision of its own.
-
-    Returns
-    -------
-    factor : array of float, shape (n_groups, 9, 9)
-    half : array of float, shape (n_groups, 9, q)
-    log_det : float
-        Of the products of all groups.
+    `gram`: (n_groups, 9, 9 + q), products of its own columns with themselves and with others; `prior`: (9,), precision
+    of its own. Returns F (n_groups, 9, 9), its products (n_groups, 9, q), and the log determinant of all groups'
+    products.
     """
     own = gram[:, :N_GROUP_COLUMNS, :N_GROUP_COLUMNS] + np.diag(prior)
     # on a unit diagonal, a little added: columns exactly alike stay factorable
@@ -162,6 +154,6 @@ def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _squares(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products of the rows (n_groups, 6 n, k) of each unit with each other, shape (n_groups n, 6, 6)."""
+    """Return the products of each unit's rows (n_groups, 6 n, k), shape (n_groups n, 6, 6)."""
     k = left.shape[2]
     return left.reshape(-1, N_CHANNELS, k) @ right.reshape(-1, N_CHANNELS, k).transpose(0, 2, 1)

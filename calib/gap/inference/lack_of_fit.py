@@ -22,13 +22,13 @@ from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
 INTERACTION: Final = "interaction"
-#: radii that scatter from recording to recording: noise that the windows of one recording share, not an unexplained gap
+#: radii that scatter between recordings: noise that windows of one share, not an unexplained gap
 SCATTER: Final = "recordings"
 #: fewest recordings that show a scatter beside their mean
 MIN_RECORDINGS: Final = 3
-#: and that radii scatter by, relative: more is no tyre's (the largest step between sessions that is plausible)
+#: largest relative scatter of radii: more is no tyre's (the largest plausible step between sessions)
 LARGEST_SCATTER: Final = 1e-2
-#: offsets of fewer conditions than this are no sample of a lack of fit: a recalibration and an effect make them as well
+#: offsets of fewer conditions are no sample of a lack of fit: a recalibration and an effect make them too
 MIN_CELLS: Final = 8
 #: standard deviation of the lack of fit, in noise levels of one run
 LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -45,7 +45,7 @@ class BlockColumns:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The rows of the whitened system, ordered so that a condition's rows stand together, those of one length too."""
+    """Rows of the whitened system, a condition's together, and conditions of one length."""
 
     order: IntArray  #: shape (n_rows,): place of each ordered row among the usable (unit, channel) rows
     starts: IntArray  #: shape (n_blocks + 1,): rows of block b stand at ``starts[b]:starts[b + 1]``
@@ -66,12 +66,12 @@ class Blocks:
         return groups
 
     def alike_rows(self, values: FloatArray, group: int) -> FloatArray:
-        """Return values (n_rows, k) of the blocks of one length, (n, length, k), without a copy of them."""
+        """Return values (n_rows, k) of the blocks of one length, (n, length, k), as a view."""
         _, places = self.alike[group]
         return values[places[0, 0] : places[-1, -1] + 1].reshape(*places.shape, values.shape[1])
 
     def stacked(self, parts: Sequence[FloatArray]) -> list[BlockColumns]:
-        """Put columns that each block has of its own, (n_rows of the block, q), end to end where they are of one shape.
+        """Join columns that each block has of its own, (n_rows of the block, q), where they are of one shape.
 
         There are hundreds of small blocks; those without a column are omitted.
         """
@@ -85,7 +85,7 @@ class Blocks:
         return stacks
 
     def unstacked(self, stacks: Sequence[BlockColumns], parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return the columns of each block as views of stacks; those without a column are as in `parts`."""
+        """Return each block's columns as views of stacks; those without a column are as in `parts`."""
         columns = list(parts)
         for stack in stacks:
             for number, part in zip(self.alike[stack.group][0][stack.same], stack.part, strict=True):
@@ -102,15 +102,14 @@ class LackOfFit:
     """One component of lack of fit."""
 
     name: str  #: what varies, and from where to where
-    #: shape (n_rows of the block, q_b): whitened columns that each block has of its own, scaled to about the noise
-    #: level of one run
+    #: shape (n_rows of the block, q_b): whitened columns of each block's own, scaled to about the noise of a run
     by_block: tuple[FloatArray, ...] | None = None
     common: FloatArray | None = None  #: shape (n_rows, q): whitened columns common to all blocks
-    relative: float = 0.0  #: by what radii that scatter from recording to recording differ at a scale of 1
+    relative: float = 0.0  #: how far radii that scatter between recordings differ at a scale of 1
 
     @property
     def is_interaction(self) -> bool:
-        """Whether it is a trend under other loads, speeds or turns, which is looked for last."""
+        """Whether it is a trend under other loads, speeds or turns, looked for last."""
         return self.name == INTERACTION
 
     @property
@@ -119,12 +118,12 @@ class LackOfFit:
         return self.name == SCATTER
 
     def is_plausible(self, scale: float) -> bool:
-        """Whether radii scatter by so much at all."""
+        """Whether radii scatter by so much."""
         return self.relative * scale <= LARGEST_SCATTER
 
 
 def row_blocks(s: Observations) -> Blocks:
-    """Return the rows of a campaign by condition, conditions of as many rows side by side."""
+    """Return a campaign's rows by condition, conditions of as many rows side by side."""
     usable = s.usable
     unit = np.repeat(np.arange(len(s))[:, None], usable.shape[1], axis=1)[usable]
     channel = np.repeat(np.arange(usable.shape[1])[None, :], len(s), axis=0)[usable]
@@ -139,7 +138,7 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
 
     What was driven once has no offset of its own: that would be noise by another name.
 
-    `path`: where to linearise; `noise`: covariance of each unit; `blocks`: order of the rows.
+    `path`: where to linearise; `blocks`: order of the rows.
     """
     s = path.s
     n_channels = s.usable.shape[1]
@@ -195,7 +194,7 @@ def _ranks(labels: IntArray) -> IntArray:
 
 
 def _spread(columns: FloatArray, cells: IntArray, repeated: BoolArray) -> FloatArray:
-    """Give each repeated cell columns of its own, shape (n_rows, n_cells * k)."""
+    """Give each repeated cell its own columns, shape (n_rows, n_cells * k)."""
     labels, index = np.unique(cells[repeated], return_inverse=True)
     columns_by_cell = np.zeros((len(columns), len(labels), columns.shape[1]))
     columns_by_cell[np.flatnonzero(repeated), index] = columns[repeated]

@@ -29,11 +29,11 @@ from calib.types import BoolArray, FloatArray
 
 #: keeps a covariance positive definite, relative to its diagonal
 _ROUNDING: Final = 1e-11
-#: of a step that runs away: to a sixty-fourth, which is next to none
+#: halvings of a step that runs away: to a sixty-fourth
 _STEP_HALVINGS: Final = 6
-#: what a step may leave over what was left before or is to be left, each is more
+#: what a step may leave, over what was left before and over what it was to leave
 _MAX_MISFIT_RATIO: Final = 2.0
-#: variance of a predicted correction, at most, as a share of its square
+#: largest variance of a predicted correction, as a share of its square
 MAX_PREDICTION_VARIANCE: Final = 0.1
 
 
@@ -47,8 +47,8 @@ class Weighting:
     """The covariance of the whitened gap beside one scale of the lack of fit."""
 
     system: LinearSystem  #: rows and their order
-    name: str  #: component of lack of fit; empty where there is none
-    scale: float  #: its standard deviation in noise levels of one run; 0 where there is none
+    name: str  #: component of lack of fit; empty: none
+    scale: float  #: its standard deviation in noise levels of one run; 0: none
     #: shape (n, length, k): what each block of one length may have of its own, scaled to unit prior variance, beside
     #: noise of variance 1: a covariance of its rows would grow with their square
     own: tuple[FloatArray, ...]
@@ -57,7 +57,7 @@ class Weighting:
 
     @staticmethod
     def from_component(system: LinearSystem, kind: int, scale: float, deviations: FloatArray) -> Weighting:
-        """Build from a component of lack of fit (-1: none), its scale and deviations of each block, (n_rows, k)."""
+        """Build from a component of lack of fit (-1: none), its scale and each block's deviations, (n_rows, k)."""
         rest = system.kinds[kind] if kind >= 0 else None
         groups = []
         for group, (numbers, places) in enumerate(system.blocks.alike):
@@ -74,7 +74,7 @@ class Weighting:
         return Weighting(system, "" if rest is None else rest.name, scale, tuple(groups), common)
 
     def _noise(self, own: FloatArray) -> FloatArray:
-        """Return the variance of the noise of each row (n, length) beside columns (n, length, k) of the blocks."""
+        """Return each row's noise variance (n, length) beside columns (n, length, k) of the blocks."""
         # what a form far beyond its size may deviate by leaves the noise below rounding
         return np.asarray(1.0 + _ROUNDING * (1.0 + (own**2).sum(axis=2)))
 
@@ -98,10 +98,9 @@ class Weighting:
     def solve(
         self, columns: FloatArray, precision: FloatArray, use: BoolArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return estimates (p,) and covariance (p, p) of columns (n_rows, p) on the gap.
+        """Return estimates (p,) and covariance (p, p) of whitened columns (n_rows, p) on the gap.
 
-        `columns`: (n_rows, p), whitened columns; `precision`: (p,), prior precision of each; `use`: (n_units,), units
-        to learn from; all by default.
+        `precision`: (p,), prior precision; `use`: (n_units,), units to learn from; all by default.
         """
         system = self.system
         whole = np.concatenate([columns, self.common, system.gap[:, None]], axis=1)
@@ -140,8 +139,7 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     before, and than what it was to leave, is halved. Of the path's own hypothesis a step that leaves more than before
     is not taken. The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
 
-    `system`: about the path; `model`: forms of the hypothesis, by their numbers in the system; `weighting`: the lack of
-    fit, and what effects may deviate by.
+    `model`: numbers of its forms in the system; `weighting`: lack of fit, and what effects may deviate by.
     """
     columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
@@ -178,7 +176,7 @@ def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
 def _simulated_at(
     system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray
 ) -> tuple[Fitted, FloatArray]:
-    """Return a hypothesis re-simulated at (4 + n_parameters,) values, and the residual, whitened, shape (n_rows,)."""
+    """Re-simulate at (4 + n_parameters,) values; also return the whitened residual, shape (n_rows,)."""
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
     cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
     theta = tuple(values[first:last] for first, last in pairwise(cuts))
@@ -191,8 +189,8 @@ def _simulated_at(
 class HeldOutFit:
     """Holds runs out of a fit in turn.
 
-    `fitted`: the hypothesis, fitted on all runs; `nominal`: the model alone; `noise`: covariance of each unit;
-    `weighting`: of the lack of fit beside it; none by default; `along`: directions of the calibration, (k, 4).
+    `fitted`: on all runs; `nominal`: the model alone; `weighting`: of the lack of fit beside it; none by default;
+    `along`: directions of the calibration, (k, 4).
     """
 
     def __init__(
@@ -267,7 +265,7 @@ class HeldOutFit:
     def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
         """Return the sum of squares that errors of the estimates add to the prediction of units, and half its variance.
 
-        `out` (shape (n_units,)): the units; the estimates are those without them.
+        `out` (shape (n_units,)): the units, which the estimates are without.
         """
         columns = self.columns[out[self.weighting.system.blocks.unit]]
         spread = (columns.T @ columns) @ self._without(out)[1]
@@ -281,7 +279,7 @@ class HeldOutFit:
         return np.bincount(unit, white**2, len(path.s)).astype(np.float64)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return the standard deviation, lack of fit included, of the gap along a change of some units' readings."""
+        """Return the gap's standard deviation, lack of fit included, along a change of some units' readings."""
         path, order = self.fitted.path, self.weighting.system.blocks.order
         white = whitened_rows(path, self.noise, change[:, :, None])[order, 0]
         return self.weighting.spread(white, units)

@@ -49,8 +49,7 @@ N_CALIBRATION: Final = 4
 class LinearSystem:
     """Gap, recalibration and signatures of forms about one path, whitened, ordered by condition.
 
-    `fitted`: the hypothesis about whose path all is linear; `nominal`: the model alone; `noise`: covariance of each
-    unit; `forms`: forms to offer; those of `fitted` must be among them.
+    `fitted`: about whose path all is linear; `nominal`: the model alone; `forms`: on offer, those of `fitted` included.
     """
 
     def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, forms: Sequence[Form]) -> None:
@@ -142,9 +141,8 @@ class LinearSystem:
 
         The recalibration is free beside each of them.
 
-        `deviations`: (n_rows, k), what each condition may have of its own, scaled to unit prior variance: an effect's
-        deviation from its form; `prior_rest`: prior odds of a lack of fit; `scales`: of the lack of fit;
-        `interactions`: weigh interactions of the surroundings too.
+        `deviations`: (n_rows, k), each condition's own, to unit prior variance: an effect's deviation from its form;
+        `prior_rest`: prior odds of a lack of fit; `scales`: of it; `interactions`: weigh those of the surroundings too.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
@@ -153,7 +151,7 @@ class LinearSystem:
         return scalar_products(reduced, components, sizes, scales, prior_rest, len(self.gap))
 
     def sums_of(self, columns: FloatArray, nuisance: FloatArray, deviations: FloatArray, *, prior_rest: float) -> Sums:
-        """Return those of other columns (n_rows, p), with nuisances (n_rows, m) to unit prior variance beside them."""
+        """Return those of other columns (n_rows, p) beside nuisances (n_rows, m) to unit prior variance."""
         m, p = nuisance.shape[1], columns.shape[1]
         first = self._n_narrow + 1 + self.layout.n_wide
         whole = np.concatenate([nuisance, columns, self.gap[:, None], self.whole[:, first:]], axis=1)
@@ -177,8 +175,8 @@ def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
 class WhitenedSystem:
     """The whitened system about one path: residual, recalibration and form columns, made once each.
 
-    `path`: where it is linear; `nominal`: the model alone; `noise`: covariance of each unit; `offered`: forms that will
-    be asked for: on a path that is worked through in parts, all at once.
+    `path`: where it is linear; `nominal`: the model alone; `offered`: forms that will be asked for: on a path worked
+    through in parts, all at once.
     """
 
     def __init__(self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = ()) -> None:
@@ -196,7 +194,7 @@ class WhitenedSystem:
         self._back: IntArray = np.zeros(0, dtype=np.int64)
 
     def know(self, system: LinearSystem) -> None:
-        """Take columns from a system about the same path with the same floor, instead of making them once more."""
+        """Take columns from a system about the same path with the same floor."""
         self._known, self._back = system, np.argsort(system.blocks.order)
         self._places = {id(form): number for number, form in enumerate(system.forms)}
 

@@ -22,18 +22,18 @@ from calib.types import BoolArray, FloatArray
 _FORMS_PER_EFFECT: Final = 2
 #: steps of one pass
 _MAX_STEPS: Final = 24
-#: scales of the lack of fit that are weighed while stepping: those within this log-evidence window of the best
+#: scales of the lack of fit weighed while stepping: within this log-evidence window of the best
 _ACTIVE_WINDOW: Final = 9.0
 #: a lack of fit this small is omitted while stepping
 _SMALLEST_SCALE: Final = 0.3
-#: scales of the lack of fit beside which the forms of each effect are ranked
+#: scales of the lack of fit beside which an effect's forms are ranked
 _RANKING_SCALES: Final = (3.0, 10.0)
 #: models whose neighbours are weighed at the end
 _EXPANDED_MODELS: Final = 4
 #: other models that the recalibration is judged beside, and how probable they are at least, over the best
 _MAX_ALTERNATIVES: Final = 4
 _MIN_ALTERNATIVE_ODDS: Final = 0.05
-#: shares of what effects may deviate by, the most probable of which they are fitted beside: all, a tenth, nothing
+#: shares of what effects may deviate by, the most probable of which is fitted beside: all, a tenth, nothing
 _DEVIATION_SHARES: Final = (1.0, 0.1, 0.0)
 Model = tuple[int, ...]
 #: what is less probable than this is likelier not to be
@@ -44,15 +44,13 @@ EVEN_PROBABILITY: Final = 0.5
 class SearchSettings:
     """Assumptions of the search; fixed on development cases, never on scored ones."""
 
-    further: float = 0.5  #: prior odds of one effect more being at work than so many
-    #: prior odds of a lack of fit that no effect of the library explains. The noise model is itself estimated: at
-    #: three times these odds a lack of fit was two thirds of the false alarms, at these a third, and outside effects
-    #: at a signal of 10 still show
+    further: float = 0.5  #: prior odds of one more effect at work
+    #: prior odds of a lack of fit. The noise model is itself estimated: at three times these odds a lack of fit was two
+    #: thirds of the false alarms, at these a third, and outside effects at a signal of 10 still show
     prior_rest: float = 0.05
     tolerance: float = 0.15  #: share by which an effect may deviate from its assumed form, a condition
-    most_effects: int = 6  #: effects named at once, at most
-    #: effects of which all pairs are tried, since one may hide the other; of a larger library those most probable
-    #: alone
+    most_effects: int = 6  #: effects named at most
+    #: effects of which all pairs are tried, since one may hide the other; of more, those most probable alone
     paired: int = 60
 
 
@@ -90,7 +88,6 @@ class LocalSearch:
         return kept
 
     def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
-        """Return by what each condition may deviate from the current forms, shape (n_rows, n_forms)."""
         # another zero point is exact
         own = {k: size * [not p.shift for p in system.forms[k].parameters] for k, size in sizes.items()}
         deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in own.items()]
@@ -131,16 +128,16 @@ class LocalSearch:
         return self.sums.pick(matters & (self.sums.scale <= self.largest_scale))
 
     def evidence(self) -> float:
-        """Return the log weight of the current hypothesis, all scales of the lack of fit together."""
+        """Return the current hypothesis' log weight over all scales of the lack of fit."""
         return float(_total(self.weigh([self.current]))[0])
 
     def weighting(self) -> Weighting:
-        """Return the most probable lack of fit beside the current hypothesis, and deviations of its effects.
+        """Return the most probable lack of fit beside the current hypothesis, and its effects' deviations.
 
         Deviations that may be large but are not would leave a strong effect's size to chance.
         """
         full_deviations = self.deviations
-        # what else is on offer makes no difference to how probable a scale is beside these forms
+        # what else is on offer does not change how probable a scale is beside these forms
         own, model = self.system.only(self.current), tuple(range(len(self.current)))
         priors = FormPriors.from_forms(own.forms, self.settings.further)
         weightings = []
@@ -154,7 +151,7 @@ class LocalSearch:
         return Weighting.from_component(self.system, kind, scale, share * full_deviations)
 
     def fitted(self) -> Fitted:
-        """Return the current hypothesis, fitted beside the most probable scale of the lack of fit, re-simulated."""
+        """Return the current hypothesis, fitted beside the most probable lack of fit, re-simulated."""
         return controlled_step(self.system, self.current, self.weighting())
 
     def neighbours(self, model: Model) -> list[Model]:
@@ -183,7 +180,7 @@ class LocalSearch:
         return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
 
     def best_single_effects(self, count: int) -> Sequence[Model]:
-        """Return so many effects on offer, the most probable, each alone in its best form."""
+        """Return the most probable single effects on offer, each in its best form."""
         weight = _total(self.weigh([(number,) for number in self.offered]))
         forms: dict[str, int] = {}
         for place in np.argsort(-weight, kind="stable"):
@@ -192,7 +189,7 @@ class LocalSearch:
         return [(number,) for number in forms.values()][:count]
 
     def by_effects(self, models: Sequence[Model], probability: FloatArray) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set of effects, forms together, from that of each model, shape (n_models,)."""
+        """Return the probability of each set of effects from that of each model, shape (n_models,)."""
         by_set: dict[tuple[str, ...], float] = {}
         for model, p in zip(models, probability, strict=True):
             key = tuple(sorted(self.columns.forms[f].effect for f in model))
@@ -220,8 +217,7 @@ class LocalSearch:
     def greedy_search(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.
 
-        A move has to pay beside what the effects before it may deviate by, and beside what those after it may: else two
-        hypotheses would alternate.
+        A move has to pay beside what effects before and after it may deviate by: else two hypotheses would alternate.
         """
         refused: set[frozenset[int]] = set()
         models, value = self._weighed_around(refused)
@@ -283,7 +279,7 @@ class LocalSearch:
 
 
 def _total(weight: FloatArray) -> FloatArray:
-    """Return the log of the weights summed over the scales of the lack of fit, shape (n_models,)."""
+    """Sum log weights over the scales of the lack of fit, shape (n_models,)."""
     top = weight.max(axis=0)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
@@ -301,11 +297,11 @@ class SearchResult:
     forms: dict[str, list[Form]]  #: forms of each effect on this campaign
     models: tuple[tuple[str, ...], ...]  #: sets of effects weighed, best first
     probabilities: FloatArray  #: shape (n_models,): of each set
-    #: the best other models, by their forms' numbers in `system`, each with its probability over the best one's
+    #: best other models, by form numbers in `system`, each with its probability over the best one's
     alternatives: tuple[tuple[Model, float], ...]
     rest: float  #: probability of a lack of fit beside anything else that acts
-    weighting: Weighting  #: the most probable lack of fit beside the best hypothesis, and deviations of its effects
-    nothing: float  #: probability that neither an effect nor a lack of fit is there, a recalibration left free
+    weighting: Weighting  #: most probable lack of fit beside the best hypothesis, and its effects' deviations
+    nothing: float  #: probability of neither an effect nor a lack of fit, a recalibration left free
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -12,23 +12,22 @@ from calib.gap.effects.effect import Form
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: degrees of freedom by which the noise level as a whole is known before the gap is looked at; the remainder of what is
-#: known of it comes from the same runs
+#: degrees of freedom of the noise level before the gap is looked at; all else known of it comes from the same runs
 FLOOR_DOF: Final = 20.0
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
-#: numbers of all their scalar products at a time: 1 MB, for with what is worked out of them they stay in the cache
+#: entries of their scalar products at a time: 1 MB stays in the cache with all that is made of them
 _BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
 #: smallest prior scale of a column, in typical sizes, and ridge beside which sizes are fitted to choose it
 _LEAST_SCALE: Final = 0.1
 _RIDGE: Final = 1e-2
-#: a scale of the lack of fit less probable than this adds nothing to an average
+#: a scale of the lack of fit less probable adds nothing to an average
 _NO_WEIGHT: Final = 1e-15
-#: pivot of a matrix with ones on its diagonal: smaller ones are rounding
+#: pivot of a matrix of unit diagonal: smaller ones are rounding
 _LEAST_PIVOT: Final = 1e-12
-#: a hypothesis of a wide form is not weighed where it cannot come within this log-evidence window of the best
+#: a wide form's hypothesis is not weighed where it cannot come within this log-evidence window of the best
 _NEGLIGIBLE: Final = 60.0
 
 
@@ -71,7 +70,7 @@ def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows
 
 
 def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
-    """Return (I + X X^T)^(-1/2)-like projected columns: the residual of them once the nuisance took its share.
+    """Return (I + X X^T)^(-1/2)-like projected columns: their residual once the nuisance took its share.
 
     The result P has P^T P equal to the scalar product of `Nuisance.scalar` in the limit of a broad nuisance.
     """
@@ -83,12 +82,7 @@ def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
 def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
     """Solve (G + ridge I) x = g, scaled to a unit diagonal so that columns exactly alike do no harm.
 
-    `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), their scalar products with the residual;
-    `ridge`: added to the diagonal.
-
-    Returns
-    -------
-    array of float, shape (..., p)
+    `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), with the residual. Returns shape (..., p).
     """
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
@@ -115,7 +109,7 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
     value = np.full((len(sums.square), len(models)), -np.inf)
     wide = np.array([columns.layout.wide in model for model in models], dtype=bool)
     prior, widths = columns.priors(models), columns.widths(models)
-    # models of like width together: padding a narrow one to the widest would cost the cube of it
+    # models of like width together: padding a narrow one to the widest would cost its cube
     group = np.where(wide, -1, np.searchsorted(_WIDTH_CLASSES, widths))
     for number in np.unique(group[~wide]):
         places = np.flatnonzero(group == number)
@@ -140,7 +134,7 @@ def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) ->
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     there = index >= 0
-    # in memory the models stand last: what is done to a column of all of them is done at once
+    # in memory the models stand last: what is done to a column of all is done at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
     gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
@@ -170,7 +164,7 @@ def _log_evidence(
     log_det: FloatArray,
     n_rows: int,
 ) -> FloatArray:
-    """Return the log evidence of models, (n_scales, n_models), from square and log-determinant without them."""
+    """Return the log evidence, (n_scales, n_models); `square`, `log_det`: without the models."""
     bayes, gain = log_evidence_parts(gram, right, variance)
     value = log_marginal(np.maximum(square - gain, 1e-9), log_det + bayes, n_rows)
     signed = sign.any(axis=1)
@@ -206,7 +200,7 @@ def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...
 
 
 def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
-    """Return the square that a wide form leaves at a scale beside narrow columns (k,), all with a ridge on them."""
+    """Return the square that a wide form leaves at a scale beside narrow columns (k,), all with a ridge."""
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     half = np.linalg.solve(np.linalg.cholesky(own + ridge * np.eye(len(own))), across[:, [*columns, -1]])
@@ -260,7 +254,7 @@ def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: 
 
 
 def effect_scale(sizes: FloatArray, form: Form) -> float:
-    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible at most."""
+    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible."""
     own = [not p.shift for p in form.parameters]
     size = float(np.sqrt(np.mean(sizes[own] ** 2))) if len(sizes) else 1.0
     most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
@@ -277,10 +271,10 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
 
 
 def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
-    """Return the log probability that sizes have the sign they can only have, both being as likely before, shape (...).
+    """Return the log probability that sizes have their only possible sign, both being as likely before, shape (...).
 
-    Of several parameters each by itself, as if their estimates were independent. Scalar products (..., k, k) and
-    (..., k), prior variances (..., k) and signs (..., k), 0 where either may be.
+    Of several parameters each by itself, as if their estimates were independent. Scalar products (..., k, k) and (...,
+    k), prior variances and signs (..., k), 0 where either may be.
     """
     from scipy.special import log_ndtr
 
@@ -300,16 +294,12 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 
 
 def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all of them at once.
+    """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all at once.
 
     LAPACK takes a microsecond a matrix, and a search has some hundred thousand of two to five columns.
 
-    Returns
-    -------
-    array of float, shape (k, ...)
-        Pivots, whose product is the determinant.
-    array of float, shape (k, k + q, ...)
-        Rows of the upper triangle and of the right sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
+    Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...) of the upper triangle and of the
+    right sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
     """
     k, lead = matrix.shape[-1], matrix.shape[:-2]
     rows = np.empty((k, k + sides.shape[-1], *lead))
@@ -331,8 +321,7 @@ def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
 def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight: FloatArray) -> FloatArray:
     """Return the sizes of a model's columns in typical sizes, averaged over the scales of the lack of fit, shape (k,).
 
-    `sums`: scalar products; `columns`: of the forms; `model`: its forms; `weight`: (n_scales,), probability of each
-    scale.
+    `weight`: (n_scales,), probability of each scale.
     """
     if not model:
         return np.zeros(0)

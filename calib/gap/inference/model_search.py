@@ -22,36 +22,36 @@ from calib.types import BoolArray, FloatArray
 
 #: passes: linearise, search, fit
 _MAX_PASSES: Final = 7
-#: a step below this share of the standard uncertainty ends the passes
+#: a step below this share of the standard uncertainty is the last
 _CONVERGED_STEP: Final = 0.2
-#: causes fitted alone, the most probable about the path of the recalibration, of which the best is begun with
+#: causes fitted alone, the most probable about the recalibration's path, of which the best is begun with
 _SINGLE_STARTS: Final = 3
-#: models weighed together with the calibration: so many at most, those within this log-evidence window of the best
+#: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
 #: a gap less probable than this is not reported: looking at runs once more costs less than a gap not seen
 REPORTED_GAP_PROBABILITY: Final = 0.3
-#: sets that are taken as current, one after the other
+#: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 #: beside a larger lack of fit, the search begins again from elsewhere
 _SMALL_LACK_OF_FIT: Final = 1.0
-#: the residual on average, in noise levels, beyond which the search is not begun there: of the scales of lack of fit,
-#: the largest but one, which leaves a margin for the error of the linear model
+#: rms residual, in noise levels, beyond which the search is not begun there: the largest scale of lack of fit but one,
+#: a margin for the linear model's error
 _FAR_RMS: Final = 30.0
 #: Gauss-Newton steps of each trial from far away; an effect that explains the gap is near its size by then
 _TRIAL_STEPS: Final = 4
-#: of these, those after which trials are dropped that leave so many times the squares of the best one: a step from far
-#: away leaves a share of an effect's gap that the further steps take away, but not a hundred times what another leaves
+#: of these, those after which trials are dropped that leave so many times the squares of the best: a step from far away
+#: leaves a share of an effect's gap, but not a hundred times what another leaves
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and those of which even the linear fit leaves so many times what the best one has left after its last step; a set of
-#: effects that leaves so many times what the one before it leaves is not moved to
+#: and those whose linear fit alone leaves so many times what the best has left after its last step; a set that leaves
+#: so many times what the one before leaves is not moved to
 _OUTDONE: Final = 2.0
-#: no further step where the squares are within this share of what was promised: the gap is linear in the effect
+#: no further step where squares are within this share of the promise: the gap is linear in the effect
 _SETTLED_SHARE: Final = 0.02
 #: an effect that leaves more than this share of the squares is not what makes them so many
 _MAX_RESIDUAL_SHARE: Final = 0.5
-#: an effect is not tried where its linear fit leaves more than this share: four steps that take a tenth each leave 0.66
+#: an effect is not tried where its linear fit leaves more: four steps that take a tenth each leave 0.66
 _MAX_LINEAR_SHARE: Final = 0.9
 
 
@@ -142,10 +142,10 @@ def _begun_anew(
     settings: SearchSettings,
     passed: Callable[[], None] | None,
 ) -> tuple[LocalSearch, Fitted]:
-    """Return the best search of one begun without a lack of fit and one begun with the best cause fitted alone.
+    """Return the better of a search begun without a lack of fit and one begun with the best cause fitted alone.
 
-    Several causes together may leave little where each alone leaves a large lack of fit, and about a path far off the
-    true one cause looks like several.
+    Several causes may leave little together, and each alone a large lack of fit; about a path far off the true one
+    cause looks like several.
     """
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
     starts = [_converge(start, noise, all_forms, settings, passed, greedy=False)[0] for start in starts]
@@ -159,7 +159,7 @@ def _begun_anew(
 
 
 def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
-    """Return the forms of each effect that the runs could show, by id; the calibration's own are not among them."""
+    """Return the forms that the runs could show, by effect id, without the calibration's own."""
     forms = {effect.id: effect.forms(nominal.s) for effect in effects if not effect.calibration}
     return {name: offered for name, offered in forms.items() if offered}
 
@@ -187,13 +187,9 @@ def is_far(fitted: Fitted) -> bool:
 def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
     """Return a hypothesis near which the gap is linear: from that of the system, effects added one by one as they fit.
 
-    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: effects added, at
-    most.
+    Where it is not far off, or no effect takes half of it away: that of the system.
 
-    Returns
-    -------
-    Fitted
-        Where it is not far off already, or no effect takes half of it away, what was given.
+    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: added at most.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 
@@ -233,7 +229,7 @@ def _settled(squares: float, before: float) -> bool:
 def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
     """Return the forms of further effects that take a share of the squares away in the linear fit, and what it leaves.
 
-    Each trial re-simulates all runs several times; the linear fit of a form costs a few products of its columns.
+    Each trial re-simulates all runs several times; a linear fit costs a few products of a form's columns.
     """
     fitted = system.fitted
     held = [k for k, form in enumerate(system.forms) if any(form is own for own in fitted.forms)]
@@ -256,27 +252,26 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeighedModels:
-    """The models about the best ones of one linearisation, and how probable they are."""
+    """Models about the best ones of one linearisation, and their probabilities."""
 
     models: list[Model]
     probability: FloatArray  #: shape (n_scales, n_models)
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
-    #: probability that the calibration is what it is believed to be, if no effect is at work; 1 where that is unlikely
+    #: probability that the calibration is as believed, if no effect is at work; 1 where that is unlikely
     as_believed: float
     #: log weight of the current model, all scales of the lack of fit and all of the calibration together
     current_weight: float
 
     @property
     def nothing(self) -> float:
-        """Probability that neither an effect nor a lack of fit is there, a recalibration left free."""
         return float(self.probability[self.is_noise, self.models.index(())].sum())
 
 
 def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
     """Weigh the models about the best ones.
 
-    The steps leave the calibration free beside every model. What is likely at the end is weighed together with which of
-    the calibration's parameters it needs to be off: an effect that explains their shift too needs none.
+    Steps leave the calibration free beside every model. What is likely at the end is weighed together with which of the
+    calibration's parameters must be off: an effect that explains their shift too needs none.
     """
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
@@ -322,10 +317,10 @@ def _most_probable(
     settle: Callable[[LocalSearch, Fitted], tuple[LocalSearch, Fitted] | None],
     weigh: Callable[[LocalSearch], _WeighedModels],
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
-    """Move to the most probable set of effects until the current set is the most probable about its own path, too.
+    """Move to the most probable set of effects until the current one is so about its own path, too.
 
-    Where sets take turns, each the most probable about the other's path, that of the fewest effects; of as many, that
-    which is the most probable about its own. A set whose fit runs away (`settle` gives None) is not moved to.
+    Of sets that take turns, that of the fewest effects, then the most probable about its own path. A set whose fit runs
+    away (`settle` gives None) is not moved to.
     """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):
@@ -362,7 +357,7 @@ def _converge(
     for number in range(_MAX_PASSES):
         if passed is not None:
             passed()
-        # two equally probable hypotheses must not alternate forever: the last passes keep the set
+        # two equally probable hypotheses must not alternate: the last passes keep the set
         if greedy and number < _MAX_PASSES - 2:
             local.largest_scale = largest_scale
             local.greedy_search()

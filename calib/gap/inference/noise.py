@@ -37,7 +37,7 @@ from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
 
-#: repeats with fewer degrees of freedom for each channel are joined with coarser ones
+#: repeats with fewer degrees of freedom a channel are joined with coarser ones
 ENOUGH_DOF_PER_CHANNEL: Final = 15.0
 #: and in all
 ENOUGH_DOF: Final = 30.0
@@ -47,13 +47,13 @@ MIN_DOF: Final = 8.0
 NEIGHBOURS_TOGETHER: Final = 3
 #: windows of a neighbourhood: enough to be compared where each has a shape of its own
 WINDOWS_TOGETHER: Final = 5
-#: a noise level that no repeats give is believed up to so many times the stated one
+#: a noise level without repeats is believed up to so many times the stated one
 MAX_NOISE_EXCESS: Final = 5.0
 #: fewest units for which stated sigmas alone are a noise level
 MIN_RUNS: Final = 4
 #: a noise level so many times the stated one is said first
 REPORTED_EXCESS: Final = 4.0
-#: the noise level of windows about as large as the stated one needs no more support
+#: windows' noise level about as large as the stated one needs no more support
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
@@ -81,17 +81,15 @@ class NoiseSupport:
     """One way to find a noise level."""
 
     basis: Basis  #: what it rests on
-    labels: IntArray  #: shape (n_units,): units that are compared with each other share a number
+    labels: IntArray  #: shape (n_units,): units compared with each other share a number
     trends: Trends | None  #: what may differ between them and is no noise
-    dof: float  #: degrees of freedom from which on it is taken
+    dof: float  #: degrees of freedom from which it is taken
 
 
 def noise_supports(path: Path) -> Iterator[NoiseSupport]:
-    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that make it good enough.
+    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that suffice.
 
     Pooling all units is none of them: it would turn motion that no wheel sees into noise.
-
-    `path`: where the gap is taken.
     """
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
@@ -125,17 +123,17 @@ class Noise:
     #: is missing
     covariance: FloatArray
     scales: dict[str, float]  #: scale of each component
-    dof: float  #: degrees of freedom that replicates give it; 0 where the stated instruments carry it
+    dof: float  #: degrees of freedom from replicates; 0 where the stated instruments carry it
     weight: FloatArray  #: shape (n_units,): 1 for ordinary units, less for those far from their repeats
-    supported: bool = True  #: whether these runs support a noise level at all
+    supported: bool = True  #: whether these runs support a noise level
     support: str = ""  #: what supports it, in words; where nothing does, why
-    #: shape (6,): noise level over that by the stated sigmas and typical walks, the median over the units; NaN where
-    #: no unit has the channel
+    #: shape (6,): noise level over that by stated sigmas and typical walks, the median over units; NaN without the
+    #: channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     @property
     def finding(self) -> str:
-        """What to say first where the noise level is far above the stated sigmas, a sentence; else an empty text."""
+        """Sentence to say first where the noise level is far above the stated sigmas; else empty."""
         most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
         if not (self.supported and self.excess[most] > REPORTED_EXCESS):
             return ""
@@ -164,14 +162,10 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
     loads and speeds as trends; at last the stated sigmas stand alone. The first of these that supports a floor
     is taken; where none does, the first that has the degrees of freedom.
 
+    Scales that repeats do not determine keep their prior, for the first three the instruments' stated uncertainty.
+
     `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `start`: an estimate about another
     path, to begin at.
-
-    Returns
-    -------
-    Noise
-        Covariances and the scales behind them. Scales that repeats do not determine keep their prior, which is
-        the instruments' stated uncertainty for the first three.
     """
     shapes = NoiseComponents.about(path)
     begin = np.log(PRIOR_MEDIANS)
@@ -190,7 +184,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
         if noise.supported:
             return noise
-        # many units are worth nothing where what they differ by cannot be told from a gap: the next support is tried
+        # many units are worth nothing where their differences cannot be told from a gap: the next support is tried
         first = first or noise
     return first or _noise(path, shapes, np.log(PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 
@@ -198,7 +192,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 def _noise(
     path: Path, shapes: NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
 ) -> Noise:
-    """Return the noise of these scales, shape (n_components,), and weights (n_units,), and whether it is supported."""
+    """Return the noise of scales (n_components,) and weights (n_units,), and its support."""
     covariance = shapes.covariance(log_scale, weight)
     scales = {
         name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, log_scale, shapes.active, strict=True) if on
@@ -217,7 +211,7 @@ def _scales(
     whole: ScaleLikelihood,
     begin: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the logarithms of the most likely scales and the weights (n_units,), less far from their repeats."""
+    """Return the logs of the most likely scales, and weights (n_units,), less far from their repeats."""
     some = thinned_replicates(grouped)
     part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trends)
     if part.dof < MIN_DOF:
@@ -229,7 +223,6 @@ def _scales(
 
 
 def _excess(shapes: NoiseComponents, covariance: FloatArray) -> FloatArray:
-    """Return the noise level over that of the stated sigmas, the median over the units, shape (6,)."""
     usable = shapes.usable
     stated = shapes.covariance(np.log(PRIOR_MEDIANS), np.ones(len(usable)))
     ratio = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) / np.diagonal(stated, axis1=1, axis2=2))
@@ -258,7 +251,7 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
 
 
 def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowGrowth | None) -> tuple[bool, str]:
-    """Return whether the noise level of windows, above the stated one, grows with their length as noise does."""
+    """Return whether windows' noise, above the stated one, grows with their length as noise does."""
     if growth is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
     # a walk of the heading leads the place astray by the length to the power of three halves: the heading alone tells
@@ -271,11 +264,11 @@ def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowG
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowGrowth:
-    """What the mean squares of the residual in windows of several lengths are made of."""
+    """Mean squares of the residual in windows of several lengths, by their growth."""
 
     length_m: FloatArray  #: shape (n_lengths,): mean length of the windows
-    #: shape (3, 3): for the residual along, lateral and in the heading, mean squares at the shortest length that are
-    #: constant, grow with the length, and grow with its square
+    #: shape (3, 3): along, lateral and in heading, mean squares at the shortest length that are constant, grow with the
+    #: length, and grow with its square
     parts: FloatArray
 
     @property
@@ -286,10 +279,7 @@ class WindowGrowth:
 
 
 def window_growth(path: Path) -> WindowGrowth | None:
-    """Return how what a path leaves grows with the length of the windows; None where there are too few of them.
-
-    `path`: of observations that were cut into windows.
-    """
+    """Return how the residual grows with the length of the windows; None where these are too few."""
     from scipy.optimize import nnls
 
     chains = _chains(path)
@@ -315,7 +305,7 @@ def window_growth(path: Path) -> WindowGrowth | None:
 
 
 def _chains(path: Path) -> list[tuple[int, int]]:
-    """Return stretches (first, behind the last) of windows that follow each other and all have a measured pose."""
+    """Return stretches (first, behind the last) of successive windows that all have a measured pose."""
     observations = path.s
     posed = np.asarray(observations.usable[:, POSE_CHANNELS].all(axis=1))
     follows = (np.diff(observations.run) == 0) & (np.diff(observations.window) == 1)
@@ -325,7 +315,7 @@ def _chains(path: Path) -> list[tuple[int, int]]:
 
 
 def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
-    """Return the length of joined windows and the residual along, lateral and in the heading at their end."""
+    """Return the length of joined windows and the residual along, lateral and in heading at their end."""
     measured, predicted = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
     real, model = _chained_pose(measured), _chained_pose(predicted)
     dx, dy = real[:2] - model[:2]

@@ -27,10 +27,9 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("front_scatter", 3e-4, 1.0),  # relative, front radius, from run to run
     ("steer_scatter", 1e-3, 1.0),  # rad, zero of the steering angle, from run to run
 )
-#: prior medians, shape (n_components,)
 PRIOR_MEDIANS: Final = np.array([median for _, median, _ in COMPONENTS])
 N_CHANNELS: Final = 6
-#: what a standardised trend changes a radius by, relative, at unit prior variance
+#: relative change of a radius by a standardised trend at unit prior variance
 STEP: Final = 1e-2
 Column = tuple[FloatArray, tuple[int, ...]]
 
@@ -62,7 +61,7 @@ def kernels(path: Path) -> FloatArray:
 
 
 def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
-    """Return what a turn and a way of 1 at each step do to each channel at the end, each (n_steps,)."""
+    """Return what a turn and a way of 1 at each step do to each end channel, each (n_steps,)."""
     observations, steps = path.s, path.steps
     unit = observations.unit
     c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
@@ -89,7 +88,7 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
 
 
 def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Sum the weighted outer products of a step vector over each unit, shape (n_units, 6, 6)."""
+    """Sum weighted outer products over each unit, shape (n_units, 6, 6)."""
     summed = np.zeros((len(starts) - 1, N_CHANNELS, N_CHANNELS))
     channels = sorted(vector)
     for a in channels:
@@ -101,7 +100,7 @@ def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, start
 
 
 def _start_turn(path: Path) -> FloatArray:
-    """Return what a turn of the start frame by 1 does to the readings, shape (n_units, 6)."""
+    """Return what turning the start frame by 1 does to the readings, shape (n_units, 6)."""
     start = np.zeros((len(path.s), N_CHANNELS))
     start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
     start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
@@ -110,7 +109,7 @@ def _start_turn(path: Path) -> FloatArray:
 
 
 def quantisation(path: Path) -> FloatArray:
-    """Return the covariance that counting in whole counts gives, shape (n_units, 6, 6)."""
+    """Return the covariance of whole counts, shape (n_units, 6, 6)."""
     observations = path.s
     covariance = np.zeros((len(observations), N_CHANNELS, N_CHANNELS))
     radius = observations.vehicle.wheel_radius_m
@@ -174,16 +173,13 @@ class NoiseComponents:
 class Trends:
     """What may differ between replicates and is no noise; each coefficient has unit prior variance."""
 
-    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before and after the
-    #: steps
+    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before the steps
     before: FloatArray
-    #: shape (n_units, 6, 2): what a step of the left and of the right radius does, relative; none of them where there
-    #: are no steps
+    #: shape (n_units, 6, 2): what a relative step of the left and right radius does; none without steps
     of_step: FloatArray
-    #: shape (n_units,): number of each unit's session, among those from one to the next of which the radii may step
+    #: shape (n_units,): number of each unit's session; radii may step from one to the next
     session: IntArray
-    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before and after the
-    #: steps
+    #: shape (n_units, 6, k): the same, after the steps
     after: FloatArray
 
     @staticmethod
@@ -238,7 +234,7 @@ def ambient_trends(path: Path) -> Trends:
 
 
 def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
-    """Return a hundredth of each column acting on the scale of the pose reference, shape (n_units, 6, k).
+    """Return a hundredth of each column on the scale of the pose reference, shape (n_units, 6, k).
 
     Without it, what it does beside distances by another instrument would be noise of both.
     """
@@ -260,10 +256,10 @@ def session_steps(path: Path) -> Trends:
 
 
 def ambient_interactions(path: Path) -> list[FloatArray]:
-    """Return what the surroundings may do differently under another load or at another speed.
+    """Return what the surroundings may do differently at another load or speed.
 
-    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning,
-    where they vary.
+    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning
+    that varies.
     """
     observations = path.s
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
@@ -281,7 +277,7 @@ def ambient_interactions(path: Path) -> list[FloatArray]:
 
 
 def load_speed_trends(path: Path) -> FloatArray:
-    """Return what each radius may do with its own load (straight and curved) and with the speed, shape (n_units, 6, k).
+    """Return what each radius may do with its load (straight and curved) and the speed, shape (n_units, 6, k).
 
     For runs of one route of which none was driven twice.
     """
@@ -295,7 +291,7 @@ def load_speed_trends(path: Path) -> FloatArray:
 
 
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
-    """Return a hundredth of each column acting on the radius of the wheels named, shape (n_units, 6, k)."""
+    """Return a hundredth of each column on the radius of the wheels named, shape (n_units, 6, k)."""
     pushed = [path.calibration[:, :, k] * column[:, None] * STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
     return np.where(path.s.usable[:, :, None], stacked, 0.0)

@@ -20,20 +20,20 @@ from calib.gap.inference.scalar_products import SCALE_CHOICE_COST
 from calib.gap.predict import Path
 from calib.types import FloatArray
 
-#: prior odds of one being off by itself, each it is
+#: prior odds of each being off by itself
 PRIOR_SHIFT_ODDS: Final = 0.3
 #: share of an effect's whitened size that a calibration shift may have and still belong to it
 ATTRIBUTED_SHIFT_SHARE: Final = 0.5
-#: prior standard deviation of a found effect's size, at least, in typical sizes
+#: least prior standard deviation of a found effect's size, in typical sizes
 MIN_EFFECT_SD: Final = 3.0
 #: all subsets of the relative calibration, by their numbers: both radii (0), their ratio (1), the track (2)
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
-#: the radius of one wheel, left (3) or right (4), is as likely off by itself: the radii are then off both in scale and
-#: in ratio; alone, or beside the track (2)
+#: one wheel's radius, left (3) or right (4), is as likely off by itself: radii are then off in scale and ratio; alone,
+#: or beside the track (2)
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
-#: a alternative set is as likely as the best where it has more than this share of its probability
+#: an alternative set is as likely as the best above this share of its probability
 ALTERNATIVE_ODDS: Final = 0.1
-#: a calibration parameter less probable than this beside a alternative set is needless there
+#: a calibration parameter less probable beside an alternative set is needless there
 NEEDLESS_PROBABILITY: Final = 0.2
 
 
@@ -78,8 +78,7 @@ def without_unidentified(
 
     Of what does not show, the prior alone is left, and by that three may well be off together.
 
-    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,), of each of `SUBSETS`; `settings`: assumptions of the
-    search.
+    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,), of all.
     """
     prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
     for way in _ONE_WHEEL:

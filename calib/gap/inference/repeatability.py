@@ -18,16 +18,15 @@ PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 #: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
 #: square and two to three times as often beyond its 99 % quantile, even where noise is normal
 OUTLIER_PROBABILITY: Final = 0.05
-#: scales are found from at most so many units: their uncertainty is then a few per cent, and the cost is bounded
+#: units that scales are found from, at most: these are then known to a few per cent, and the cost is bounded
 MAX_REPLICATES: Final = 480
 _WEIGHT_ROUNDS: Final = 3
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
-    """Return a number for each neighbourhood of units of one label, in the order driven, shape (n_units,).
+    """Return each unit's neighbourhood among those of its label, in the order driven, shape (n_units,).
 
-    `labels`: (n_units,), only units of one label are neighbours; `together`: units of a neighbourhood; the residual
-    over joins the last.
+    `labels`: (n_units,); `together`: units of a neighbourhood; those left over join the last.
     """
     number = np.zeros(len(labels), dtype=np.int64)
     used = 0
@@ -43,7 +42,7 @@ def neighbours(labels: IntArray, together: int) -> IntArray:
 class Replicates:
     """Replicates, group by group; units that stand alone are omitted."""
 
-    units: IntArray  #: shape (n,): their numbers, those of a group side by side
+    units: IntArray  #: shape (n,): their numbers, group by group
     group: IntArray  #: shape (n,): number of the group of each
     first: IntArray  #: shape (n_groups,): where each group begins
 
@@ -71,7 +70,7 @@ class Replicates:
         return total
 
     def by_size(self) -> Replicates:
-        """Return the groups in the order of their sizes: those of one size then stand side by side."""
+        """Return the groups ordered by size."""
         sizes = np.diff(self.first, append=len(self.units))
         group = np.argsort(np.argsort(sizes, kind="stable"))[self.group]
         return Replicates(
@@ -80,10 +79,7 @@ class Replicates:
 
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
-    """Return at most about `most` units: the same share of every group, two at least, of evenly chosen groups.
-
-    `grouped`: all replicates; `most`: how many are wanted.
-    """
+    """Return at most about `most` units: the same share of every group, at least two, of evenly chosen groups."""
     n = len(grouped.units)
     if n <= most:
         return grouped
@@ -100,18 +96,8 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
 class ScaleLikelihood:
     """Restricted likelihood of the noise's scales, for one way of grouping units.
 
-    Parameters
-    ----------
-    path : Path
-        Where the gap was taken.
-    gap : array of float, shape (n_units, 6)
-        Measured minus predicted.
-    shapes : NoiseComponents
-        What the noise of all units is made of.
-    grouped : Grouped
-        Which units are replicates.
-    trends : Trends, optional
-        What may differ between replicates and is no noise.
+    `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `shapes`: of the noise of all units;
+    `grouped`: replicates; `trends`: what may differ between these and is no noise.
     """
 
     def __init__(
@@ -139,7 +125,7 @@ class ScaleLikelihood:
         return float(max(self.usable.sum() - used - self.k, 0))
 
     def _whitener(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
-        """Return the inverse Cholesky factor of each unit's covariance, shape (n, 6, 6)."""
+        """Return inverse Cholesky factors, shape (n, 6, 6)."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.shapes.covariance(log_scale, weight))))
 
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -183,7 +169,7 @@ class ScaleLikelihood:
         return 0.5 * (log_det + middle + float(away @ away)), gradient
 
     def weights(self, log_scale: FloatArray) -> FloatArray:
-        """Return weights of units by how far they stand from their repeats, 1 within normal reach, shape (n,)."""
+        """Return unit weights by distance from their repeats, 1 within normal reach, shape (n,)."""
         from scipy.special import chdtri
 
         residual, own, _ = self.solved(self._whitener(log_scale, np.ones(len(self.usable))))
@@ -208,13 +194,9 @@ class ScaleLikelihood:
 
 
 def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
-    """Return the logarithms of the most likely scales, units far from their repeats weighing less.
+    """Return the logs of the most likely scales, (n_components,), units far from their repeats weighing less.
 
-    `likelihood`: of the replicates; `start`: (n_components,), where to begin.
-
-    Returns
-    -------
-    array of float, shape (n_components,)
+    `start`: (n_components,), where to begin.
     """
     from scipy.optimize import minimize
 
@@ -230,7 +212,7 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
             bounds=bounds,
             options={"maxiter": 30, "ftol": 1e-6},
         ).x
-        # without the share that the weights take from normal noise too, the scales come out smaller by it
+        # the share that the weights take from normal noise too makes the scales smaller
         fresh = likelihood.weights(best) / likelihood.weighted_share
         if np.abs(fresh - weight).max() < 0.05:
             break
@@ -239,7 +221,7 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
 
 
 def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:
-    """Return what each group may have of its own, shape (n_units, 6, 9), and its prior precision, shape (9,)."""
+    """Return each group's own columns, shape (n_units, 6, 9), and their prior precision, shape (9,)."""
     observations = path.s
     design = np.zeros((len(observations), 6, N_GROUP_COLUMNS))
     design[:, :, :3] = _of_their_route(path, grouped)
@@ -255,9 +237,9 @@ def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[Flo
 def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
     """Return the calibration derivatives (n_units, 6, 3), within a group their mean over its units.
 
-    Each unit's own derivatives differ by its own scatter: by them a group's calibration takes up noise, in squares a
-    quarter of that of the radii. Groups that drive no way along keep their own, and so do windows of unlike shape:
-    there a wrong radius of the recording would pass for scatter.
+    By each unit's own derivatives a group's calibration takes up noise, in squares a quarter of that of the radii.
+    Groups that drive no way along keep their own, and so do windows of unlike shape: there a wrong radius of the
+    recording would pass for scatter.
     """
     own: FloatArray = path.calibration[:, :, :3].copy()
     size = np.diff(np.append(grouped.first, len(grouped.units)))
@@ -271,7 +253,7 @@ def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
 
 
 def _rank(design: FloatArray, grouped: Replicates, usable: BoolArray) -> int:
-    """Return how many degrees of freedom the groups' own means and calibrations use up."""
+    """Return the degrees of freedom of the groups' own means and calibrations."""
     total = 0
     ends = np.append(grouped.first[1:], len(grouped.units))
     for first, end in zip(grouped.first, ends, strict=True):

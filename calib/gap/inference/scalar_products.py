@@ -64,13 +64,13 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FormPriors:
-    """What the weighing has to know of each form and column."""
+    """What weighing needs of each form and column."""
 
     forms: tuple[Form, ...]  #: forms on offer
     layout: Layout  #: where the columns of each form stand
     most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
     sign: IntArray  #: shape (p,): 1 or -1 where only sizes of that sign have a meaning, else 0
-    own: FloatArray  #: shape (p,): 1, and 0 for a shift of the zero point, by which no prior scale is chosen
+    own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point, by which no prior scale is chosen
     log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, the search over forms and scales paid for
     by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
@@ -105,7 +105,7 @@ class FormPriors:
         )
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-        """Return the columns of each model and the form of each, both (n_models, width), -1 where there is none."""
+        """Return each model's columns and their forms, both (n_models, width), -1 where there is none."""
         form, row = _forms_of(models)
         counts = self.layout.counts[form]
         at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
@@ -117,12 +117,12 @@ class FormPriors:
         return table[0], table[1]
 
     def widths(self, models: Sequence[tuple[int, ...]]) -> IntArray:
-        """Return the number of columns of each model, shape (n_models,)."""
+        """Return each model's number of columns, shape (n_models,)."""
         form, row = _forms_of(models)
         return np.bincount(row, self.layout.counts[form], len(models)).astype(np.int64)
 
     def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
-        """Return the log prior of each model, shape (n_models,)."""
+        """Return each model's log prior, shape (n_models,)."""
         form, row = _forms_of(models)
         return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[[len(model) for model in models]]
 
@@ -138,11 +138,11 @@ def _within(row: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WideSums:
-    """Scalar products of the columns of a wide form, worked out where they are asked for and then kept."""
+    """Scalar products of a wide form's columns, made where asked for and then kept."""
 
     #: number of a scale -> products of the columns with each other, (w, w), and with the rest, (w, p + 1)
     make: Callable[[int], tuple[FloatArray, FloatArray]]
-    numbers: IntArray  #: shape (n_scales,): number by which `make` knows each scale
+    numbers: IntArray  #: shape (n_scales,): each scale's number for `make`
     _known: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     def at(self, scale: int) -> tuple[FloatArray, FloatArray]:
@@ -155,17 +155,17 @@ class WideSums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """Scalar products of columns and of the gap, one set for each scale of the lack of fit; nuisances taken out."""
+    """Scalar products of columns and gap, one set for each scale of the lack of fit; nuisances taken out."""
 
     gram: FloatArray  #: shape (n_scales, p, p): of the columns, without those of a wide form
     right: FloatArray  #: shape (n_scales, p): of the columns with the gap
     square: FloatArray  #: shape (n_scales,): of the gap with itself
     log_det: FloatArray  #: shape (n_scales,): of the covariance, nuisances included
     log_prior: FloatArray  #: shape (n_scales,): of the scale; the first is no lack of fit at all
-    kind: IntArray  #: shape (n_scales,): number of the lack-of-fit component among the system's; -1 where there is none
+    kind: IntArray  #: shape (n_scales,): number of the lack-of-fit component; -1: none
     scale: FloatArray  #: shape (n_scales,): standard deviation of the lack of fit, in noise levels of one run
     n_rows: int  #: length of the gap
-    wide: WideSums | None = None  #: products of a wide form's columns, which stand behind the others
+    wide: WideSums | None = None  #: of a wide form's columns, which stand behind the others
 
     def pick(self, scales: BoolArray | slice) -> Sums:
         """Return some scales only."""
@@ -182,7 +182,7 @@ class Sums:
         )
 
     def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the products of some columns (k,) with each other and with the gap at a scale, (k, k) and (k,)."""
+        """Return the products of columns (k,) with each other and with the gap at a scale, (k, k) and (k,)."""
         p = self.right.shape[1]
         if index.max(initial=-1) < p:
             return self.gram[scale][index[:, None], index], self.right[scale][index]
@@ -195,9 +195,8 @@ class Sums:
 class Reduced:
     """Scalar products with what each block may have of its own taken out.
 
-    `whole`: (n_rows, width), whitened columns, and the gap; `gram`: (width, width), their scalar products: see
-    `above_rounding`; `deviations`: (n_rows, k), what each block may have of its own, scaled to unit prior variance;
-    `blocks`: order of the rows.
+    `whole`: (n_rows, width), whitened columns and the gap; `gram`: (width, width), their scalar products: see
+    `above_rounding`; `deviations`: (n_rows, k), each block's own, to unit prior variance.
     """
 
     def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
@@ -236,7 +235,7 @@ class Reduced:
 
 
 def above_rounding(gram: FloatArray) -> FloatArray:
-    """Return scalar products (..., k, k) with squares a little larger: the residual of any is not below zero then."""
+    """Return products (..., k, k) with squares a little larger: no residual is then below zero."""
     return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
 
 
@@ -245,8 +244,8 @@ class Components:
     """Components of lack of fit as `scalar_products` takes them."""
 
     kinds: Sequence[tuple[int, LackOfFit]]  #: each with its number
-    stacks: Sequence[Sequence[BlockColumns]]  #: columns that blocks have of their own, of every component of the system
-    common: dict[int, slice]  #: where the columns common to all blocks stand in the whole, by number
+    stacks: Sequence[Sequence[BlockColumns]]  #: columns that blocks have of their own, of every component
+    common: dict[int, slice]  #: places of the columns common to all blocks, by number
 
     def turned(self, reduced: Reduced, number: int, columns: slice) -> tuple[FloatArray, FloatArray]:
         """Return a component's eigenvalues (q,), and its turned products (q, n) with some columns."""
@@ -293,7 +292,7 @@ def scalar_products(
     for number, _ in kinds:
         eigen, turned_of[number] = components.turned(reduced, number, core)
         for scale in scales:
-            # a product of one matrix with itself is symmetric, and takes half the time
+            # a matrix times itself is symmetric: half the time
             shrinking.append(scale / np.sqrt(1.0 + scale**2 * eigen))
             shrunk = turned_of[number] * shrinking[-1][:, None]
             np.subtract(gram[0], shrunk.T @ shrunk, out=gram[len(labels)])

@@ -1,8 +1,8 @@
 """The evidence of models integrated over the scales of the noise, component by component.
 
-The search weighs models beside one estimate of the noise, from replicates. Of few runs these tell the scales badly, and
-a noise that is estimated too small passes for a gap. All runs tell them under each model: the integral over the scales
-is taken about the most likely ones (Laplace's method).
+The search weighs models beside one estimate of the noise, from replicates. Few runs tell its scales badly, and noise
+estimated too small passes for a gap. All runs tell them under each model: the integral over the scales is taken about
+the most likely ones (Laplace's method).
 Tierney, Kadane: Accurate approximations for posterior moments and marginal densities, JASA 81 (1986), 82-86.
 """
 
@@ -24,7 +24,7 @@ from calib.types import FloatArray
 #: steps to the most likely scales, from those estimated from replicates
 _MAX_STEPS: Final = 30
 _RIDGE: Final = 1e-2
-#: of variances, so that channels exactly alike can be factored
+#: of variances: channels exactly alike stay factorable
 _ROUNDING: Final = 1e-9
 
 
@@ -52,11 +52,11 @@ class ScaleEvidence:
 
     @staticmethod
     def is_open(system: LinearSystem) -> bool:
-        """Return whether so few units leave the scales open; those of more are known to a few per cent."""
+        """Return whether so few units leave the scales open; more tell them to a few per cent."""
         return len(system.path.s) <= MAX_REPLICATES
 
     def _by_unit(self, columns: FloatArray) -> FloatArray:
-        """Return ordered rows (n_rows, q) by unit and channel, (n_units, 6, q); zero where nothing was measured."""
+        """Return ordered rows (n_rows, q) by unit and channel, (n_units, 6, q); 0 where nothing was measured."""
         spread = np.zeros((len(self._fixed), N_CHANNELS, columns.shape[1]))
         spread[self._blocks.unit, self._blocks.channel] = columns
         return spread
@@ -67,7 +67,7 @@ class ScaleEvidence:
     def _cost(self, log_scale: FloatArray, columns: FloatArray) -> tuple[float, FloatArray, float, float]:
         """Return minus the log likelihood, prior included, its gradient, the square of the gap and log |C|.
 
-        `columns`: (n_units, 6, q), what the model and its nuisances do, scaled to unit prior variance.
+        `columns`: (n_units, 6, q), of the model and its nuisances, to unit prior variance.
         """
         variance = self._variance(log_scale)
         factor = np.linalg.inv(np.linalg.cholesky(np.tensordot(variance, self._kernels, axes=1) + self._fixed))
@@ -97,7 +97,7 @@ class ScaleEvidence:
     def gain(self, columns: FloatArray) -> float:
         """Return the log evidence over all scales less that beside the estimated ones, but for a constant.
 
-        `columns`: (n_rows, q), whitened columns of the model and of what it may leave, scaled to unit prior variance.
+        `columns`: (n_rows, q), whitened, of the model and what it may leave, to unit prior variance.
         """
         from scipy.optimize import minimize
 
@@ -120,7 +120,7 @@ class ScaleEvidence:
 def scale_gains(
     local: LocalSearch, weight: FloatArray, likely: Iterable[int], models: list[Model], window: float
 ) -> FloatArray:
-    """Return by how much the integral over the noise's scales changes the log weight of each model at each lack of fit.
+    """Return the change of the log weights by the integral over the noise's scales, in the shape of `weight`.
 
     Parameters
     ----------
@@ -134,10 +134,6 @@ def scale_gains(
         All of them.
     window : float
         Weights this far below the best are not integrated.
-
-    Returns
-    -------
-    array of float, shape (n_scales, n_models)
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
     for n in likely:
