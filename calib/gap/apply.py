@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
-    The recalibration that was fitted beside the causes goes into radii and track, a load effect into the slopes of the
-    law; every other effect is written down by its id, form, settings and parameters. `model_of` and `with_effects` of
-    `calib.gap.effects.applied` take them back. Effects that the diagnosed model had already (`given`) are kept.
+    The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
+    id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.applied` take back. The
+    diagnosed model's own (`given`) are kept.
     """
     fitted = diagnosis.correction
     if not diagnosis.causes:

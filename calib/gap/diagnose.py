@@ -44,7 +44,7 @@ from calib.types import FloatArray, Progress, silent
 if TYPE_CHECKING:
     from calib.coefficients.sections import EffectSection
 
-#: largest variance factor by which the residual of the fit may enlarge the noise level: more is a cause not found
+#: largest variance factor of the fit over the noise level: more is a cause not found
 MOST_VARIANCE_FACTOR: Final = 1.5
 #: estimates of the noise level, each without the causes named so far; it settles in one or two
 NOISE_PASSES: Final = 3
@@ -79,7 +79,6 @@ def diagnose_in_full(
     Parameters
     ----------
     campaign : Campaign
-        What was driven and measured.
     seed : int
         For the bootstrap of intervals.
     exclude : tuple of str
@@ -95,13 +94,11 @@ def diagnose_in_full(
     model_name : str
         Name of the file that `model` is from, for the sentence.
     observations : Observations, optional
-        Replace those of the campaign's own files: planted effects, drawn noise. They hold `model` and `applied`
-        already.
+        In place of the campaign's own: planted effects, drawn noise. They hold `model` and `applied`.
     candidates : sequence of Effect, optional
         Effects to search, in place of the library's; `model_name` is then what simulated the observations.
     journeys : Campaign, optional
-        Runs to come, of `calib.gap.plan.next_runs.read_plan`: the corrections of confounded causes are compared on
-        these instead of on the runs driven.
+        Runs to come, of `calib.gap.plan.next_runs.read_plan`, on which confounded causes are compared.
     progress : callable
         See `calib.types.Progress`.
 
@@ -331,7 +328,7 @@ def _check_copied(campaign: Campaign, nominal: Path) -> None:
 def _searched(
     nominal: Path, effects: Sequence[Effect], settings: SearchSettings, progress: Progress
 ) -> tuple[Noise, Fitted, SearchResult]:
-    """Return noise, recalibration alone and model search; the noise is that beside the most probable hypothesis."""
+    """Return noise, recalibration alone and model search; the noise is that beside the best hypothesis."""
     passes = count(1)
 
     def passed() -> None:

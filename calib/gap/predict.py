@@ -130,7 +130,7 @@ class Path:
     def calibration(self) -> FloatArray:
         """Derivative of the readings by (left, right radius, track, front radius), shape (n_obs, n_channels, 4).
 
-        The first three are relative changes, as is the fourth, which only the front channels feel.
+        All are relative; only the front channels feel the fourth.
         """
         return self.beside_straights(self.of_parts(_calibration))
 
@@ -144,8 +144,8 @@ class Path:
     def guided(self) -> BoolArray:
         """Which observations were guided, shape (n_obs,).
 
-        There the turn by the wheels is their noise, which is the gap itself: taken as a turn, it would pass for a track
-        that is off. Where all runs are straight the track cannot be asked for.
+        There the turn by the wheels is noise: as a turn it would pass for a track that is off. Straight runs alone say
+        nothing of the track.
         """
         s = self.s
         with np.errstate(invalid="ignore"):
@@ -156,7 +156,6 @@ class Path:
 
 
 def _calibration(path: Path) -> FloatArray:
-    """Return the derivative by (left, right radius, track, front radius), shape (n_obs, n_channels, 4)."""
     s = path.s
     ones = np.ones(len(s))
     if s.by_front:
@@ -216,9 +215,9 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
 
 
 def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps) -> None:
-    """Move the end of each reading (n_obs, n_channels) along its arc, and see it from the end of the start's, in place.
+    """Move each reading's end (n_obs, n_channels) along its arc, and see it from the end of the start's, in place.
 
-    Over a delay of 0.3 s in a turn the arc differs from its tangent by centimetres.
+    Over 0.3 s in a turn arc and tangent differ by centimetres.
     """
     place = reading[:, Channel.ALONG] + 1j * reading[:, Channel.LATERAL]
     end_arc, start_arc = perturbation.end_arc, perturbation.start_arc
@@ -339,9 +338,8 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
 def measured_gap(path: Path, nominal: Path) -> FloatArray:
     """Return measured minus predicted, shape (n_obs, n_channels), 0 where an observation lacks the channel.
 
-    Along and lateral are read in the frame of the end heading: along the path, and left of it. Where an outside
-    simulator predicted one, its prediction takes the place of `nominal`, the model alone, and only the hypothesis'
-    change is added to it.
+    Along and lateral are in the frame of the end heading. Where an outside simulator predicted one, that takes the
+    place of `nominal`, the model alone, and the hypothesis' change is added to it.
     """
     s = path.s
     gap = s.measured - np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
@@ -352,8 +350,8 @@ def measured_gap(path: Path, nominal: Path) -> FloatArray:
 def residuals(path: Path, nominal: Path) -> FloatArray:
     """Return the gap, shape (n_obs, n_channels), as signatures to first order hold it.
 
-    A heading that is off bends the path, which takes off its square as well: where radii scatter that is in every run,
-    of one sign, and no signature holds it. It is given back.
+    A heading that is off bends the path, which takes off its square too: of one sign in every run where radii scatter,
+    and in no signature. It is given back.
     """
     s, gap = path.s, measured_gap(path, nominal)
     # a user's simulator bends its path by itself

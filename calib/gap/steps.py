@@ -100,7 +100,7 @@ def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Pe
 def joined_perturbation(s: Observations, parts: Iterable[tuple[slice, Perturbation]]) -> Perturbation:
     """Join the perturbations of some observations each, or that of all; what one of them lacks is zero there.
 
-    They are taken one by one: all of them beside the whole would be as much again.
+    One by one: all beside the whole would take twice the memory.
     """
     n_steps, wholes = len(s.unit), list(Perturbation().parts())
     for units, part in parts:
@@ -276,7 +276,7 @@ class Steps:
         return summed
 
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
-        """Yield each part of a perturbation with its lever; levers that no perturbation asks for are never made."""
+        """Yield each part with its lever; levers not asked for are never made."""
         both = perturbation.left is perturbation.right
         for name, lever in _LEVERS.items():
             part = getattr(perturbation, name)
@@ -346,8 +346,8 @@ def steps_of(s: Observations, perturbation: Perturbation) -> Steps:
 def _bend(s: Observations, turn: FloatArray) -> FloatArray:
     """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
 
-    The arc of a step is bent further where the curvature changes on the way: with the heading as a parabola the mean
-    differs by a twelfth of its second difference. Matters for logs of a few hertz on winding routes.
+    A changing curvature bends the arc: a parabola of headings by a twelfth of its second difference. Matters for logs
+    of a few hertz on winding routes.
     """
     bend = np.zeros(len(turn))
     bend[1:-1] = (turn[:-2] - turn[2:]) / 24.0

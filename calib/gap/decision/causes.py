@@ -1,6 +1,6 @@
 """The named causes with their sizes and shares, and the unexplained residual beside them.
 
-A cause has one size; an imitation is larger on some routes, speeds, loads, directions or sessions.
+A cause has one size; an imitation differs between groups of runs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
 #: probability that a true cause fails any of a campaign's tests of constancy, the usual level of a test
 FALSE_REJECTION: Final = 0.05
-#: whitened square of what a cause does on a group, at least: two standard deviations, else its size there is unknown
+#: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
 LEAST_SQUARE: Final = 4.0
 #: spread of a size over groups that leaves it the same: two sizes a tenth apart leave a hundredth of the squares
 SAME_SIZE_SD: Final = 0.05
@@ -76,8 +76,7 @@ def causes_of(
 ) -> list[Cause]:
     """Return the causes of the most probable hypothesis and of the recalibration, most probable first.
 
-    The order is by `certain`, the probability that a cause or an effect that it is confounded with is at work: an alias
-    does not cost a cause its place.
+    The order is by `certain`, see `fix_of`: an alias does not cost a cause its place.
     """
     from scipy.special import stdtrit
 
@@ -102,9 +101,9 @@ def causes_of(
 
 
 def _beside_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
-    """Yield the causes, radii beside steps of the sessions with an interval that holds the scatter of these.
+    """Yield the causes; radii beside steps of the sessions with an interval that holds the scatter of these.
 
-    They are the mean of the sessions driven: of sessions to come they tell no more than so many results.
+    They are the mean of the sessions driven, and promise no more for others.
     """
     steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
     # of the first session none is stated: the others' are counted from it
@@ -157,8 +156,7 @@ def _shares(
 ) -> list[tuple[float, float]]:
     """Return each cause's share of the gap above the noise level, and half its 95 % interval.
 
-    What the causes explain together is divided by their squares. The errors of the sizes are propagated to first
-    order, those of different causes as independent.
+    What they explain together is divided by their squares; errors of the sizes to first order, as independent.
     """
     explained, explained_sd = evidence.explained_share
     squares, sd = np.array([sized.squares for sized in every]).reshape(-1, 2).T

@@ -37,8 +37,7 @@ WEIGHED_PROBABILITY: Final = 0.01
 LISTED_PROBABILITY: Final = 1e-4
 #: probability by the model, and the share of such statements that held. One monotone map, learnt by
 #: `tests/challenge/learn_map.py` on the named causes of 152 development cases: the first 120 of the development seeds
-#: (empty, calibration, single, natural, pairs, outside, aliases, deleted) and 32 crowded ones (three to six effects
-#: beside an outside one). No scored case took part
+#: and 32 crowded ones. No scored case took part
 TABLE: Final = (
     (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),
     (0.0, 0.37, 0.40, 0.58, 0.65, 0.83, 0.93, 0.95, 0.96),
@@ -106,7 +105,7 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
 
 
 def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
-    """Return the parameters of the recalibration that absorbs a contribution (n_rows,): all else is told from none."""
+    """Return the parameters of the recalibration that absorbs a contribution (n_rows,)."""
     left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
     if not left < SEPARATION_SD**2 < contribution @ contribution:
         return []
@@ -128,7 +127,7 @@ def _undetected(evidence: Evidence) -> FloatArray:
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     """Return what is nearly as probable in place of one effect of the most probable hypothesis.
 
-    These are other effects and, where the others do without it, calibration parameters that it would look like.
+    Other effects and, where the others do without it, calibration parameters that look like it.
     """
     best, search = evidence.search.effects, evidence.search
     probability = dict(zip(search.models, search.probabilities, strict=True))
@@ -158,8 +157,8 @@ def _other_laws(evidence: Evidence, effect: str) -> list[str]:
 def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
     """Return the effects of some groups that are at least a tenth as probable as the named one of their group.
 
-    A form of many parameters (a zone of the floor, a step between sessions) follows the signal of nearly every weak
-    cause, so that no run tells it from that; what it pays for its parameters in the evidence does.
+    A form of many parameters (a zone of the floor, a step between sessions) follows nearly every weak cause: no run
+    tells the two apart, but what the evidence charges for parameters does.
     """
     inclusion, least = evidence.search.inclusion(), float(np.exp(-LOG_EVIDENCE_WINDOW))
 
@@ -200,17 +199,12 @@ class _Correction:
 
 
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
-    """Return the root mean square distance of end positions under confounded effects, the largest.
+    """Return the root mean square distance of end positions under confounded effects, the largest; None without any.
 
-    The ends are those of the journeys to come where these are given, else of the runs driven. An instrument's error
-    moves no vehicle: its correction and that of a radius are as far apart as the radius moves the ends.
+    The ends are those of the journeys to come where given, else of the runs driven. An instrument's error moves no
+    vehicle: its correction and that of a radius are as far apart as the radius moves the ends.
 
     `groups` have the named effect first.
-
-    Returns
-    -------
-    float or None
-        None where nothing is confounded.
     """
     fitted, distances = evidence.fitted, []
     best = _Correction(fitted.calibration, fitted.forms, fitted.theta)
@@ -259,10 +253,10 @@ def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -
 def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     """Return the causes whose part a second form of a larger cause explains as well.
 
-    No form is exact: a play or a time constant between two that are offered, or a share that grows faster than
-    linearly, leaves a part of the larger cause that looks like a smaller one. A form that acts the other way is no
-    error of the fitted one: counts that both wheels lose are a radius that follows the speed. Nor is a cause of the
-    same family: the straight part of a law of the load belongs to its correction.
+    No form is exact: a play or a time constant between two on offer, or a share that grows faster than linearly, leaves
+    what looks like a smaller cause. A form that acts the other way is no error of the fitted one: counts that both
+    wheels lose are a radius that follows the speed. Nor is a cause of the same family: the straight part of a law of
+    the load belongs to its correction.
     """
     if len(causes) < 2:
         return ()
@@ -355,7 +349,7 @@ def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
     """Return the share of each calibration parameter's probability that goes to its aliases.
 
-    Aliases that the search did not weigh together with the calibration have their prior odds alone.
+    Aliases that the search did not weigh with it have their prior odds.
     """
     prior = PRIOR_SHIFT_ODDS / len(NAMES)
     weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED_PROBABILITY}

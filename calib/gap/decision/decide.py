@@ -85,7 +85,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     stated |= _rather_unknown(placed, stated["unknown"])
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
-    # a calibration parameter that is off and excluded from the library is a cause that nothing explains
+    # what is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     kind = _kind(
         evidence, gap_probability, causes, share, groups, differing, bool(doubted) or _rather_not(causes, certain)
@@ -263,7 +263,6 @@ def _by_family(
     forms_open: dict[str, tuple[str, ...]] = {}
     for group in confounded:
         named = [name for name in group if name in evidence.named]
-        # parameters of a simulator, and radii and track, are set each by itself: other journeys tell them apart
         families = {evidence.effects[name].family for name in named} - OWN_CORRECTIONS
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
         # steps of the sessions can follow any drift: their odds tell whether they do

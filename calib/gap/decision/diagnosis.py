@@ -45,7 +45,7 @@ class Situation:
     notes: tuple[str, ...] = ()  #: what had to be assumed
     faults: tuple[Blunder | TurnedReference, ...] = ()  #: blunders of encoders and reference mounting, corrected
     as_counted: FloatArray | None = None  #: the gap with counts and reference as they were, shape (n_units, n_channels)
-    #: runs omitted, by id, since they end off by a share of their length that no other comes near, each its share
+    #: runs omitted, see `bad_runs`, by id, each its share
     omitted: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -262,7 +262,7 @@ class Diagnosis(Result):
     campaign: str = ""  #: name of the campaign
     simulated: bool = False  #: whether a program made its data
     gap_probability: float | None = None  #: that there is a gap at all; None where it is not known
-    #: what it was decided on: the arrays for figures, corrections and planning; None in a diagnosis written by hand
+    #: arrays for figures, corrections and planning; None in a diagnosis written by hand
     evidence: Evidence | None = field(default=None, metadata={"json": False})
 
     @property

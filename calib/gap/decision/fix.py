@@ -28,7 +28,7 @@ PLAN: str = "'calib plan' names the runs that tell"
 REPEAT: str = "drive one route several times under the same conditions"
 #: family of a cause -> that of causes that follow something else, which may have gone together with it
 PARTING: Final = {Family.DRIFT: Family.DRIFT, Family.DIRECTION: Family.SPEED}
-#: least probability that all causes of a fix are at work: a wrong one costs half as much again as one withheld
+#: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
 FIX_PROBABILITY: Final = 0.6
 #: and that a cause beside the largest one is: without it the fix loses little, with a wrong one its trust. Of 17 fixes
 #: whose causes were all at work with 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with a single cause
@@ -50,7 +50,6 @@ def fix_of(
     Parameters
     ----------
     evidence : Evidence
-        What was measured.
     confounded, tied : sequence of sequence of str
         Confounded effects: of everything fitted, and of the named causes without their own families.
     causes : sequence of Cause
@@ -58,7 +57,6 @@ def fix_of(
     certain : mapping of str to float
         Of each effect, the probability that it or an effect that it is confounded with is at work.
     unexplained : Unexplained or None
-        The unexplained residual.
     small : sequence of str
         Effects that were fitted and are negligible.
     differing : mapping of str to SizeDifference, optional
@@ -294,9 +292,9 @@ def alternatives(
 ) -> set[str]:
     """Return what the causes may be instead: the probable ones where they explain all, else every one.
 
-    Odds between causes hold only where one of them is the whole truth: beside an unexplained residual, or a cause
-    whose size differs between groups of runs, none is. What steps between sessions always counts: runs that vary a
-    quantity with the session alone never tell the two apart.
+    Odds hold only where one cause is the whole truth: beside an unexplained residual, or a size that differs between
+    groups of runs, none is. What steps between sessions always counts: a quantity that varies with the session alone is
+    never told from it.
     """
     every = {name for group in tied for name in group}
     if differing or (unexplained is not None and unexplained.share > SMALL_SHARE):
@@ -315,7 +313,7 @@ def parting(group: Sequence[str]) -> list[str]:
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield that the corrections of confounded effects differ, where they do.
 
-    What drifted alike on the runs driven does not in the sessions to come, nor do speeds go with directions for ever.
+    What drifted alike here need not in sessions to come, nor do speeds go with directions for ever.
     """
     for found in filter(None, map(parting, tied if on == DRIVEN else ())):
         yield (

@@ -17,8 +17,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: no run was held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
-#: closure on held-out runs below which a fix is not recommended, and an explanation not believed: of the error's
-#: square more than two thirds go, so that the error is at least halved
+#: closure on held-out runs below which no fix is recommended and no explanation believed: more than two thirds of the
+#: error's square go
 ADEQUATE_CLOSURE: Final = 0.7
 #: closure from which on a gap counts as explained; below, part of it is unexplained
 FULL_CLOSURE: Final = 0.9
@@ -165,7 +165,6 @@ def measure_closure(
     nominal : Path
         The model alone.
     noise : Noise
-        Covariance of each observation.
     fitted : Fitted
         The hypothesis, fitted on all runs.
     rng : numpy.random.Generator
@@ -174,10 +173,10 @@ def measure_closure(
         Hold sessions out where there are three or more; else conditions.
     floor_factor : float
         Variance of the noise level over that of `noise`, where the residual of the fit counts as noise.
-    left_out : LeftOut, optional
+    left_out : HeldOutFit, optional
         Predicts held-out runs; by default without an unexplained residual.
     as_counted : array of float, shape (n_units, n_channels), optional
-        The gap to state in place of that of the model alone: before a blunder was corrected.
+        The gap to state instead: before a blunder was corrected.
     """
     left_out = left_out or HeldOutFit(fitted, nominal, noise)
     before = residuals(nominal, nominal)

@@ -99,10 +99,7 @@ def sure_part(
 
 
 def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
-    """Return what cannot be: lengths without an instrument, and drifts of an odd size beside steps of the sessions.
-
-    These are of what changed with the sessions.
-    """
+    """Return what cannot be: lengths without an instrument, and drifts of an odd size beside steps of the sessions."""
     drifts = {evidence.effects[name].family for name in beside}
     known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
     odd = [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
@@ -131,8 +128,8 @@ def _unclear(
 def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None, fix: Fix) -> Fix:
     """Return a recommended fix as it is written: without what was fitted and is not named, judged anew.
 
-    The sizes of the others change with it: those of the fit of all would lead astray alone. Radii and track are left as
-    they are but for what is named, or what another zero point of a named effect would look like.
+    The sizes of the others change with it. Radii and track change only where named, or for another zero of a named
+    effect.
     """
     names = {cause.effect for cause in causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
@@ -156,10 +153,7 @@ def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
 
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
-    """Return the directions of the calibration that a fix may change, shape (k, 4).
-
-    These are the named ones and what another zero point of a named effect would look like.
-    """
+    """Return the named directions of the calibration, and those of another zero of a named effect, shape (k, 4)."""
     named = evidence.effects.keys() & names
     moved = {*names, *(shift for name in named for shift in evidence.effects[name].shifts)}
     return DIRECTIONS[[name in moved for name in NAMES]]
@@ -168,10 +162,9 @@ def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
-    """Fit some causes, and return the fit, what it does on held-out runs, and whether it makes these runs worse.
+    """Return the fit of some causes, what it does on held-out runs, and in words where it makes these runs worse.
 
-    Steps of the sessions are fitted beside them, taken off the gap, and no part of what is tried; `acting`: causes
-    whose calibration may change.
+    Steps of the sessions are fitted beside them and taken off the gap; `acting`: causes whose calibration may change.
     """
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
     along = _along(evidence, acting)

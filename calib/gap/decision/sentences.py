@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 #: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
 HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
-#: closure below which more of the gap remains than is explained: where that is certain, the most probable causes
-#: imitate the unexplained one (in 8 of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
+#: closure below which more remains than is explained: where that is certain, causes imitate the unexplained one (in 8
+#: of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
 HALF_CLOSURE: Final = 0.5
 #: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
 SMALL_SHARE: Final = 0.05
-#: a cause with less than this share of what the largest one has is a hundredth of its size: no closer is the law of the
-#: largest known, nor its size, and what they leave looks like a small cause of its own
+#: a cause with less than this share of the largest one's is a hundredth of its size: no law is known closer, and what
+#: it leaves looks like a small cause
 NEGLIGIBLE_SHARE: Final = 1e-4
 #: probability below which a cause, with all that it is confounded with, is not named
 NAMED_PROBABILITY: Final = 0.1
@@ -175,7 +175,7 @@ def _unsupported(diagnosis: Diagnosis) -> str:
 def _but_single_runs(diagnosis: Diagnosis) -> str:
     """Return the runs that stand further off than noise takes the furthest of so many readings, as the end of a clause.
 
-    A run that nothing else resembles is no gap of a vehicle: it says something of that run.
+    Such a run says something of itself, not of the vehicle.
     """
     reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
     off = [

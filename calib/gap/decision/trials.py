@@ -48,8 +48,7 @@ class Trial:
     noise_square: float = field(default=0.0, metadata={"json": False})
     #: whitened squares that noise alone does not exceed
     noise_limit: float = field(default=np.inf, metadata={"json": False})
-    #: growth of the gap beyond what an uncertain prediction adds, in standard deviations of noise and unexplained
-    #: residual; negative where it shrank
+    #: growth of the gap beyond an uncertain prediction's, in standard deviations of noise and unexplained residual
     growth_sd: float = field(default=0.0, metadata={"json": False})
 
 
@@ -57,7 +56,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArr
     """Hold out each value of what varies, and try the correction of the others there.
 
     `before`, shape (n_units, n_channels): residuals of the model alone; `rerun`: those of a simulator that ran again
-    with its fix, in place of what a correction predicts for what it was not fitted on.
+    with its fix, in place of a correction's predictions.
     """
     from scipy.special import fdtri
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.coefficients.sections import EffectSection
 
-#: settings that say where a covariate's effect is zero, added to a form's own
+#: settings of where a covariate's effect is zero
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"
 #: parameters of a geometry: where the reference's sensor sits, and by how much it reads late
@@ -35,7 +35,7 @@ DELAY: Final = "delay_s"
 def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
     """Return what a coefficient file believes: the odometry's model, and the effects to add to it.
 
-    The law is centred on the reference load of the model of `campaign`, which the file shall be held against.
+    The law is centred on the reference load of the campaign's model.
     """
     from calib.coefficients.file import believed_model, load_coefficients
 
@@ -46,7 +46,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
 def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
     """Return the campaign with the reference's sensor where a geometry in a coefficient file found it.
 
-    A file without a geometry, or without the sensor in it, leaves the campaign's own statement.
+    Without one the campaign's own statement holds.
     """
     from calib.coefficients.file import load_coefficients
 
@@ -59,7 +59,7 @@ def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
 
 
 def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:
-    """Return a delay of the reference that a geometry determined, as an effect of the model; none where it did not."""
+    """Return a delay of the reference that a geometry determined, else nothing."""
     from calib.coefficients.sections import EffectSection, Quantity
 
     together = file.joint_geometry
@@ -74,9 +74,8 @@ def with_effects(
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the campaign as a simulator with the effects would predict it, and notes on what could not be applied.
 
-    The prediction with the effects stands where an outside simulator's would, so the gap is measured minus that. Units
-    that an outside simulator predicted stay as they are. The observations have the file's model already; `declared` are
-    the ``[[effects]]`` tables of the campaign.
+    The prediction stands where an outside simulator's would; units that one predicted stay as they are. The
+    observations have the file's model already; `declared`: the campaign's ``[[effects]]`` tables.
     """
     notes: list[str] = []
     for section in sections:
@@ -102,9 +101,8 @@ def applied_perturbations(
 ) -> tuple[list[Perturbation], list[str]]:
     """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
-    Each effect is looked up in the library by id, form and settings, its parameters by their names. Effects that act on
-    a covariate's deviation from its mean act on the deviation from the mean that the file says. They act about `path`,
-    by default the path that the effects themselves give.
+    Effects are looked up by id, form and settings, parameters by name. A covariate's deviation is from the mean in the
+    file. They act about `path`, by default the path that they give.
     """
     everywhere = replace(observations, applied=True)
     effects = every_effect(everywhere, declared=declared)

@@ -109,8 +109,7 @@ class _Entry(BaseModel):
     id: _Text
     title: _Text | None = None
     column: _Text
-    #: ``left``, ``right``, ``both`` or ``track`` (relative change), ``yaw`` (rad per metre) or ``distance`` (m added to
-    #: the laser's distance)
+    #: see `acting_on`
     acts_on: Literal["left", "right", "both", "track", "yaw", "distance"]
     #: typical, largest: sizes per unit of the column
     typical: Annotated[FiniteFloat, Field(gt=0.0)]
@@ -126,7 +125,7 @@ class Declared(_OfColumn):
         super().__init__(entry.id, entry.title or "", entry.column)
         self.acts_on = entry.acts_on  # type: ignore[misc]
         self.columns = (entry.column,)  # type: ignore[misc]
-        # counted from another zero than the campaign's mean, the effect looks like `shifts` beside it
+        # what another zero looks like
         unit, self.shifts = ACTS_ON[entry.acts_on]  # type: ignore[misc]
         unit = f"{unit} per {entry.column}"
         self.parameter = Parameter("size", unit, entry.typical, entry.largest)  # type: ignore[misc]

@@ -1,7 +1,4 @@
-"""What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings.
-
-The file of a family of effects finds here all that it is written with.
-"""
+"""What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings."""
 
 from __future__ import annotations
 
@@ -22,8 +19,8 @@ from calib.types import FloatArray
 class Family(StrEnum):
     """Effects that act through the same thing, so that one represents another where the runs vary too little.
 
-    Grouped by the physics, not by the shape of the residuals: unequal radii and a reference's yaw look alike on
-    straight runs, and are families apart, because what is to be done about them differs.
+    Grouped by physics, not by residuals: unequal radii and a reference's yaw look alike on straight runs, but are put
+    right differently.
     """
 
     words: str  #: what is sure where only the family is, as a clause
@@ -75,8 +72,8 @@ class Parameter:
     #: name, unit: as printed; ``1`` for a plain number
     name: str
     unit: str
-    typical: float  #: order of magnitude that the field's literature and arithmetic give; the scale of its prior
-    largest: float  #: beyond this size the effect as named is physically implausible
+    typical: float  #: order of magnitude by literature and arithmetic; the scale of its prior
+    largest: float  #: larger is physically implausible
     sign: int = 0  #: 1 or -1 where only that sign has a meaning, 0 where either does
     #: whether it only shifts where the others have their zero: its prior is as wide as their sizes make it
     shift: bool = False
@@ -111,18 +108,17 @@ class Form:
     parameters: tuple[Parameter, ...]  #: the parameters that the data choose
     #: path -> one `Perturbation` a parameter, per unit of the parameter
     perturbations: Perturbations
-    #: quantities of the form that are not fitted linearly (an exponent, a time constant, a place)
+    #: not fitted linearly: an exponent, a time constant, a place
     settings: dict[str, float] = field(default_factory=dict)
     tries: int = 1  #: how many forms were searched over; the evidence pays for the search
-    #: where the effect is zero, for a form that takes the deviation of a covariate from its mean on the campaign
+    #: where the effect is zero, for a form that takes a covariate's deviation from its mean
     centre: Centre | None = None
     #: centre -> `perturbations` with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Perturbations] | None = None
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
-    #: Whether `perturbations` takes everything per step from the path that it is given, which may then be that of some
-    #: observations alone (`Observations.here` selects from arrays of all). Else it is given the whole path, and arrays
-    #: per step are held for all observations at once: too much for a large campaign.
+    #: whether `perturbations` takes everything per step from its path, which may then be that of some observations
+    #: (`Observations.here` selects from arrays of all); else arrays per step are held for a whole campaign at once
     by_parts: bool = False
     #: effects without one of which it does nothing, by id; empty where it acts by itself
     acts_through: tuple[str, ...] = ()
@@ -150,8 +146,8 @@ class Effect(ABC):
     title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
-    #: calibration effects that a zero point of this effect other than assumed looks like (a temperature counted from 20
-    #: degrees instead of the mean shifts the radii); a shift no larger than the effect counts as part of it
+    #: calibration effects that another zero point of this effect looks like (a temperature counted from 20 degrees
+    #: shifts the radii); a shift no larger than the effect is part of it
     shifts: ClassVar[tuple[str, ...]] = ()
     #: whether it looks like another effect only where radii and track are off with it
     needs_calibration: ClassVar[bool] = False
@@ -164,8 +160,7 @@ class Effect(ABC):
     hides_in: ClassVar[str] = ""
     #: for the calibration's own: the change of (left radius, right radius, track, front radius) per unit
     calibration_direction: ClassVar[tuple[float, ...] | None] = None
-    #: columns of the run table that it acts through, beyond those of the campaign format; they are no candidates of
-    #: their own beside it
+    #: further columns of the run table that it acts through: no candidates of their own beside it
     columns: ClassVar[tuple[str, ...]] = ()
     #: whether it makes the radii a function of the load, as the paper's correction does
     is_load_law: ClassVar[bool] = False
@@ -175,14 +170,13 @@ class Effect(ABC):
     not_transferable: ClassVar[str] = ""
     #: whether it has parameters for each session, so that it says nothing of a session omitted
     per_session: ClassVar[bool] = False
-    #: whether it is sought at every place of the floor, so that it follows what the forms of other causes leave
+    #: whether it is sought at every place of the floor, and so follows what other forms leave
     by_place: ClassVar[bool] = False
     #: relative size beyond which it is a wrong unit, count or setting of no vehicle
     wrong_beyond: ClassVar[float] = float("inf")
-    #: whether it is about two wheels on one axle, so that it does not apply where a front wheel alone drives the
-    #: odometry
+    #: whether it is about two wheels on one axle: not where a front wheel alone drives the odometry
     of_rear_wheels: ClassVar[bool] = False
-    #: whether it is so large that it is found by trial before the search; it offers no forms
+    #: whether it is found by trial before the search; it offers no forms
     found_before_search: ClassVar[bool] = False
 
     @property

@@ -127,12 +127,12 @@ class LostCounts(Effect):
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
 _SWAPPED: Final = "swapped wheels"
-#: an error is a blunder where runs are off by more than this share of their length (or of a radian) on average
+#: a blunder leaves runs off by more than this share of their length (or of a radian) on average
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
-#: counts or reference of a run that ends off by more than this share of its length are not those of its drive, where
-#: that is so many times what any other ends off by, and it is one of so few
+#: a run that ends off by more than this share of its length, so many times what all but so few do, has counts or a
+#: reference of another drive
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
@@ -246,12 +246,11 @@ def bad_runs(nominal: Path) -> dict[str, float]:
 def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by_extent: bool = False) -> FloatArray:
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
-    The length is the way driven, or how far it ended from its start where that is more; turns of less than a radian
-    count as one. A straight run is judged by its length and by how far its wheels differ: over a long one a radius that
-    is half a per cent off, as one under load is, turns the vehicle by a quarter radian and leads it far aside. Of a
-    campaign with simulated motion of its own, the change from the `nominal` path counts. `by_kind`: way and turns are
-    those of the middle run of its kind; `by_extent`: of a run that ends away from its start, how far that is, and a
-    radian.
+    The length is the way driven, or from start to end where that is more; turns of less than a radian count as one. A
+    straight run is judged by its length and by how far its wheels differ: a radius half a per cent off, as under load,
+    leads a long one far aside. With simulated motion of its own, the change from the `nominal` path counts. `by_kind`:
+    way and turns of the middle run of its kind; `by_extent`: of a run that ends away from its start, that distance, and
+    a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal

@@ -106,8 +106,8 @@ class FloorZone(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
 
-        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; what fewer than three
-        runs cross is omitted, and what tells runs apart best is kept.
+        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; at least three have to
+        cross, and what tells runs apart best is kept.
         """
         if not common_frame(observations) or np.count_nonzero(observations.from_log) < MIN_RUNS_IN_CELL:
             return []

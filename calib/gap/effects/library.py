@@ -106,8 +106,8 @@ def why_not_transferable(name: str) -> str:
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
     """Return the candidate effects of a campaign: of the library, of its further columns, and the user's own.
 
-    Effects that are found before the search (`blunder_before_search`) are not candidates, nor is a column that an
-    effect acts through. `declared` are the ``[[effects]]`` tables of ``campaign.toml``.
+    Effects found before the search are no candidates, nor is a column that an effect acts through. `declared`: the
+    ``[[effects]]`` tables of ``campaign.toml``.
     """
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
@@ -154,8 +154,7 @@ class EffectSignature:
 
     effect: Effect
     form: Form  #: of its forms the one with the largest signature
-    #: shape (n_obs, n_channels): change of each reading at the typical sizes of the form's parameters, NaN where an
-    #: observation lacks the channel
+    #: shape (n_obs, n_channels): change of each reading at typical sizes, NaN where an observation lacks the channel
     change: FloatArray
     enlarged: Path  #: the paths with the effect enlarged until it is visible on a floor plan
     factor: float  #: enlargement over the typical size
@@ -224,8 +223,7 @@ class Entry:
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
     """Return the effects that runs can be judged by, those of the ids `only` or all.
 
-    The library's own come first, then columns of the run table, then declared effects, then those of installed
-    packages.
+    In order: the library, columns of the run table, declared effects, installed packages.
     """
     every = every_effect(nominal.s, declared=declared)
     for name in only:

@@ -32,8 +32,8 @@ def _model_slopes(observations: Observations) -> FloatArray:
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
     """Return the slopes of the left and right radius against load, shape (2,).
 
-    Those of the model; where it has none, the hypothesis' `own`, shape (2,), if it has a load law. Radii that follow no
-    load make nothing of a payload: a slope assumed for it would let one misreported payload stand for the law itself.
+    The model's, else the hypothesis' `own` (2,). Without either a payload does nothing: an assumed slope would let one
+    misreported payload stand for the law.
     """
     slopes = _model_slopes(path.s)
     if slopes.any() or path.perturbation.law_slopes is None:
@@ -42,7 +42,7 @@ def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
 
 
 def _shown_by(path: Path, others: BoolArray) -> FloatArray:
-    """Return the slopes that the hypothesis gives the radii of some observations (n_obs,), shape (2,); 0 for none."""
+    """Return the slopes that the hypothesis gives some observations (n_obs,), shape (2,); 0 for none."""
 
     def slope(rolled: FloatArray, load: FloatArray) -> float:
         good = others & np.isfinite(rolled) & np.isfinite(load)
@@ -65,8 +65,6 @@ def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
 
 
 class _OfLoad(Effect):
-    """Each wheel's radius follows what it carries, by a slope of its own."""
-
     family = Family.LOAD
     of_rear_wheels = True
     shifts = ("radius_scale", "unequal_radii")
@@ -75,10 +73,7 @@ class _OfLoad(Effect):
 def _on_radii(
     observations: Observations, left_m: FloatArray, right_m: FloatArray, *, is_law: bool = False
 ) -> Perturbations:
-    """Return what changes of the left and of the right radius (n_obs,) do, per unit of a parameter each.
-
-    `is_law`: the parameters are the slopes of a load law.
-    """
+    """Return what changes of both radii (n_obs,) do, per unit each; `is_law`: of the slopes of a load law."""
     left, right = left_m / observations.radius_left_m, right_m / observations.radius_right_m
     slopes = [np.tile(each, (len(observations), 1)) if is_law else None for each in np.eye(2)]
     return lambda _: [Perturbation(left=left, law_slopes=slopes[0]), Perturbation(right=right, law_slopes=slopes[1])]
@@ -155,8 +150,8 @@ class LoadCreep(_OfLoad):
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
 
-        The load that creeps is the whole wheel load, its part above the unladen load, or (where the order of the
-        loads makes a difference) the change since the load before: then a band that was unloaded recovers as slowly.
+        That is the whole wheel load, its part above the unladen load, or (where the order of the loads matters) its
+        last change: an unloaded band then recovers as slowly.
         """
         minutes, now = observations.number("minutes_under_load"), observations.wheel_loads_N
         if not varies(minutes, 0.5, observations) or not np.isfinite(now).all():
@@ -170,7 +165,7 @@ class LoadCreep(_OfLoad):
         )
         unladen = observations.vehicle.unladen_load_N
         # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
-        # where that is zero: its own load the vehicle always bears
+        # where that is zero: the vehicle always bears its own
         creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
         if loads_vary(observations):
             creeps.append(("load above the unladen", None, Centre(unladen)))
@@ -196,7 +191,7 @@ class LoadCreep(_OfLoad):
 
 
 def _load_before_N(load: FloatArray, other: FloatArray, first: float) -> FloatArray:
-    """Return the load of the wheel before the present payload was put on, shape (n_obs,), in the order driven."""
+    """Return the wheel's load before the present payload, shape (n_obs,), in the order driven."""
     new = np.concatenate(([True], (np.abs(np.diff(load)) > 5.0) | (np.abs(np.diff(other)) > 5.0)))
     block = np.cumsum(new) - 1
     of_block = load[new]
@@ -209,8 +204,6 @@ LOAD_LAWS: Final = (LoadRadius.id, LoadRadiusNonlinear.id)
 
 
 class _OfPayload(Effect):
-    """The payloads were other than reported, and with them the loads and the radii."""
-
     family = Family.LOAD
     shifts = ("radius_scale", "unequal_radii")
     zero_known = True

@@ -58,8 +58,8 @@ STANDSTILL_SHARE = 0.2
 def sessions(observations: Observations) -> StrArray:
     """Return the session of each observation, shape (n_obs,).
 
-    Where nobody wrote sessions down, a stretch of runs under one load is taken for one: what changed with the load may
-    have been anything else that changed just then. Loads that change more often than that leave a single session.
+    Where none are written down, a stretch of runs under one load is one: anything may have changed with the load. Loads
+    that change more often leave a single session.
     """
     session = observations.labels["session"]
     if np.any(session != session[:1]):
@@ -82,7 +82,7 @@ def numbered_sessions(observations: Observations) -> tuple[IntArray, int]:
 def driven_speed_mps(observations: Observations) -> FloatArray:
     """Return the speed of each observation as a mean over its path, shape (n_obs,); NaN where it is not known.
 
-    A mean over the path, not over time: it is what an effect on the radii that is linear in speed sums up to.
+    Not over time: an effect on the radii that is linear in speed sums up to this.
     """
 
     def mean(part: Observations) -> FloatArray:
@@ -140,7 +140,7 @@ def end_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end of each observation, each shape (n_obs,).
 
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
-    halt stands there. A observation without a log is taken as read at its set speed, 0 where that is not known.
+    halt stands there. Without a log it is read at its set speed, 0 where that is not known.
     """
 
     def motion(part: Observations) -> FloatArray:
@@ -165,7 +165,7 @@ def start_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
 
 
 def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return speed and turn rate at the edge of each observation; `age` is the time from it to each step, in s."""
+    """Return speed and turn rate at the edge; `age`: time from it to each step, s."""
     with np.errstate(invalid="ignore"):
         late, early = age < END_STRETCH_S, (age >= END_STRETCH_S) & (age < 2 * END_STRETCH_S)
     late[edge] = True
@@ -191,7 +191,7 @@ def standstill_mps(observations: Observations) -> FloatArray:
 def _carried_on(
     observations: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray
 ) -> FloatArray:
-    """Return the rate of a step quantity carried on to the end; never past zero, shape (n_obs,)."""
+    """Return a step quantity's rate carried on to the end, never past zero, shape (n_obs,)."""
     rate, age = [], []
     for part in (late, early):
         time = np.where(part, np.nan_to_num(observations.duration_s), 0.0)

@@ -25,7 +25,7 @@ from calib.types import FloatArray
 
 
 class _Calibration(Effect):
-    """A relative change of radii or track, the same in all observations; it applies to any campaign."""
+    """A relative change of radii or track, the same in all observations."""
 
     family = Family.CALIBRATION
     parameter: ClassVar[Parameter]

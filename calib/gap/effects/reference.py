@@ -34,8 +34,6 @@ from calib.types import ComplexArray, FloatArray
 
 
 class _OfRangefinder(Effect):
-    """The laser reads too much, by a share of the distance or a constant; end poses do not change."""
-
     family = Family.INSTRUMENT
     needs = "distances by the instrument"
     parameter: ClassVar[Parameter]
@@ -392,7 +390,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
     """Return the factor that turns ends into those seen, and the squares left, m^2, beside a place on the vehicle.
 
-    `end`, `seen` (shape (n_runs,), m): by the counts and by the reference; `turned`: ``exp(i theta) - 1`` of the ends.
+    `end`, `seen`: shape (n_runs,), m; `turned`: ``exp(i theta) - 1``.
     """
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
     columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])

@@ -27,7 +27,7 @@ from calib.types import FloatArray
 SIMULATOR_PREFIX: Final = "simulator:"
 #: steps from which wheels reproduce a change; of a per cent the third is at rounding
 _STEPS: Final = 3
-#: what is left is linear enough below this share of a change's squares
+#: below this share of a change's squares the rest is linear enough
 _ROUNDING: Final = 1e-6
 #: a further step is taken where it promises, linear, to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
@@ -68,8 +68,7 @@ class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
 
     `parameter`: named as the simulator calls it; sizes are its deviation from the nominal value, in its unit;
-    `carried`: what it does on the runs driven; `family`: that of the library's effect which it is declared to stand
-    for.
+    `carried`: what it does on the runs driven; `family`: that of the library's effect that it stands for.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -101,9 +100,9 @@ class SimulatorParameter(Effect):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Numbers by which wheels are off, of all runs together (one group) or of each run, and what they do about a path.
+    """Numbers by which wheels are off, in all runs (one group) or in each, as columns about a path and their inverse.
 
-    As columns, and their inverse, of unit prior: what runs do not determine stays at zero.
+    Of unit prior: what runs do not determine stays at zero.
     """
 
     wheels: FloatArray  #: relative change of left, right and track by each number, shape (n_obs, 3, k)
@@ -154,10 +153,9 @@ class WheelMotion:
 
         `both_ways`: the change is half of what lies between a step up and one down.
 
-        A change that wheels make bends the path, so that it is not linear in its size. It is sought as radii and track
-        that are off alike in all runs, or in proportion to a quantity of the runs, then as wheels off in each run by
-        itself; what explains little of it is omitted. If the change has noise, the first that leaves no more than the
-        noise is taken: few numbers from all runs, in which little of the noise is left.
+        What wheels do bends the path and is not linear. It is sought as radii and track off alike in all runs, or in
+        proportion to a quantity of the runs, then as wheels off in each run; what explains little is omitted. Of a
+        noisy change the first that leaves no more than noise is taken: few numbers hold little of it.
         """
         unmoved = np.zeros((len(change), 3)), change
         best, whole = unmoved, self._squares(change).sum()
@@ -232,7 +230,7 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
 def as_simulated(observations: Observations) -> Observations:
     """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
 
-    What bends a path is not linear: it is to be taken about the path that the simulator drives, not the model's.
+    What bends a path is not linear: it is taken about the simulator's path, not the model's.
     """
     nominal = predict(observations)
     change = (observations.simulated - nominal.reading)[:, :4]
@@ -284,8 +282,8 @@ def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
 def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:
     """Return an effect whose zero point is free where it is counted from a mean and the calibration is held.
 
-    Without it radii off on average (a temperature counted from 20 degrees) would be laid on a parameter of the
-    simulator. The zero lies about as far from the runs as they are apart: more is a cause of its own.
+    Else radii off on average (a temperature counted from 20 degrees) would pass for a parameter of the simulator. The
+    zero lies about as far from the runs as they are apart: more is a cause of its own.
 
     `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
     their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.

@@ -69,16 +69,14 @@ def error_form(
 
     The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L, and the distance by
     the front wheel, sum of ds cos(delta), too small by ds sin(delta) error. The channels are what the rear wheels say
-    less that, so taking the error out of the steering's part adds the excess.
+    less that, so they gain the excess.
 
     Parameters
     ----------
     observations : Observations
-        Observations and steps.
     effect, label : str
         Id of the effect, and which of its forms this is.
     parameter : Parameter
-        The form's only parameter.
     error_rad : array of float, shape (n_steps,)
         Error of the angle per unit of the parameter.
     tries : int
@@ -194,7 +192,7 @@ TURN_ANGLE_RAD: Final = 0.02
 STILL_ANGLE_RAD: Final = 2e-3
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
-#: way to either side over which the rear wheels' turn is taken: over less the counters are too coarse to tell it
+#: way to either side for the rear wheels' turn: over less the counters are too coarse
 SMOOTHING_M: Final = 0.2
 
 
@@ -218,7 +216,7 @@ class SteeringBacklash(Effect):
         if not has_front(observations).any() or not (np.abs(angle) > TURN_ANGLE_RAD).any():
             return []
         parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1)
-        # only a clear turn has a side: the sign of an angle near zero is the sign of its sensor's noise
+        # only a clear turn has a side: near zero the sign is noise
         by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)
         # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
@@ -252,8 +250,8 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
 
-    The bend is the slope of a straight line through the headings over some way to either side: coarse counts then add
-    little noise. Its middle value on the straight is taken off: unequal radii are no steering.
+    The bend is a straight line's slope through the headings to either side: coarse counts add little noise. Its median
+    on the straight is taken off: unequal radii are no steering.
     """
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
@@ -262,7 +260,7 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
 
 def _bend_rad(observations: Observations) -> FloatArray:
     """Return the steering angle of the bend at each step, shape (n_steps,); NaN where the vehicle hardly moves."""
-    # counted from each start: squares of all ways together, over many runs, would leave nothing of a difference
+    # from each start on: squares over many runs would leave nothing of a difference
     turn, path = observations.cumulative(observations.turn_rad), observations.cumulative(observations.path_m)
     way = np.cumsum(np.abs(observations.path_m))
     index = np.arange(len(way))
@@ -298,8 +296,8 @@ def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
-    The output keeps still until the input has crossed the play: a recursion, taken step by step over all units. A play
-    below `least` is taken up by the last move that stands out of the noise.
+    The output waits until the input has crossed the play: a recursion by steps, over all units at once. A play below
+    `least` is taken up by the last move above the noise.
     """
     wide = max(play, least)
     index, step = _side_by_side(observations)
@@ -312,8 +310,8 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))
 
 
-#: delays whose moves are tried beside those of a short one, which are along the tangent: on the ramps of a corner, of
-#: half a second and more, the shape of 0.27 s scaled to 0.3 s is off by a tenth, its tangent by half
+#: delays tried beside a short one, which moves along the tangent: on a corner's ramps of half a second the shape of
+#: 0.27 s scaled to 0.3 s is off by a tenth, its tangent by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

@@ -221,7 +221,7 @@ class WheelSlip(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return forms in proportion to a and to its square, for both and for speeding up alone.
 
-        None where the two wheels are free. The square stands for tyres that hold until their grip is nearly used up.
+        None where both wheels are free. The square: tyres that hold until their grip is nearly used up.
         """
         if observations.vehicle.drive not in ("differential", "skid"):
             return []
@@ -296,7 +296,7 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius: an effect of its own
+        # where the driven wheel drives the odometry, a share in all runs alike is its radius
         share_shows = weight_varies or not observations.by_front
         # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
@@ -354,7 +354,7 @@ class Understeer(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            # K v^2 times the turn that is driven, which the path has, is what the steering says too much: at any size
+            # the steering says K v^2 times the turn driven too much, at any size
             turn = square(path.s) * path.steps.turn_rad
             if path.s.by_shaft:
                 return [excess(path.s, np.zeros_like(turn), turn)]
@@ -367,7 +367,7 @@ class Understeer(Effect):
 
 
 def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:
-    """Return the perturbation by excess travel of the front wheel, shape (n_steps,), along its steered direction."""
+    """Return the perturbation by excess travel of the front wheel (n_steps,), along its direction."""
     turn = travel_m * observations.steer_sin / observations.vehicle.wheelbase_m
     return excess(observations, travel_m * observations.steer_cos, turn)
 

@@ -79,7 +79,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
-    """Return counts and reference (poses before ranges) where all of them are known; None where that is too little."""
+    """Return counts and reference (poses before ranges) where all are known; None where too little is."""
     reference = POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS
     needed = (*COUNT_COLUMNS, *reference)
     if not set(needed) <= log.keys():
@@ -91,10 +91,7 @@ def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
 def _trace(
     log: Mapping[str, FloatArray], left_m: FloatArray, right_m: FloatArray, track_m: float, label: tuple[str, str, bool]
 ) -> Trace:
-    """Return the trace of a log with its reference.
-
-    `label`: name and kind of the run, and whether it was driven back along a corridor.
-    """
+    """Return the trace of a log; `label`: name and kind of the run, and whether it was driven back along a corridor."""
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m
     heading = _summed(turn)
@@ -116,14 +113,12 @@ def _trace(
 
 
 def _summed(steps: FloatArray | IntArray) -> FloatArray:
-    """Return the running sum of steps (n,) from zero on, shape (n + 1,)."""
+    """Return the running sum of steps (n,) from zero, shape (n + 1,)."""
     return np.append(0.0, np.cumsum(steps))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Route:
-    """Runs of one route on a common grid."""
-
     traces: list[Trace]  #: those long enough
     grid: FloatArray  #: shape (n_grid,): distance from the start; of corridors driven both ways the place on the ground
     #: spacing_m, length_m: of the grid, and of the route
@@ -151,23 +146,18 @@ def scan_route(
 ) -> tuple[PlaceResult, int] | None:
     """Search a route for the stretch over which a channel's gap grows, and count the stretches searched.
 
+    The p value is that of the best stretch alone; None where there are too few whole runs.
+
     Parameters
     ----------
     kind : str
-        The route.
     traces : list of Trace
-        Its runs.
     channel : Channel
         Along or heading.
     rng : numpy.random.Generator
         For the bootstrap.
     signed : bool
         Look for a gap that has the other sign on the way back.
-
-    Returns
-    -------
-    tuple of PlaceLine and int, or None
-        The p value is that of the best stretch alone. None where there are too few whole runs.
     """
     from scipy.special import stdtr
 
@@ -231,15 +221,9 @@ def _route(traces: list[Trace]) -> _Route | None:
 
 
 def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return by how much each run's gap (n_runs, n_grid) grows over each stretch, what a run's calibration does aside.
+    """Return each run's growth of the gap (n_runs, n_grid) over each stretch, beside its calibration.
 
-    Returns
-    -------
-    sizes : array of float, shape (n_runs, n_stretches)
-    norm : array of float, shape (n_stretches,)
-        Squares of the stretch beside the calibration.
-    starts, ends : array of int, shape (n_stretches,)
-        On the grid.
+    Sizes (n_runs, n_stretches); squares of each stretch beside the calibration; its start and its end on the grid.
     """
     grid = route.grid
     starts, ends = _stretches(len(grid))

@@ -77,9 +77,7 @@ def covariate_test(
     Parameters
     ----------
     name : str
-        Of the covariate.
     values : array of float or str, shape (n_units,)
-        Its values.
     scaled : array of float, shape (n_units, n_channels)
         Gap over noise level; NaN where a unit lacks the channel.
     weights : array of float, shape (n_draws, n_units)
@@ -89,7 +87,7 @@ def covariate_test(
 
     Returns
     -------
-    CovariateLine or None
+    CovariateResult or None
         The channel with the smallest p, multiplied by the number of channels; not yet held to the table's error.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]

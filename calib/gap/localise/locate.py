@@ -47,11 +47,9 @@ def locate(
     Parameters
     ----------
     observations : Observations
-        What was driven.
     nominal : Path
         The model alone.
     noise : Noise
-        Covariance of each unit.
     gap : array of float, shape (n_units, n_channels)
         Measured minus simulated; 0 where a unit lacks the channel.
     rng : numpy.random.Generator
@@ -120,7 +118,7 @@ def _times(observations: Observations, unit: int) -> dict[str, float]:
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
     """Return the table, smallest p first, each line held to the table's chance of any false one by Holm's steps.
 
-    Own code: statsmodels has the same steps, but its import takes longer than all that is done here.
+    Own code: to import statsmodels takes longer than all this.
     """
     # covariates that vary alike have one p but for rounding, which must not order them
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
@@ -134,10 +132,10 @@ def find_places(
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
 
-    A run's calibration, that is an offset and a slope of the gap along the way, is omitted first. The remainder is
-    searched for a stretch over which it grows, on the same route by all of its runs (corridor runs out and back by
-    their place on the ground), and compared between turns and straights, stops and none. All p values are multiplied by
-    the number of places looked at; the chance of any false place is 5 %.
+    A run's calibration (offset and slope of the gap along the way) is taken off first. The rest is searched for a
+    stretch over which it grows in all runs of a route (corridors out and back by place on the ground), and compared
+    between turns and straights, stops and none. All p values are multiplied by the number of places; the chance of any
+    false place is 5 %.
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:
@@ -198,10 +196,7 @@ def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
 
 
 def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
-    """Return the regression of a channel's gap on the way and a covariate as a line.
-
-    `windows`, shape (n_windows, 3): way, covariate and gap.
-    """
+    """Regress a channel's gap on the way and a covariate; `windows` (n_windows, 3) has way, covariate and gap."""
     from scipy.special import stdtr
 
     size, error, dof = _slope(windows[:, :2], windows[:, 2], run)
@@ -220,8 +215,8 @@ def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
     """Return the second coefficient of a regression on way and what is asked (n, 2), its standard error and dof.
 
-    Errors are clustered by run where there are enough runs. Own code: statsmodels divides the clustered squares by
-    other degrees of freedom than the t that is read with them, and its import takes longer than the diagnosis' tables.
+    Errors are clustered by run where runs suffice. Own code: statsmodels divides the clustered squares by other degrees
+    of freedom than those of its t, and is slow to import.
     """
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)

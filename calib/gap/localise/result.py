@@ -21,8 +21,7 @@ class ChannelGap:
     """The gap in one channel."""
 
     channel: Channel = field(metadata={"json": False})  #: which
-    #: rms, floor: root mean square of the gap, and of its noise level, over the units that have the channel; in the
-    #: channel's unit
+    #: rms, floor: root mean square of the gap and of its noise level, in the channel's unit
     rms: float
     floor: float
     mean: float = 0.0  #: mean of the gap

@@ -48,10 +48,10 @@ N_CHANNELS: Final = len(Channel)
 #: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: so many steps are worked on at a time: their arrays, some forty of half a megabyte, stay in the processor's cache for
-#: the most part, and a campaign of any size needs no more memory for them
+#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache, and a campaign
+#: of any size needs no more memory
 STEPS_AT_ONCE: Final = 2**16
-#: what follows from the counts alone is kept up to so many steps: some ten values a step, of all and of parts
+#: so many steps keep what follows from the counts alone: some ten values each
 KEPT_STEPS: Final = 2**20
 
 #: a window that starts within this after the end of another follows it: rounding of a log's times
@@ -113,9 +113,8 @@ class Observations:
     steer_rad: FloatArray
     steer_change_rad: FloatArray
     from_log: BoolArray  #: shape (n_obs,): false where an observation's steps were made up from its totals
-    #: shape (n_units, 6): measured distance, x, y and heading in its own frame; NaN where not measured. The last
-    #: two columns, of the front wheel, are filled by the prediction itself (they compare two of the vehicle's own
-    #: measurements).
+    #: shape (n_units, 6): measured distance, x, y and heading in its own frame; NaN where not measured. The prediction
+    #: fills the last two, where the front wheel is compared with the rear ones
     measured: FloatArray
     simulated: FloatArray  #: shape (n_obs, 6): an outside simulator's prediction of the same; NaN where there is none
     usable: BoolArray  #: shape (n_obs, 6): channels that an observation has
@@ -320,9 +319,8 @@ class Observations:
     def _over_way(self, of: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """Return the mean of a function of the steering angle over the front wheel's way in each step (n_steps,).
 
-        The mean of both ends, and a sixth of what the function and the wheel's rate change by: over a whole turn the
-        errors of this cancel, wherever between two samples the angle begins and ends to change, whether the front wheel
-        or the rear axle keeps its speed (Euler and Maclaurin, for an integral by the way).
+        The mean of both ends, and a sixth of what the function and the wheel's rate change by: over a whole turn its
+        errors cancel, whether the front wheel or the rear axle keeps its speed (Euler and Maclaurin).
         """
         begin, end = map(of, self._steer_ends)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -360,9 +358,9 @@ class Observations:
 
     @cached_property
     def _half_window(self) -> int:
-        """Steps to either side over which whole counts leave the curvature good to `CURVATURE_ERROR_PER_TRACK`.
+        """Steps to either side that leave the curvature good to `CURVATURE_ERROR_PER_TRACK`.
 
-        Smoothing over more takes the curvature of an arc's ends into the straights beside it.
+        More would take an arc's ends into the straights.
         """
         step_m = np.abs(self.path_m)
         rolling = step_m > 1e-6

@@ -117,22 +117,18 @@ def _aside(units: Sequence[Observation]) -> FloatArray | None:
 
 
 def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
-    """Return a field of all observations, shape (n_obs, ...)."""
     return np.array([getattr(u, name) for u in units])
 
 
 def _gained(units: Sequence[Observation], name: str) -> FloatArray:
-    """Return by how much a field changes in each step, shape (n_steps,)."""
     return _end_to_end([np.diff(getattr(u, name)) for u in units])
 
 
 def _at_ends(units: Sequence[Observation], name: str) -> FloatArray:
-    """Return a field at the end of each step, shape (n_steps,)."""
     return _end_to_end([getattr(u, name)[1:] for u in units])
 
 
 def _end_to_end(steps: Sequence[FloatArray]) -> FloatArray:
-    """Return the steps of observations as one array, shape (n_steps,)."""
     joined = np.concatenate(steps, out=step_array(sum(map(len, steps))))
     let_go(joined)
     return joined
@@ -158,7 +154,7 @@ def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> Flo
     if not known.any():
         return heading
     wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
-    # but only where the two then agree: with swapped or halved counts it is the wheels that are wrong
+    # only where the two then agree: with swapped or halved counts the wheels are wrong
     with np.errstate(invalid="ignore"):
         wraps = np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
     if np.abs(heading[known]).max() <= np.pi + 0.05:
@@ -181,8 +177,7 @@ def _measured(
     with np.errstate(invalid="ignore"):
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
-        # without a log the distance says itself whether the run was guided along a line: wheels of unequal radii that
-        # roll a straight line seem to turn
+        # without a log the distance tells a run guided along a line: wheels of unequal radii seem to turn on it
         guided = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
     pose_ok = logged | straight
     usable = np.isfinite(measured)
@@ -258,10 +253,7 @@ def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: lis
 
 
 def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:
-    """Return a covariate (n_obs,) in which a few missing or absurd values are those of the session, and say so.
-
-    Without them no effect of the covariate could be asked for, on any run.
-    """
+    """Fill a few missing or absurd values of a covariate (n_obs,) from the session, and say so: gaps bar effects."""
     known = np.isfinite(values)
     if not known.any():
         return values
@@ -290,10 +282,9 @@ def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
-    """Say for each observation what the laser's distance is the length of.
+    """Return what the laser's distance of each observation lies along.
 
-    Where an end pose was measured too, it tells whether the laser looks along the start heading (1) or at the end
-    point (2); without one, the length of the line that the run was guided along is all that can be said (0).
+    An end pose tells: the start heading (1) or the line to the end point (2); without one, the guide line (0).
     """
     both = usable[:, 0] & usable[:, 1] & usable[:, 2]
     axis = np.zeros(len(measured))

@@ -46,7 +46,7 @@ def window_length_m(travelled_m: float, track_m: float) -> float:
 
 
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
-    """Return the samples that border windows of equal way, at most one a sample however far the way seems to go.
+    """Return the samples that border windows of equal way, at most one a sample.
 
     `way_m`: (n_samples,), way from the start on, rising; `count`: windows wanted.
     """
@@ -78,7 +78,7 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
-    """Return an observation with the motion between two poses of the reference: both of them read, both uncertain."""
+    """Return an observation of the motion between two poses of the reference, both uncertain."""
     (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
     measured[1:] = observation.relative_pose(start, end)
@@ -96,9 +96,9 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
     )
 
 
-#: what the wheels may still roll after the last pose of the reference, so that it counts as the end pose
+#: what wheels may roll after the reference's last pose for it to be the end pose
 END_TOLERANCE_M = 1e-3
-#: with fewer runs than this driven like another one, recordings are cut into windows
+#: recordings are cut into windows, too, where fewer runs are driven like another one
 MIN_REPLICATED = 8
 
 
@@ -107,13 +107,13 @@ def observations_of(
 ) -> Observations:
     """Arrange a campaign for the diagnosis; `model` is what the simulator believes, by default the campaign's own.
 
-    Excluded rows are omitted. Recordings with a continuous pose reference are cut into windows where there are fewer
-    than a dozen runs, or where hardly any was driven twice, unless `whole_runs` are asked for. A run without
-    a log counts with what its row says. Refused where no run has both counts and something measured.
+    Excluded rows are omitted. Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly
+    any was driven twice, unless `whole_runs`. A run without a log counts by its row. Refused where no run has both
+    counts and something measured.
     """
     setup = _setup(campaign, model)
     n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
-    # of a large campaign thousands of small arrays would leave as much memory behind that nothing large fits into
+    # thousands of small arrays would leave memory behind that nothing large fits into
     room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]

@@ -1,8 +1,4 @@
-"""A run or a window of a recording: its wheel angles, what was measured at its end, and the reference's poses in it.
-
-The reference's poses are turned into poses of the vehicle: the sensor's place taken off, each run in the frame of its
-own start.
-"""
+"""A run or a window of a recording: its wheel angles, what was measured at its end, and the reference's poses in it."""
 
 from __future__ import annotations
 
@@ -22,7 +18,7 @@ from calib.campaign.settings import Encoder, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.types import FloatArray, IntArray
 
-#: a log is thinned to so many steps; the arcs between are exact for what the wheels really rolled
+#: steps of a thinned log; the arcs between are exact for what the wheels rolled
 MAX_STEPS: Final = 400
 #: steps of a run whose totals alone are known
 STEPS_WITHOUT_LOG: Final = 40

@@ -62,8 +62,8 @@ class WheelTravel:
 def levels(values: FloatArray, width: float) -> IntArray:
     """Return a number for each of the levels that set values stand at, shape (n,).
 
-    Values that differ by no more than `width` from their neighbour in size are one level, wherever that lies. What
-    varies without steps is cut into bins of twice the width. NaN is a level of its own.
+    Values within `width` of their neighbour in size are one level. What varies without steps is cut into bins of twice
+    the width. NaN is a level of its own.
     """
     number = np.full(len(values), -1, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(values))
@@ -76,7 +76,6 @@ def levels(values: FloatArray, width: float) -> IntArray:
     spans = np.diff(np.append(first, len(level)))
     lowest = np.repeat(sorted_values[first], spans)
     highest = np.repeat(sorted_values[np.append(first[1:], len(level)) - 1], spans)
-    # a chain of small differences is no level: cut into equal bins as wide as a level may be
     n_bins = np.ceil(np.maximum((highest - lowest) / (2.0 * width), 1.0))
     place = np.clip((sorted_values - lowest) / np.maximum(highest - lowest, 1e-300) * n_bins, 0.0, n_bins - 1.0)
     bins = np.where(n_bins > 1, np.floor(place), 0.0)
@@ -183,18 +182,12 @@ def replicates(
     campaign : Campaign
         Its vehicle scales the loads that are told apart; its further columns tell cells apart.
     driven : WheelTravel
-        Steps of all observations.
     heading_rad : array of float, shape (n_obs,)
         Measured turn, NaN where not measured.
     numbers : mapping of str to array of float, shape (n_obs,)
         Covariates.
     labels : mapping of str to array of str, shape (n_obs,)
         ``session``, ``kind`` and ``direction``.
-
-    Returns
-    -------
-    tuple of array of int, shape (n_obs,)
-        Numbers of route, condition and cell.
     """
     route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
     nothing = np.zeros(len(route))
@@ -222,9 +215,8 @@ def heading_by_straightness(
 ) -> tuple[FloatArray, BoolArray]:
     """Return how uncertain the heading at the end of a straight run is, and where it was assumed, each (n_obs,).
 
-    A stated weave of amplitude A and wavelength l (NaN where not stated) turns the vehicle by up to 2 pi A / l; else
-    the log says by how much it wove (root mean square of the heading about its trend, NaN without a log); else it is
-    taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
+    A stated weave of amplitude A and wavelength l (NaN where not stated) turns the vehicle by up to 2 pi A / l; else it
+    wove as `weave_of_log` says; else it is taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
@@ -239,7 +231,7 @@ def heading_by_straightness(
 def weave_of_log(driven: WheelTravel) -> FloatArray:
     """Return the root mean square of the heading about its linear trend along the path, (n_obs,); NaN without a log.
 
-    Wheels of unequal radii turn the vehicle evenly along the path: the trend is theirs.
+    The trend is that of unequal radii.
     """
     starts = driven.starts
     unit = np.repeat(np.arange(len(driven.logged)), np.diff(starts))

@@ -243,8 +243,8 @@ def undetectable(
 ) -> tuple[DetectionLimit, ...]:
     """Return the detection limits of the effects that these runs would not show at typical size.
 
-    A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. `forms` that
-    are known already are not built again.
+    A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. Known `forms`
+    are not built again.
     """
     limits = _Limits(system.calibration, system.columns)
 

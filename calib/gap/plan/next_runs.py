@@ -49,7 +49,7 @@ ENOUGH_SD: Final = 2.0 * SEPARATION_SD
 CAP_SD: Final = 4.0 * SEPARATION_SD
 #: a gain below this many standard deviations is not worth naming
 NOTEWORTHY_SD: Final = 0.05
-#: candidates weighed in one go: their small equations are solved together, and their scalar products held twice
+#: candidates weighed in one go: their scalar products are held twice
 AT_ONCE: Final = 16
 #: runs of a route that show how much they scatter: the noise level of routes that were not repeated is assumed
 REPEATS: Final = 3
@@ -75,10 +75,10 @@ def next_runs(
     are furthest apart; where none are confounded, the run after which most effects of the library are detected and
     separated. A run that the law of the load lacks comes first.
 
-    `campaign`, `noise`: what was driven, and its noise, whose scales the next runs have; `effects`: the library;
-    `ties`: groups of effects that are confounded there, the named one first; `fitted`: gives the sizes of the fitted
-    effects, the others have typical size; `model`: the simulator's, the campaign's own by default; `candidates`: runs
-    to choose from, see `default_candidates`; `most`: how many runs to recommend.
+    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of effects that are
+    confounded there, the named one first; `fitted`: gives sizes, typical for other effects; `model`: the simulator's,
+    the campaign's own by default; `candidates`: runs to choose from, see `default_candidates`; `most`: how many runs to
+    recommend.
     """
     driven = campaign.included()
     if model is not None:
@@ -145,7 +145,7 @@ def _candidates(driven: Campaign, measured: Measured) -> list[PlannedRun]:
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
     """Return the corridor run of the largest payload where one session alone has several loads.
 
-    With the unladen corridor run that the next session begins with it makes two loads.
+    The next session begins unladen, so it then has two.
     """
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
@@ -248,7 +248,7 @@ def _measured(campaign: Campaign) -> Measured:
 
 
 def _count(campaign: Campaign, run: PlannedRun) -> int:
-    """Return how often to drive a run: `REPEATS` times where so many of its route do not show their scatter yet."""
+    """Return how often to drive a run: `REPEATS` times unless so many of its route show their scatter."""
     runs = campaign.runs
     alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
     if run.tape:

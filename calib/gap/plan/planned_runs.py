@@ -20,14 +20,14 @@ from calib.odometry.routes import NAMED, Route, arc, radii_of_model, straight
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, wheel_loads_N
 
-#: numbers that say something at zero too; no stop and a place over the axle's middle need no word
+#: numbers that say something at zero too, unlike stops and a payload's place
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
 #: routes that end where they begin, heading as they did
 CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
 SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
 BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
-#: a route is sampled this finely: below the 0.1 s of a log at walking pace
+#: sampling of a route: below 0.1 s of a log at walking pace
 ROUTE_SPACING_M: Final = 0.05
 #: the short corridor over the long one: distances far enough apart to tell an offset from a scale
 SHORT_CORRIDOR: Final = 0.6
@@ -88,9 +88,9 @@ def usual_temperature_C(campaign: Campaign) -> float:
 def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = False) -> list[PlannedRun]:
     """Return candidate runs over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    For a lab without motion capture: with `loops`, routes that end where they begin close on a mark on the floor; with
-    `tape`, corridors are measured by a tape. The largest payload is the campaign's own (twice the vehicle's mass where
-    it carried none); temperatures vary by 10 K where the campaign records them.
+    Without motion capture: `loops` close on a mark on the floor where they began, `tape` measures corridors. The
+    largest payload is the campaign's own (twice the vehicle's mass where it carried none); temperatures vary by 10 K
+    where the campaign records them.
     """
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg

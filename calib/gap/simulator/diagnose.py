@@ -60,15 +60,14 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    The simulator runs at its nominal parameters, twice where it may not repeat itself, once with each of them a step
-    off, and again with the fix; the verdict is among its parameters and the effects of the library.
+    It runs at its nominal parameters (twice where it may not repeat itself), with each a step off, and with the fix;
+    the verdict is among its parameters and the effects of the library.
 
     Parameters
     ----------
     campaign : Campaign
-        What was driven and measured; read from a folder.
+        Read from a folder.
     settings : SimulatorSettings
-        The simulator's command and parameters.
     seed : int
         For the bootstrap of intervals.
     exclude : tuple of str
@@ -132,9 +131,8 @@ def _confirmed(
 ) -> Diagnosis:
     """Return the diagnosis with the fix that the simulator was run with.
 
-    What a parameter does is taken for linear at first: where it is not, its curvature may be taken for a further
-    cause. So where there is more than parameters to set, the search is repeated with what the runs with a fix by them
-    alone showed, or else with that beside the other causes.
+    A parameter is linear at first: its curvature may pass for a further cause. So beside others the search is repeated
+    with what the runs with a fix by parameters alone showed, or else with that beside the other causes.
     """
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
@@ -224,8 +222,8 @@ def _candidates(
 ) -> tuple[list[Effect], tuple[str, ...]]:
     """Return the parameters and the effects of the library beside them, with a note on those that do not matter.
 
-    An effect that a parameter is declared to stand for is left to it, as is one of the calibration that the parameters
-    reproduce: there is nothing that could tell them apart, and the parameter is what can be set.
+    Effects that a parameter stands for, or of the calibration that the parameters reproduce, are left to these: nothing
+    tells them apart, and a parameter can be set.
     """
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
@@ -258,15 +256,14 @@ def _candidates(
 
 
 def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
-    """Return how far each form of an effect of typical size moves the readings, in their standard deviations."""
+    """Return how far each form moves the readings at typical size, in standard deviations."""
     return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
 
 
 def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool:
-    """Return whether an effect is a parameter of the odometry that is set wrong, as a simulator has them.
+    """Return whether an effect is a wrong setting of the odometry, as simulators have them.
 
-    Beside a noisy simulator, any of one parameter: where one of the simulator does the same, its noise alone would tell
-    the two apart.
+    Beside a noisy simulator, any of one parameter: noise alone would tell it from one of the simulator.
     """
     if noisy and (forms := effect.forms(observations)):
         return all(len(form.parameters) == 1 for form in forms)
@@ -277,10 +274,7 @@ def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool
 def _spanned(
     rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path, noisy: bool
 ) -> dict[str, dict[str, list[int]]]:
-    """Return with which signs, 1 and -1, the parameters do what each form of a rival would, each of a sign it may have.
-
-    By the rival's id and the form's label.
-    """
+    """Return the signs, 1 and -1, with which parameters do what each form of a rival would, by its id and label."""
     offered = [form for effect in own for form in effect.forms(nominal.s)]
     targets = [form for rival in rivals for form in rival.forms(nominal.s)]
     if not offered or not targets:

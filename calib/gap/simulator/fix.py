@@ -26,28 +26,26 @@ from calib.types import FloatArray, IntArray
 
 #: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
 MOST_RERUNS: Final = 8
-#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second
-#: one where the gap is at the noise already; below the third not of a simulator that does not repeat itself
+#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second one
+#: where the gap is at the noise already; below the third not of a noisy simulator
 CONVERGED: Final = (0.3, 0.5, 1.0)
-#: squares of two runs of a simulator that does not repeat itself are alike within this factor: the one that asks for
-#: no more is kept
+#: squares of two runs of a noisy simulator are alike within this factor: the one that asks for no more is kept
 ALIKE: Final = 1.3
-#: a step shorter than this share of the whole deviation tells the slope less well than the simulator's rounding allows,
-#: the second one than its scatter, where it does not repeat itself
+#: a step shorter than this share of the whole deviation tells no slope beside the simulator's rounding, the second one
+#: beside its scatter
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
-#: a fix by parameters alone is worth a search where it leaves no more than so many times what the verdict's causes do
+#: parameters alone are searched where they leave no more than so many times what the verdict's causes do
 ALONE: Final = 2.0
 #: parameters alone are followed where they promise to leave no more than this share of the gap's squares
 ALONE_SHARE: Final = 0.5
-#: what leaves less than so many times the squares of noise leaves noise, at levels known as well as they are; else
-#: others than the named are tried
+#: less than so many times the squares of noise is noise, at levels known so well; else others than the named are tried
 LACKING: Final = 1.5
 #: so many of them, each further one if it leaves less than this share of what is left without
 MOST_ALONE: Final = 3
 FURTHER_SHARE: Final = 0.5
-#: prior standard deviation of a correction in typical sizes; wide, it only keeps the solution finite
+#: prior standard deviation of a correction in typical sizes: keeps the solution finite
 CORRECTION_SD: Final = 30.0
 
 
@@ -137,9 +135,8 @@ def iterated(
 ) -> SimulatorFix:
     """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
 
-    The derivative is that of the finite differences, brought into line with every further run (Broyden 1965); a step
-    that leads further from what was measured is halved. `start`: a fix that it was run with; by default the first run
-    is where the diagnosis puts the parameters.
+    The derivative by finite differences is brought into line with every further run (Broyden 1965); a step that leads
+    away is halved. `start`: a fix that it was run with; by default the diagnosis' parameters are run first.
     """
     fitted = diagnosis.fitted
     sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
@@ -153,9 +150,9 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the verdict's other causes, and the fix by them; None where they do not.
 
-    Where what a parameter does is not linear, its curvature may have been taken for a cause of the library, or the
-    parameter for none. They are the named ones, whose `start` is the fix beside the others, or else, where the verdict
-    leaves more than noise, those of `_most_able`. Without a fix the named ones are returned.
+    A curved effect of a parameter may have passed for a cause of the library, or the parameter for none. They are the
+    named ones, whose `start` is the fix beside the others, or else, where the verdict leaves more than noise, those of
+    `_most_able`. Without a fix the named ones are returned.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
@@ -180,10 +177,9 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside the other causes of a fit, first at `trial` (n_named,).
+    """Run the simulator as `iterated` does, beside a fit's other causes, first at `trial` (n_named,).
 
-    Without a trial it begins with what is left at the start; it is not run where that promises to leave more than
-    `limit`.
+    Else it begins with what is left at the start, and is not run where that promises to leave more than `limit`.
     """
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
@@ -239,7 +235,7 @@ def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What of the gap a run of the simulator leaves, and the correction of the deviations that it asks for."""
+    """What a run of the simulator leaves of the gap, and the correction that it asks for."""
 
     square: float  #: of the whitened gap
     promised: float  #: of what the correction leaves of it, if that is linear
@@ -260,7 +256,7 @@ def _asked(
 ) -> _Asked:
     """Return what a table of the simulator (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it.
 
-    `derivative`: by the named parameters, (n_runs, 4, n_named), whose typical sizes are (n_named,).
+    `derivative`: by the named parameters, (n_runs, 4, n_named).
     """
     rows = differences.rows(path.s)
     gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
@@ -343,10 +339,7 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
 
 
 def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
-    """Return the parameter that leaves least of the gap, by id, and further ones each of which leaves far less still.
-
-    All at plausible deviations; none where none is.
-    """
+    """Return, by id, the parameter that leaves least of the gap at a plausible deviation, and others that add much."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
     chosen: list[int] = []
@@ -383,7 +376,7 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    """Return in words which parameter alone would do it with the sign that it may not have; empty where none would."""
+    """Return in words which parameter alone would do it with its forbidden sign; empty where none would."""
     forms, a, r = _signatures(diagnosis)
     for form, column in zip(forms, a.T, strict=True):
         sign = form.parameters[0].sign

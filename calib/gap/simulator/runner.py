@@ -28,7 +28,7 @@ from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
 from calib.types import FloatArray, Progress
 
-#: of a simulator's own output, what is kept and what an error shows: its last lines say what went wrong
+#: kept of a simulator's output for an error: its last lines say what went wrong
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
 #: stage of the progress
@@ -191,7 +191,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         process.wait(5.0)
 
 
-#: a simulator that repeats itself within this share of an instrument's stated uncertainty is as good as deterministic
+#: within this share of an instrument's stated uncertainty a simulator repeats itself
 NOISE_SHARE: Final = 0.02
 #: runs of a noisy simulator at each set of parameters: their mean has half the scatter of one
 REPEATS: Final = 4
@@ -301,10 +301,10 @@ def _averaged(
     known: Mapping[tuple[str, float], FloatArray],
     scatter: FloatArray,
 ) -> Differences:
-    """Return the differences of a simulator with noise: every set of parameters is run `REPEATS` times and averaged.
+    """Return the differences of a noisy simulator: every set of parameters is run `REPEATS` times and averaged.
 
-    A step that the scatter (4,) hides is enlarged, and taken to both sides, half of the runs each: over a long step
-    few parameters are linear, but what bends is alike on both sides. `known`: runs of each parameter a step off.
+    A step that the scatter (4,) hides is enlarged and taken to both sides, half of the runs each: what bends is alike
+    on both. `known`: runs of each parameter a step off.
     """
     settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
     size = dict[str, float]()
@@ -342,8 +342,7 @@ def _averaged(
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
     """Return whether tables, the nominal one first, show that the simulator repeats itself.
 
-    Every number is written again, exactly, with some parameter a step off that does not act on it, and digits
-    are fine enough that a scatter would show.
+    Each number recurs exactly with some parameter a step off, with digits fine enough to show a scatter.
     """
     whole = np.stack(tables)
     for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
@@ -362,7 +361,7 @@ def _off(settings: SimulatorSettings, name: str, step: float) -> Job:
 def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> float:
     """Return the step at which a parameter changes some channel by `CLEAR_CHANGE` of the scatter, within its largest.
 
-    The change (n_runs, 4) that its declared step showed has the scatter of two runs in it.
+    `change` (n_runs, 4), by the declared step, holds the scatter of two runs.
     """
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
