@@ -343,6 +343,7 @@ def steered_itself_m(campaign: Campaign) -> float:
         way, apart = 0.5 * (left + right), right - left
         posed = np.isfinite(runs.number("ref_theta_rad"))
         guided = were_guided(runs.number("distance_m"), way, apart, posed)
-        if steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
+        # one reading written for both wheels, a speed, says nothing of how it was steered
+        if apart[guided].any() and steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

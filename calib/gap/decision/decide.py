@@ -153,7 +153,8 @@ def stands_off(evidence: Evidence) -> bool:
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
     if (np.array(agree) & (count > 1)).any():
         return True
-    for route in np.unique(evidence.observations.kind):
+    # windows of one recording share what its radii are off by
+    for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
         mine = evidence.observations.kind == route
         second = reach_of_noise(noise.dof, int(usable[mine].sum()))
         for side in (scaled[mine], -scaled[mine]):

@@ -188,7 +188,9 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     """Forty-eight runs of six routes, no two under the same conditions."""
     left = np.zeros((48, 6))
     left[list(off), 2] = list(off.values())
-    observations = SimpleNamespace(usable=np.ones((48, 6), bool), condition=np.arange(48), kind=np.arange(48) % 6)
+    observations = SimpleNamespace(
+        usable=np.ones((48, 6), bool), condition=np.arange(48), kind=np.arange(48) % 6, windowed=False
+    )
     noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
