@@ -15,6 +15,7 @@ from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected
 from calib.kinematics.drives import nominal_turn
+from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import (
     Delay,
     Fitted,
@@ -285,6 +286,9 @@ def _bends(fitted: Fitted) -> bool:
 
 
 def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
+    if implausible_lengths(common, campaign.vehicle.drive):
+        # no delay makes a vehicle of these
+        return common, ()
     fitted = common
     delays: tuple[Delay, ...] = ()
     added = sought_delays(common.model, common.solution, common.parameters)
