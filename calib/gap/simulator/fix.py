@@ -367,7 +367,10 @@ def _share_together(diagnosis: Diagnosis) -> float:
 
 
 def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
-    """Return what columns leave of an aim at sizes of unit prior, each of the sign that it may have, 0 for either."""
+    """Return what columns (n_rows, k) leave of an aim (n_rows,) at sizes of unit prior, (n_rows,).
+
+    `sign`: (k,), of each size 1 or -1 where it may have that one only, else 0.
+    """
     from scipy.optimize import lsq_linear
 
     bounds = np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf)
