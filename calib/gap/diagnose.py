@@ -141,8 +141,7 @@ def diagnose_in_full(
         where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
-    recalibrated = WhitenedSystem(base.path, nominal, noise)
-    recalibrated.know(searched.alone)
+    recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
     diagnosis = replace(decide(evidence), undetectable=undetectable(recalibrated, effects, searched.forms))
     if not plan or not diagnosis.groups:
         return diagnosis

@@ -99,6 +99,16 @@ def recalibration_columns(path: Path) -> FloatArray:
     return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
 
 
+def hypothesis_columns(path: Path, forms: Sequence[Form]) -> FloatArray:
+    """Return those columns and the forms' signatures times typical sizes, (n_units, 6, 4 + n_parameters)."""
+    return np.concatenate([recalibration_columns(path), *signature_columns(path, forms)], axis=2)
+
+
+def by_form(forms: Sequence[Form], values: FloatArray) -> list[FloatArray]:
+    """Divide values of a calibration and of forms, (4 + n_parameters,), among the forms."""
+    return np.split(values, np.cumsum([4, *(len(form.parameters) for form in forms)]))[1:-1]
+
+
 def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
     """Return a basis of calibration and `n_others` sizes, the calibration along some directions alone.
 
@@ -120,29 +130,21 @@ class _Misfit:
     forms: Sequence[Form]
     freedom: BoolArray  #: shape (4,): which of the calibration may change
     prior_sd: FloatArray  #: shape (n_parameters,): of each scaled parameter
-    rows: BoolArray  #: shape (n_rows,): which of the usable (unit, channel) rows count
     along: FloatArray | None  #: shape (k, 4): directions of the calibration; None: all
 
     def sizes(self, scaled: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        cuts = np.cumsum([4, *(len(form.parameters) for form in self.forms)])
-        theta = [scaled[a:b] * form.typical for form, a, b in zip(self.forms, cuts[:-1], cuts[1:], strict=True)]
+        theta = [own * form.typical for form, own in zip(self.forms, by_form(self.forms, scaled), strict=True)]
         return np.where(self.freedom, scaled[:4] * CALIBRATION_SD, 0.0), theta
-
-    def moved(self, path: Path, scaled: FloatArray) -> Path:
-        """Re-simulate at scaled parameters, perturbations taken about `path`."""
-        calibration, theta = self.sizes(scaled)
-        return hypothesis_path(self.nominal.s, calibration, self.forms, theta, path)
 
     def cost(self, path: Path, scaled: FloatArray) -> float:
         """Return the squares of whitened residual and parameters under their prior."""
-        white = whitened_rows(path, self.noise, residuals(path, self.nominal)[:, :, None])[self.rows, 0]
+        white = whitened(path, self.noise, residuals(path, self.nominal))
         return float(white @ white + np.sum((scaled / self.prior_sd) ** 2))
 
     def gauss_newton(self, path: Path, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return normal matrix (n_parameters, n_parameters) and step (n_parameters,) about a path."""
-        gap = residuals(path, self.nominal)
-        columns = [recalibration_columns(path), *signature_columns(path, self.forms), gap[:, :, None]]
-        whole = whitened_rows(path, self.noise, np.concatenate(columns, axis=2))[self.rows]
+        gap = residuals(path, self.nominal)[:, :, None]
+        whole = whitened_rows(path, self.noise, np.append(hypothesis_columns(path, self.forms), gap, axis=2))
         a, r = whole[:, :-1], whole[:, -1]
         precision = self.prior_sd**-2.0
         normal = a.T @ a + np.diag(precision)
@@ -161,7 +163,6 @@ def fit(
     forms: Sequence[Form] = (),
     *,
     along: FloatArray | None = None,
-    use: BoolArray | None = None,
     start: Fitted | None = None,
     steps: int = 10,
 ) -> Fitted:
@@ -177,8 +178,6 @@ def fit(
         Effects to fit.
     along : array, shape (k, 4), optional
         Directions in which left radius, right radius, track and front radius may change; all by default.
-    use : array of bool, shape (n_units,), optional
-        Units to fit on; all by default.
     start : Fitted, optional
         Where to begin (its calibration; its parameters where the forms are the same).
     steps : int
@@ -187,11 +186,8 @@ def fit(
     s = nominal.s
     freedom = np.array([True, True, True, bool(s.usable[:, 4:].any())]) & (not s.calibration_held)
     sizes_sd = np.full(sum(len(form.parameters) for form in forms), SIZE_SD)
-    mask = np.ones(len(s), dtype=bool) if use is None else use
-    row_mask = np.repeat(mask[:, None], 6, axis=1)[s.usable]
-    misfit = _Misfit(
-        nominal, noise, forms, freedom, np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd]), row_mask, along
-    )
+    prior_sd = np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd])
+    misfit = _Misfit(nominal, noise, forms, freedom, prior_sd, along)
     calibration = np.zeros(4) if start is None or along is not None else np.where(freedom, start.calibration, 0.0)
     known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
     theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
@@ -208,9 +204,9 @@ def fit(
         if not steps:
             break
         largest = float((np.abs(step) * np.sqrt(np.diag(normal))).max())
-        lower = np.inf
         for _ in range(_MAX_HALVINGS):
-            trial = misfit.moved(path, now + step)
+            calibration, theta = misfit.sizes(now + step)
+            trial = hypothesis_path(s, calibration, forms, theta, path)
             lower = misfit.cost(trial, now + step)
             if lower <= reached * (1.0 + _ROUNDING):
                 break
@@ -222,18 +218,10 @@ def fit(
             break
     calibration, theta = misfit.sizes(now)
     left = residuals(path, nominal)
-    white = whitened_rows(path, noise, left[:, :, None])[:, 0]
+    square = float((whitened(path, noise, left) ** 2).sum())
     units = np.concatenate([CALIBRATION_SD, *(form.typical for form in forms)])
     covariance = np.asarray(np.linalg.inv(normal) * np.outer(units, units), dtype=np.float64)
-    return Fitted(
-        forms=tuple(forms),
-        theta=tuple(theta),
-        calibration=calibration,
-        covariance=covariance,
-        path=path,
-        chi_square=float((white[row_mask] ** 2).sum()),
-        left=left,
-    )
+    return Fitted(tuple(forms), tuple(theta), calibration, covariance, path, square, left)
 
 
 def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fitted:
@@ -256,8 +244,8 @@ def is_gain(squares: float, fitted: Fitted) -> bool:
 
 def linear_rest(fitted: Fitted, noise: Noise) -> float:
     """Return the squares that the linear fit about a hypothesis would leave of the residual."""
-    columns = [recalibration_columns(fitted.path), *signature_columns(fitted.path, fitted.forms)]
-    whole = whitened_rows(fitted.path, noise, np.concatenate([*columns, fitted.left[:, :, None]], axis=2))
+    columns = np.append(hypothesis_columns(fitted.path, fitted.forms), fitted.left[:, :, None], axis=2)
+    whole = whitened_rows(fitted.path, noise, columns)
     gram = whole.T @ whole
     normal = gram[:-1, :-1] + np.diag(1e-11 * np.diag(gram)[:-1] + 1e-11)
     return float(gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(normal, gram[:-1, -1]))
@@ -269,6 +257,17 @@ def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = 
     masked = np.where(usable[:, :, None], columns, 0.0)
     whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
     return whitened
+
+
+def whitened(path: Path, noise: Noise, left: FloatArray) -> FloatArray:
+    """Whiten residuals (n_units, 6); usable rows end to end, (n_rows,)."""
+    return whitened_rows(path, noise, left[:, :, None])[:, 0]
+
+
+def squares_by_unit(path: Path, noise: Noise, left: FloatArray) -> FloatArray:
+    """Return the whitened squares of residuals (n_units, 6), shape (n_units,)."""
+    unit, _ = np.nonzero(path.s.usable)
+    return np.bincount(unit, whitened(path, noise, left) ** 2, len(path.s)).astype(np.float64)
 
 
 def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
@@ -284,33 +283,23 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
     Each part of the path is visited once for all forms; a form whose signature needs no steps comes whole.
     """
-    n_channels = path.s.usable.shape[1]
-    along_path: list[tuple[int, list[Perturbation | None], dict[int, FloatArray]]] = []
+
+    def columns(part: Path, form: Form, pushes: Sequence[Perturbation]) -> FloatArray:
+        signatures = [signature(part, push) * size for push, size in zip(pushes, form.typical, strict=True)]
+        return np.stack(signatures, axis=2)
+
+    along_path: list[tuple[int, Form, Sequence[Perturbation]]] = []
     for number, form in enumerate(forms):
-        whole: list[Perturbation | None] = [None] * len(form.parameters)
-        known: dict[int, FloatArray] = {}
-        if not form.by_parts:
-            whole = list(form.perturbations(path))
-            for place, (push, typical) in enumerate(zip(whole, form.typical, strict=True)):
-                # what all steps of an observation share needs none of them
-                if push is not None and push.is_of_observations(path.s):
-                    known[place], whole[place] = signature(path, push) * typical, None
-        if form.by_parts or any(push is not None for push in whole):
-            along_path.append((number, whole, known))
+        pushes = () if form.by_parts else form.perturbations(path)
+        if form.by_parts or not all(push.is_of_observations(path.s) for push in pushes):
+            along_path.append((number, form, pushes))
         else:
-            yield number, slice(0, len(path.s)), np.stack([known[place] for place in range(len(whole))], axis=2)
+            # what all steps of an observation share needs none of them
+            yield number, slice(0, len(path.s)), columns(path, form, pushes)
     for units, part in path.parts() if along_path else ():
-        for number, whole, known in along_path:
-            form = forms[number]
-            column = np.zeros((units.stop - units.start, n_channels, len(form.parameters)))
-            for place, values in known.items():
-                column[:, :, place] = values[units]
-            pushes = form.perturbations(part) if form.by_parts else whole
-            for place, (push, typical) in enumerate(zip(pushes, form.typical, strict=True)):
-                if push is not None:
-                    some = push if form.by_parts else push.part(units, path.s)
-                    column[:, :, place] = signature(part, some) * typical
-            yield number, units, column
+        for number, form, pushes in along_path:
+            some = form.perturbations(part) if form.by_parts else [push.part(units, path.s) for push in pushes]
+            yield number, units, columns(part, form, some)
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:

@@ -84,14 +84,6 @@ class Blocks:
                 stacks.append(BlockColumns(group, slice(None) if len(same) == len(numbers) else same, part))
         return stacks
 
-    def unstacked(self, stacks: Sequence[BlockColumns], parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return each block's columns as views of stacks; those without a column are as in `parts`."""
-        columns = list(parts)
-        for stack in stacks:
-            for number, part in zip(self.alike[stack.group][0][stack.same], stack.part, strict=True):
-                columns[number] = part
-        return tuple(columns)
-
     def slices(self) -> list[slice]:
         """Return the rows of each block."""
         return [slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
@@ -102,8 +94,7 @@ class LackOfFit:
     """One component of lack of fit."""
 
     name: str  #: what varies, and from where to where
-    #: shape (n_rows of the block, q_b): whitened columns of each block's own, scaled to about the noise of a run
-    by_block: tuple[FloatArray, ...] | None = None
+    stacks: Sequence[BlockColumns] = ()  #: whitened columns of each block's own, scaled to about the noise of a run
     common: FloatArray | None = None  #: shape (n_rows, q): whitened columns common to all blocks
     relative: float = 0.0  #: how far radii that scatter between recordings differ at a scale of 1
 
@@ -124,9 +115,7 @@ class LackOfFit:
 
 def row_blocks(s: Observations) -> Blocks:
     """Return a campaign's rows by condition, conditions of as many rows side by side."""
-    usable = s.usable
-    unit = np.repeat(np.arange(len(s))[:, None], usable.shape[1], axis=1)[usable]
-    channel = np.repeat(np.arange(usable.shape[1])[None, :], len(s), axis=0)[usable]
+    unit, channel = np.nonzero(s.usable)
     _, condition, count = np.unique(s.condition[unit], return_inverse=True, return_counts=True)
     order = np.lexsort((condition, count[condition]))
     first = np.flatnonzero(np.diff(condition[order], prepend=-1))
@@ -141,11 +130,10 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
     `path`: where to linearise; `blocks`: order of the rows.
     """
     s = path.s
-    n_channels = s.usable.shape[1]
     calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)[:, :3]
     norm = np.sqrt((calibration**2).sum(axis=0) / max(len(s), 1))
     present = np.flatnonzero(s.usable.any(axis=0))
-    wide = np.zeros((len(s), n_channels, len(present)))
+    wide = np.zeros((*s.usable.shape, len(present)))
     wide[:, present, np.arange(len(present))] = noise.floor[:, present]
     own = (calibration / np.maximum(norm, 1e-12))[blocks.order]
     white = whitened_rows(path, noise, wide)[blocks.order]
@@ -158,23 +146,22 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
         "position": white[:, present < 3],
     }
     kinds = []
+    cell, condition = (np.unique(labels, return_inverse=True)[1] for labels in (s.cell, s.condition))
     for grouping, cells in (("condition", s.condition), ("cell", s.cell)):
-        repeated = np.bincount(cells)[cells] > 1
-        if len(np.unique(cells[repeated])) < MIN_CELLS or (
-            grouping == "cell" and np.array_equal(_ranks(s.cell), _ranks(s.condition))
-        ):
+        by_cell, repeated = grouping == "cell", np.bincount(cells)[cells] > 1
+        if len(np.unique(cells[repeated])) < MIN_CELLS or (by_cell and np.array_equal(cell, condition)):
             continue
         for name, columns in offsets.items():
-            if not columns.any() or (grouping == "cell" and name not in ("calibration", "channels")):
+            if not columns.any() or (by_cell and name not in ("calibration", "channels")):
                 continue
-            parts = tuple(
+            parts = [
                 _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
-                if grouping == "cell"
+                if by_cell
                 # a block is a condition
-                else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0].copy()
+                else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0]
                 for rows_b in blocks.slices()
-            )
-            kinds.append(LackOfFit(f"{name} by {grouping}", by_block=parts))
+            ]
+            kinds.append(LackOfFit(f"{name} by {grouping}", blocks.stacked(parts)))
     run = s.run[blocks.unit]
     if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():
         # both wheels stand for the one that drives the odometry, if it is steered
@@ -187,10 +174,6 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
             scaled = white / np.maximum(np.sqrt((white**2).mean(axis=0)), 1e-12)
             kinds.append(LackOfFit("surroundings" if number == 0 else INTERACTION, common=scaled))
     return kinds
-
-
-def _ranks(labels: IntArray) -> IntArray:
-    return np.unique(labels, return_inverse=True)[1]
 
 
 def _spread(columns: FloatArray, cells: IntArray, repeated: BoolArray) -> FloatArray:

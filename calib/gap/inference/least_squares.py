@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -14,13 +13,15 @@ from calib.gap.inference.fit import (
     CALIBRATION_SD,
     SIZE_SD,
     Fitted,
+    by_form,
     calibration_basis,
+    hypothesis_columns,
     hypothesis_path,
     is_gain,
-    recalibration_columns,
-    signature_columns,
-    whitened_rows,
+    squares_by_unit,
+    whitened,
 )
+from calib.gap.inference.lack_of_fit import LackOfFit
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
@@ -56,22 +57,22 @@ class Weighting:
     common: FloatArray
 
     @staticmethod
-    def from_component(system: LinearSystem, kind: int, scale: float, deviations: FloatArray) -> Weighting:
+    def from_component(
+        system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
+    ) -> Weighting:
         """Build from a component of lack of fit (-1: none), its scale and each block's deviations, (n_rows, k)."""
-        rest = system.kinds[kind] if kind >= 0 else None
+        rest = system.kinds[kind] if kind >= 0 else LackOfFit("")
+        nothing = np.zeros((len(system.gap), 0))
         groups = []
-        for group, (numbers, places) in enumerate(system.blocks.alike):
-            own = [system.blocks.alike_rows(deviations, group)]
-            if rest is not None and rest.by_block is not None:
-                parts = [rest.by_block[number] for number in numbers]
-                own.append(np.zeros((*places.shape, max(part.shape[1] for part in parts))))
-                for padded, part in zip(own[1], parts, strict=True):
-                    padded[:, : part.shape[1]] = scale * part
-            groups.append(np.concatenate(own, axis=2))
-        common = np.zeros((len(system.gap), 0))
-        if rest is not None and rest.common is not None:
-            common = scale * rest.common
-        return Weighting(system, "" if rest is None else rest.name, scale, tuple(groups), common)
+        for group, (_, places) in enumerate(system.blocks.alike):
+            stacks = [stack for stack in rest.stacks if stack.group == group]
+            padded = np.zeros((*places.shape, max((stack.part.shape[2] for stack in stacks), default=0)))
+            for stack in stacks:
+                padded[stack.same, :, : stack.part.shape[2]] = scale * stack.part
+            own = system.blocks.alike_rows(nothing if deviations is None else deviations, group)
+            groups.append(np.concatenate([own, padded], axis=2))
+        common = nothing if rest.common is None else scale * rest.common
+        return Weighting(system, rest.name, scale, tuple(groups), common)
 
     def _noise(self, own: FloatArray) -> FloatArray:
         """Return each row's noise variance (n, length) beside columns (n, length, k) of the blocks."""
@@ -141,7 +142,7 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
 
     `model`: numbers of its forms in the system; `weighting`: lack of fit, and what effects may deviate by.
     """
-    columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+    columns = system.columns_of(model)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
     sizes, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
     if not system.path.s.usable[:, 4:].any():
@@ -149,9 +150,8 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     present, before = _current_values(system, model) / units, weighting.square(system.left)
     stays = [id(system.forms[k]) for k in model] == [id(form) for form in system.fitted.forms]
     if not (present[:4].any() or weighting.scale):
-        held = weighting.solve(
-            columns, prior_precision(columns.shape[1]) * np.where(np.arange(len(sizes)) < 4, 1e12, 1.0)
-        )[0]
+        stiff = np.where(np.arange(len(sizes)) < 4, 1e12, 1.0)
+        held, _ = weighting.solve(columns, prior_precision(columns.shape[1]) * stiff)
         gained = weighting.square(system.gap - columns @ held) - weighting.square(system.gap - columns @ sizes)
         if not is_gain(gained, system.fitted):
             sizes = held * (np.arange(len(sizes)) >= 4)
@@ -178,11 +178,10 @@ def _simulated_at(
 ) -> tuple[Fitted, FloatArray]:
     """Re-simulate at (4 + n_parameters,) values; also return the whitened residual, shape (n_rows,)."""
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
-    cuts = np.cumsum([4, *(len(form.parameters) for form in forms)])
-    theta = tuple(values[first:last] for first, last in pairwise(cuts))
+    theta = tuple(by_form(forms, values))
     path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
     left = residuals(path, system.nominal)
-    white = whitened_rows(path, system.noise, left[:, :, None])[system.blocks.order, 0]
+    white = whitened(path, system.noise, left)[system.blocks.order]
     return Fitted(forms, theta, calibration, covariance, path, float(white @ white), left), white
 
 
@@ -203,12 +202,9 @@ class HeldOutFit:
     ) -> None:
         self.fitted, self.nominal, self.noise = fitted, nominal, noise
         if weighting is None:
-            system = LinearSystem(fitted, nominal, noise, fitted.forms)
-            weighting = Weighting.from_component(system, -1, 0.0, np.zeros((len(system.gap), 0)))
+            weighting = Weighting.from_component(LinearSystem(fitted, nominal, noise, fitted.forms))
         self.weighting = weighting
-        system = weighting.system
-        numbers = [next(k for k, form in enumerate(system.forms) if form is own) for own in fitted.forms]
-        columns = np.concatenate([system.calibration, *(system.of(k) for k in numbers)], axis=1)
+        columns = weighting.system.columns_of(weighting.system.numbers(fitted.forms))
         basis = np.eye(columns.shape[1]) if along is None else calibration_basis(along, columns.shape[1] - 4)
         self.columns, self.basis = columns @ basis, basis
         self.precision = np.square(basis).T @ prior_precision(len(basis))
@@ -227,9 +223,8 @@ class HeldOutFit:
     @cached_property
     def derivative(self) -> FloatArray:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
-        path = self.fitted.path
-        parts = [recalibration_columns(path), *signature_columns(path, self.fitted.forms)]
-        return np.where(path.s.usable[:, :, None], np.concatenate(parts, axis=2) @ self.basis, 0.0)
+        columns = hypothesis_columns(self.fitted.path, self.fitted.forms)
+        return np.where(self.observations.usable[:, :, None], columns @ self.basis, 0.0)
 
     def contribution(self, effects: Collection[str]) -> FloatArray:
         """Return what some effects do to the readings at their fitted sizes, shape (n_units, n_channels)."""
@@ -273,13 +268,9 @@ class HeldOutFit:
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the whitened squares of each unit, shape (n_units,)."""
-        path = self.fitted.path
-        white = whitened_rows(path, self.noise, residuals[:, :, None])[:, 0]
-        unit = np.repeat(np.arange(len(path.s))[:, None], path.s.usable.shape[1], axis=1)[path.s.usable]
-        return np.bincount(unit, white**2, len(path.s)).astype(np.float64)
+        return squares_by_unit(self.fitted.path, self.noise, residuals)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
         """Return the gap's standard deviation, lack of fit included, along a change of some units' readings."""
-        path, order = self.fitted.path, self.weighting.system.blocks.order
-        white = whitened_rows(path, self.noise, change[:, :, None])[order, 0]
-        return self.weighting.spread(white, units)
+        white = whitened(self.fitted.path, self.noise, change)
+        return self.weighting.spread(white[self.weighting.system.blocks.order], units)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -21,26 +20,14 @@ from calib.gap.inference.fit import (
     recalibration_columns,
     signature_columns,
     signatures_by_part,
+    whitened,
     whitened_rows,
 )
-from calib.gap.inference.lack_of_fit import (
-    LACK_OF_FIT_SCALES,
-    Blocks,
-    LackOfFit,
-    lack_of_fit_components,
-    row_blocks,
-)
+from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components, row_blocks
 from calib.gap.inference.noise import Noise
-from calib.gap.inference.scalar_products import (
-    Components,
-    Layout,
-    Reduced,
-    Sums,
-    above_rounding,
-    scalar_products,
-)
+from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
 from calib.gap.predict import Path, residuals
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray
 
 #: columns of a recalibration
 N_CALIBRATION: Final = 4
@@ -59,12 +46,6 @@ class LinearSystem:
         self.blocks: Blocks = row_blocks(path.s)
         order = self.blocks.order
         self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
-        self._stacks = [self.blocks.stacked(kind.by_block) if kind.by_block is not None else [] for kind in self.kinds]
-        # the columns of each block as parts of these: they are not held twice
-        self.kinds = [
-            kind if kind.by_block is None else replace(kind, by_block=self.blocks.unstacked(stacks, kind.by_block))
-            for kind, stacks in zip(self.kinds, self._stacks, strict=True)
-        ]
         self.layout = Layout.of(self.forms)
         self.whole = np.empty((len(order), self._width))
         self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]
@@ -74,11 +55,9 @@ class LinearSystem:
             # as they come: all of them before they are whitened would be as many again
             rows = place[edges[units.start] : edges[units.stop]]
             self.of(number)[rows] = whitened_rows(path, noise, some, units)
-        gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[order, 0]
-        self.left = gap
-        gap = gap + self.calibration @ (fitted.calibration / CALIBRATION_SD)
-        for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-            number = next(k for k, offered in enumerate(self.forms) if offered is form)
+        self.left = whitened(path, noise, residuals(path, nominal))[order]
+        gap = self.left + self.calibration @ (fitted.calibration / CALIBRATION_SD)
+        for number, form, theta in zip(self.numbers(fitted.forms), fitted.forms, fitted.theta, strict=True):
             gap = gap + self.of(number) @ (theta / form.typical)
         self.gap = self.whole[:, self._n_narrow] = gap
         for number, where in self._common.items():
@@ -129,6 +108,14 @@ class LinearSystem:
         """Return the columns of a form, shape (n_rows, n_parameters)."""
         return self.whole[:, self._place(number)]
 
+    def columns_of(self, model: Sequence[int]) -> FloatArray:
+        """Return the columns of the recalibration and of some forms, shape (n_rows, 4 + n_parameters)."""
+        return np.concatenate([self.calibration, *(self.of(k) for k in model)], axis=1)
+
+    def numbers(self, forms: Sequence[Form]) -> list[int]:
+        """Return the number of each of some forms."""
+        return [next(k for k, own in enumerate(self.forms) if own is form) for form in forms]
+
     def sums(
         self,
         deviations: FloatArray,
@@ -147,8 +134,7 @@ class LinearSystem:
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
         sizes = N_CALIBRATION, self._n_narrow - N_CALIBRATION, self.layout.n_wide
-        components = Components(kinds, self._stacks, self._common)
-        return scalar_products(reduced, components, sizes, scales, prior_rest, len(self.gap))
+        return scalar_products(reduced, kinds, self._common, sizes, scales, prior_rest)
 
     def sums_of(self, columns: FloatArray, nuisance: FloatArray, deviations: FloatArray, *, prior_rest: float) -> Sums:
         """Return those of other columns (n_rows, p) beside nuisances (n_rows, m) to unit prior variance."""
@@ -158,8 +144,8 @@ class LinearSystem:
         own = whole[:, : m + p + 1].T @ whole
         gram = np.block([[own], [own[:, m + p + 1 :].T, self._gram[first:, first:]]])
         reduced = Reduced(whole, above_rounding(gram), deviations, self.blocks)
-        components = Components(list(enumerate(self.kinds)), self._stacks, common_places(self.kinds, m + p + 1))
-        return scalar_products(reduced, components, (m, p, 0), LACK_OF_FIT_SCALES, prior_rest, len(self.gap))
+        kinds, common = list(enumerate(self.kinds)), common_places(self.kinds, m + p + 1)
+        return scalar_products(reduced, kinds, common, (m, p, 0), LACK_OF_FIT_SCALES, prior_rest)
 
 
 def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
@@ -176,32 +162,28 @@ class WhitenedSystem:
     """The whitened system about one path: residual, recalibration and form columns, made once each.
 
     `path`: where it is linear; `nominal`: the model alone; `offered`: forms that will be asked for: on a path worked
-    through in parts, all at once.
+    through in parts, all at once; `known`: a system about the same path with the same noise, to take columns from.
     """
 
-    def __init__(self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        nominal: Path,
+        noise: Noise,
+        offered: Sequence[Form] = (),
+        known: LinearSystem | None = None,
+    ) -> None:
         self.path, self.nominal, self.noise = path, nominal, noise
-        self.gap = whitened_rows(path, noise, residuals(path, nominal)[:, :, None])[:, 0]
+        self.gap = whitened(path, noise, residuals(path, nominal))
         self.calibration = whitened_rows(path, noise, recalibration_columns(path))
-        usable = path.s.usable
-        self.unit: IntArray = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[usable]
-        self.channel: IntArray = np.repeat(np.arange(6)[None, :], len(path.s), axis=0)[usable]
-        self.condition: IntArray = path.s.condition[self.unit]
         self._offered = () if path.kept is not None else tuple(offered)
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
-        self._known: LinearSystem | None = None
-        self._places: dict[int, int] = {}
-        self._back: IntArray = np.zeros(0, dtype=np.int64)
-
-    def know(self, system: LinearSystem) -> None:
-        """Take columns from a system about the same path with the same floor."""
-        self._known, self._back = system, np.argsort(system.blocks.order)
-        self._places = {id(form): number for number, form in enumerate(system.forms)}
+        self._known, self._back = known, None if known is None else np.argsort(known.blocks.order)
 
     def columns(self, form: Form) -> FloatArray:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
-        if self._known is not None and id(form) in self._places:
-            return self._known.of(self._places[id(form)])[self._back]
+        if self._known is not None and any(form is own for own in self._known.forms):
+            return self._known.of(*self._known.numbers([form]))[self._back]
         if id(form) not in self._columns:
             wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
             self._offered = ()

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.fit import Fitted
+from calib.gap.inference.fit import Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
@@ -59,8 +60,8 @@ class LocalSearch:
 
     def __init__(self, whole: LinearSystem, settings: SearchSettings) -> None:
         self.settings, self.largest_scale = settings, np.inf
-        fitted, every = whole.fitted, whole.forms
-        held = [next(k for k, form in enumerate(every) if form is own) for own in fitted.forms]
+        fitted = whole.fitted
+        held = whole.numbers(fitted.forms)
         sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
         kept = self._forms_to_offer(whole, held, sizes)
         self.system = whole.only(kept)
@@ -74,17 +75,17 @@ class LocalSearch:
         columns = FormPriors.from_forms(whole.forms, self.settings.further)
         deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
         sums = whole.sums(deviations, prior_rest=self.settings.prior_rest, scales=_RANKING_SCALES, interactions=False)
-        models = []
-        for number, form in enumerate(whole.forms):
-            others = tuple(k for k in held if whole.forms[k].effect != form.effect)
-            models.append((*others, number))
+        models = [
+            (*(k for k in held if whole.forms[k].effect != form.effect), number)
+            for number, form in enumerate(whole.forms)
+        ]
         value = _total(log_weights(sums, columns, models))
-        kept, count = list(held), dict[str, int]()
-        for number in np.argsort(-value, kind="stable"):
-            name = whole.forms[int(number)].effect
-            if int(number) not in held and count.get(name, 0) < _FORMS_PER_EFFECT:
-                count[name] = count.get(name, 0) + 1
-                kept.append(int(number))
+        kept, count = list(held), Counter[str]()
+        for number in np.argsort(-value, kind="stable").tolist():
+            name = whole.forms[number].effect
+            if number not in held and count[name] < _FORMS_PER_EFFECT:
+                count[name] += 1
+                kept.append(number)
         return kept
 
     def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
@@ -112,7 +113,7 @@ class LocalSearch:
         return weight
 
     def _acts(self, model: Model) -> bool:
-        forms = [self.columns.forms[k] for k in model]
+        forms = self.forms_of(model)
         return all(any(o.effect in f.acts_through for o in forms) for f in forms if f.acts_through)
 
     @property
@@ -158,11 +159,9 @@ class LocalSearch:
         """Return the models one effect more, one less or one exchanged away, this one first."""
         name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
         held = {name[k] for k in model}
-        models = [model]
-        models += [tuple(j for j in model if j != k) for k in model]
-        fresh = [k for k in self.offered if name[k] not in held]
+        models = [model, *(tuple(j for j in model if j != k) for k in model)]
         if len(model) < self.settings.most_effects:
-            models += [(*model, k) for k in fresh]
+            models += [(*model, k) for k in self.offered if name[k] not in held]
         for own in model:
             rest = tuple(j for j in model if j != own)
             models += [(*rest, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
@@ -177,7 +176,7 @@ class LocalSearch:
             # their pairs would grow with the square of what is on offer
             alone = _total(self.weigh([(k,) for k in numbers]))
             numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[: self.settings.paired])]
-        return [(a, b) for i, a in enumerate(numbers) for b in numbers[i + 1 :]]
+        return list(combinations(numbers, 2))
 
     def best_single_effects(self, count: int) -> Sequence[Model]:
         """Return the most probable single effects on offer, each in its best form."""
@@ -192,19 +191,22 @@ class LocalSearch:
         """Return the probability of each set of effects from that of each model, shape (n_models,)."""
         by_set: dict[tuple[str, ...], float] = {}
         for model, p in zip(models, probability, strict=True):
-            key = tuple(sorted(self.columns.forms[f].effect for f in model))
+            key = self._effects_of(model)
             by_set[key] = by_set.get(key, 0.0) + float(p)
         return by_set
+
+    def _effects_of(self, model: Model) -> tuple[str, ...]:
+        return tuple(sorted(form.effect for form in self.forms_of(model)))
 
     @property
     def current_effects(self) -> tuple[str, ...]:
         """Effects of the current model, sorted."""
-        return tuple(sorted(self.columns.forms[k].effect for k in self.current))
+        return self._effects_of(self.current)
 
     def best_form(self, effects: tuple[str, ...], models: Sequence[Model], probability: FloatArray) -> Model:
         """Return the most probable model of a set of effects."""
         total = probability.sum(axis=0)
-        alike = [n for n, m in enumerate(models) if effects == tuple(sorted(self.columns.forms[k].effect for k in m))]
+        alike = [n for n, model in enumerate(models) if self._effects_of(model) == effects]
         return models[max(alike, key=lambda n: float(total[n]))]
 
     def with_current(self, model: Model) -> LocalSearch:
@@ -247,33 +249,29 @@ class LocalSearch:
         weight = self.weigh([model], active)[:, 0]
         share = np.exp(weight - weight.max())
         sizes = model_sizes(active, self.columns, model, share / share.sum())
-        cuts = np.cumsum([0, *(len(self.columns.forms[k].parameters) for k in model)])
-        fresh = {k: sizes[first:last] for k, (first, last) in zip(model, pairwise(cuts), strict=True)}
-        self.sizes = {**fresh, **{k: self.sizes[k] for k in self.current}}
+        fresh = zip(model, by_form(self.forms_of(model), np.concatenate([np.zeros(4), sizes])), strict=True)
+        self.sizes = {**dict(fresh), **{k: self.sizes[k] for k in self.current}}
         self.current = model
         self.sums = self._sums_beside()
 
     def posterior(self) -> tuple[list[Model], FloatArray]:
         """Return the models about the best ones, and their log weights (n_scales, n_models)."""
-        models = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
+        models: dict[Model, None] = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
         self.current = tuple(sorted(self.current))
         listed = list(models)
         value = _total(self.weigh(listed, self.active()))
         for place in np.argsort(-value)[1:_EXPANDED_MODELS]:
             models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
-        if () not in models:
-            models[()] = None
-        listed = list(models)
+        listed = list(models | {(): None})
         return listed, self.weigh(listed)
 
     def alternatives(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
         """Return the best models beside the current one, each with its probability over that one's."""
         own = float(probability[models.index(self.current)])
-        held = {self.columns.forms[k].effect for k in self.current}
         others = [
-            (models[int(n)], float(probability[n]) / max(own, 1e-12))
-            for n in np.argsort(-probability)
-            if {self.columns.forms[k].effect for k in models[int(n)]} != held
+            (models[n], float(probability[n]) / max(own, 1e-12))
+            for n in np.argsort(-probability).tolist()
+            if set(self._effects_of(models[n])) != set(self.current_effects)
         ]
         return tuple(one for one in others[:_MAX_ALTERNATIVES] if one[1] > _MIN_ALTERNATIVE_ODDS)
 
@@ -311,7 +309,7 @@ class SearchResult:
     def inclusion(self) -> dict[str, float]:
         """Return the probability of each effect being at work."""
         by_effect: dict[str, float] = {}
-        for model, p in zip(self.models, self.probabilities, strict=True):
+        for model, p in zip(self.models, self.probabilities.tolist(), strict=True):
             for name in model:
-                by_effect[name] = by_effect.get(name, 0.0) + float(p)
+                by_effect[name] = by_effect.get(name, 0.0) + p
         return by_effect

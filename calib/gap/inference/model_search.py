@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -53,6 +54,8 @@ _SETTLED_SHARE: Final = 0.02
 _MAX_RESIDUAL_SHARE: Final = 0.5
 #: an effect is not tried where its linear fit leaves more: four steps that take a tenth each leave 0.66
 _MAX_LINEAR_SHARE: Final = 0.9
+#: a linearisation, and the hypothesis fitted about it
+_Settled = tuple[LocalSearch, Fitted]
 
 
 def search(
@@ -89,34 +92,28 @@ def search(
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
     initial = LocalSearch(alone, settings)
+    converge = partial(_converge, all_forms=all_forms, passed=passed)
     begin = _begin_at(start, initial)
-    local, fitted = _converge(
+    local, fitted = converge(
         # not named here, so that it goes when the search has left it
-        copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings),
-        noise,
-        all_forms,
-        settings,
-        passed,
+        copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings)
     )
     if begin is base and _near((local, fitted), base) is None:
         local, fitted = copy(initial), base
     if local.weighting().scale > _SMALL_LACK_OF_FIT and initial.offered:
-        settled, settled_fitted = _begun_anew(initial, noise, all_forms, settings, passed)
+        settled, settled_fitted = _begun_anew(initial, converge)
         if settled.evidence() > local.evidence():
             local, fitted = settled, settled_fitted
-    at_base = _weighed(initial, settings, shifts)
-    local, fitted, weighed = _most_probable(
-        local,
-        fitted,
-        at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY,
+    at_base = _weighed(initial, shifts)
+
+    def settle(other: LocalSearch, left: Fitted) -> _Settled | None:
+        if other.current or initial.with_current(()).weighting().scale:
+            return _near(converge(other, greedy=False), left)
         # what no effect is taken from is known where it is nearest
-        lambda other, left: (
-            _near(_converge(other, noise, all_forms, settings, passed, greedy=False), left)
-            if other.current or initial.with_current(()).weighting().scale
-            else (copy(initial), base)
-        ),
-        lambda other: _weighed(other, settings, shifts),
-    )
+        return copy(initial), base
+
+    gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY
+    local, fitted, weighed = _most_probable(local, fitted, gap_certain, settle, partial(_weighed, shifts=shifts))
     by_model = weighed.probability.sum(axis=0)
     by_set = local.by_effects(weighed.models, by_model)
     order = sorted(by_set, key=lambda key: -by_set[key])
@@ -135,26 +132,17 @@ def search(
     )
 
 
-def _begun_anew(
-    initial: LocalSearch,
-    noise: Noise,
-    all_forms: Sequence[Form],
-    settings: SearchSettings,
-    passed: Callable[[], None] | None,
-) -> tuple[LocalSearch, Fitted]:
+def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Settled:
     """Return the better of a search begun without a lack of fit and one begun with the best cause fitted alone.
 
     Several causes may leave little together, and each alone a large lack of fit; about a path far off the true one
     cause looks like several.
     """
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
-    starts = [_converge(start, noise, all_forms, settings, passed, greedy=False)[0] for start in starts]
+    starts = [converge(start, greedy=False)[0] for start in starts]
     # one that grows beyond bounds when fitted alone has no evidence
     best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
-    ended = [
-        _converge(other, noise, all_forms, settings, passed, largest_scale=largest_scale)
-        for other, largest_scale in ((copy(initial), _SMALL_LACK_OF_FIT), (best, np.inf))
-    ]
+    ended = converge(copy(initial), largest_scale=_SMALL_LACK_OF_FIT), converge(best)
     return max(ended, key=lambda end: end[0].evidence())
 
 
@@ -232,9 +220,8 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
     Each trial re-simulates all runs several times; a linear fit costs a few products of a form's columns.
     """
     fitted = system.fitted
-    held = [k for k, form in enumerate(system.forms) if any(form is own for own in fitted.forms)]
     effects = {form.effect for form in fitted.forms}
-    beside = np.concatenate([system.calibration, *(system.of(k) for k in held)], axis=1)
+    beside = system.columns_of(system.numbers(fitted.forms))
     tried = []
     for number, form in enumerate(system.forms):
         if form.effect in effects:
@@ -267,7 +254,7 @@ class _WeighedModels:
         return float(self.probability[self.is_noise, self.models.index(())].sum())
 
 
-def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
+def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
     """Weigh the models about the best ones.
 
     Steps leave the calibration free beside every model. What is likely at the end is weighed together with which of the
@@ -285,7 +272,7 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
         sizes, values = free_estimates(local.system, models[n], weighting)
-        subsets = weigh_subsets(local.system, models[n], sizes, values, settings, shifts)
+        subsets = weigh_subsets(local.system, models[n], sizes, values, local.settings, shifts)
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
@@ -296,7 +283,7 @@ def _weighed(local: LocalSearch, settings: SearchSettings, shifts: Mapping[str, 
     return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight)
 
 
-def _near(moved: tuple[LocalSearch, Fitted], left: Fitted) -> tuple[LocalSearch, Fitted] | None:
+def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     """Return where a search has moved to, None where that leaves far more than what it has left.
 
     A payload's slope is read off the path: away from the law that gave it, the fit leaves what that had taken. Beside
@@ -314,7 +301,7 @@ def _most_probable(
     local: LocalSearch,
     fitted: Fitted,
     gap_certain: bool,
-    settle: Callable[[LocalSearch, Fitted], tuple[LocalSearch, Fitted] | None],
+    settle: Callable[[LocalSearch, Fitted], _Settled | None],
     weigh: Callable[[LocalSearch], _WeighedModels],
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Move to the most probable set of effects until the current one is so about its own path, too.
@@ -332,11 +319,8 @@ def _most_probable(
         visited[own] = local, fitted, weighed
         most_probable = max(by_set, key=lambda key: by_set[key])
         if most_probable in visited:
-            turns = list(visited)
-            fewest_first = sorted(
-                turns[turns.index(most_probable) :], key=lambda name: (len(name), -visited[name][2].current_weight)
-            )
-            return visited[fewest_first[0]]
+            turns = list(visited)[list(visited).index(most_probable) :]
+            return visited[min(turns, key=lambda name: (len(name), -visited[name][2].current_weight))]
         moved = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)), fitted)
         if moved is None:
             return visited[own]
@@ -346,13 +330,12 @@ def _most_probable(
 
 def _converge(
     local: LocalSearch,
-    noise: Noise,
+    *,
     all_forms: Sequence[Form],
-    settings: SearchSettings,
     passed: Callable[[], None] | None,
     largest_scale: float = np.inf,
     greedy: bool = True,
-) -> tuple[LocalSearch, Fitted]:
+) -> _Settled:
     """Search (where `greedy`), fit and linearise until converged; `largest_scale` limits the lack of fit meanwhile."""
     for number in range(_MAX_PASSES):
         if passed is not None:
@@ -366,7 +349,7 @@ def _converge(
         if _step(before, fitted) < _CONVERGED_STEP:
             break
         if number < _MAX_PASSES - 1:
-            nominal = local.system.nominal
+            nominal, noise, settings = local.system.nominal, local.system.noise, local.settings
             # what was linear about the path before makes room
             del before, local
             local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms), settings)
@@ -377,10 +360,5 @@ def _step(before: Fitted, after: Fitted) -> float:
     """Return the largest change in standard uncertainties; infinite where the forms differ."""
     if [id(form) for form in before.forms] != [id(form) for form in after.forms]:
         return np.inf
-    change = np.concatenate(
-        [
-            after.calibration - before.calibration,
-            *(new - old for new, old in zip(after.theta, before.theta, strict=True)),
-        ]
-    )
-    return float(np.abs(change / np.sqrt(np.diag(after.covariance))).max())
+    new, old = (np.concatenate([fitted.calibration, *fitted.theta]) for fitted in (after, before))
+    return float(np.abs((new - old) / np.sqrt(np.diag(after.covariance))).max())

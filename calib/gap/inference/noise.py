@@ -25,6 +25,7 @@ from calib.gap.inference.noise_components import (
     ambient_trends,
     load_speed_trends,
     session_steps,
+    whitener_of,
 )
 from calib.gap.inference.repeatability import (
     Replicates,
@@ -145,7 +146,7 @@ class Noise:
     @cached_property
     def whitener(self) -> FloatArray:
         """Inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+        return whitener_of(self.covariance)
 
     @property
     def floor(self) -> FloatArray:
@@ -180,7 +181,12 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         whole = ScaleLikelihood(path, gap, shapes, grouped, support.trends)
         if whole.dof < support.dof:
             continue
-        log_scale, weight = _scales(path, gap, shapes, grouped, support, whole, begin)
+        some = thinned_replicates(grouped)
+        part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trends)
+        log_scale = most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
+        # those far from their repeats weigh less
+        weight = np.ones(len(gap))
+        weight[whole.grouped.units] = whole.weights(log_scale)
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
         if noise.supported:
             return noise
@@ -202,26 +208,6 @@ def _noise(
     return Noise(covariance, scales, dof, weight, supported, words, excess)
 
 
-def _scales(
-    path: Path,
-    gap: FloatArray,
-    shapes: NoiseComponents,
-    grouped: Replicates,
-    support: NoiseSupport,
-    whole: ScaleLikelihood,
-    begin: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the logs of the most likely scales, and weights (n_units,), less far from their repeats."""
-    some = thinned_replicates(grouped)
-    part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trends)
-    if part.dof < MIN_DOF:
-        part = whole
-    best = most_likely_scales(part, begin)
-    weight = np.ones(len(gap))
-    weight[whole.grouped.units] = whole.weights(best)
-    return best, weight
-
-
 def _excess(shapes: NoiseComponents, covariance: FloatArray) -> FloatArray:
     usable = shapes.usable
     stated = shapes.covariance(np.log(PRIOR_MEDIANS), np.ones(len(usable)))
@@ -241,10 +227,8 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
         return True, counted
     most = float(np.nanmax(excess))
     if most > MAX_NOISE_EXCESS:
-        return (
-            False,
-            f"nothing: {counted} scatter {most:.3g} times as much as the stated sigmas, and no repeats say why",
-        )
+        words = f"{counted} scatter {most:.3g} times as much as the stated sigmas, and no repeats say why"
+        return False, f"nothing: {words}"
     if most <= STATED_EXCESS or basis is not Basis.WINDOWS:
         return True, counted
     return _by_growth(path, covariance, counted, window_growth(path))
@@ -285,9 +269,8 @@ def window_growth(path: Path) -> WindowGrowth | None:
     chains = _chains(path)
     lengths, squares = [], []
     for joined in JOINED_WINDOWS:
-        left = [
-            _residual_of(path, first, first + joined) for a, b in chains for first in range(a, b - joined + 1, joined)
-        ]
+        firsts = [first for a, b in chains for first in range(a, b - joined + 1, joined)]
+        left = [_residual_of(path, first, first + joined) for first in firsts]
         if len(left) < MIN_WINDOWS:
             break
         rows = np.array(left)
@@ -316,8 +299,8 @@ def _chains(path: Path) -> list[tuple[int, int]]:
 
 def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
     """Return the length of joined windows and the residual along, lateral and in heading at their end."""
-    measured, predicted = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
-    real, model = _chained_pose(measured), _chained_pose(predicted)
+    motions = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
+    real, model = map(_chained_pose, motions)
     dx, dy = real[:2] - model[:2]
     c, s = np.cos(real[2]), np.sin(real[2])
     length = path.s.length_m[first:behind].sum()

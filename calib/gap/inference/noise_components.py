@@ -140,6 +140,11 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     return kept
 
 
+def whitener_of(covariance: FloatArray) -> FloatArray:
+    """Return the inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseComponents:
     """What the noise of some units is made of."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
@@ -100,10 +100,9 @@ def free_estimates(
     system: LinearSystem, model: Sequence[int], weighting: Weighting
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return the size of each form of a model in typical sizes, and the relative calibration (3,), all free."""
-    columns = np.concatenate([system.calibration, *(system.of(k) for k in model)], axis=1)
+    columns = system.columns_of(model)
     estimates, _ = weighting.solve(columns, prior_precision(columns.shape[1]))
-    cuts = np.cumsum([4, *(len(system.forms[k].parameters) for k in model)])
-    sizes = [estimates[first:last] for first, last in pairwise(cuts)]
+    sizes = by_form([system.forms[k] for k in model], estimates)
     return sizes, np.linalg.solve(DIRECTIONS[:, :3].T, estimates[:3] * CALIBRATION_SD[:3])
 
 
@@ -149,9 +148,8 @@ def weigh_subsets(
     ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])
     typical = np.concatenate([TYPICAL, TYPICAL[:1], TYPICAL[:1]])
     times = np.concatenate([values, (values @ DIRECTIONS)[:2]]) / typical
-    columns = np.concatenate(
-        [(system.calibration / CALIBRATION_SD) @ ways.T * typical, system.calibration[:, :3]], axis=1
-    )
+    per_way = (system.calibration / CALIBRATION_SD) @ ways.T * typical
+    columns = np.concatenate([per_way, system.calibration[:, :3]], axis=1)
     sums = system.sums_of(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
 
     def weight(picked: Sequence[int], scale: float) -> float:
@@ -161,12 +159,11 @@ def weigh_subsets(
         return float(np.logaddexp.reduce(value + sums.log_prior))
 
     def of_subset(subset: tuple[int, ...]) -> float:
-        picked = list(subset)
-        if not picked:
-            return weight(picked, 1.0)
+        if not subset:
+            return weight([], 1.0)
         # as with the parameters of a form: one scale for all that is off, chosen by its size and paid for once
-        scale = float(np.clip(np.sqrt(np.mean(times[picked] ** 2)), 0.1, 10.0))
-        return weight(picked, scale) + log_prior_of(len(picked), settings) - SCALE_CHOICE_COST
+        scale = float(np.clip(np.sqrt(np.mean(times[[*subset]] ** 2)), 0.1, 10.0))
+        return weight([*subset], scale) + log_prior_of(len(subset), settings) - SCALE_CHOICE_COST
 
     weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
     for subset in _ONE_WHEEL:
@@ -234,17 +231,15 @@ def judge_recalibration(
         return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
     system = LinearSystem(fitted, nominal, noise, fitted.forms)
     own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
-    matrix = DIRECTIONS[:, :3].T
-    values = np.linalg.solve(matrix, fitted.calibration[:3])
-    inverse = np.linalg.inv(matrix)
+    inverse = np.linalg.inv(DIRECTIONS[:, :3].T)
+    values = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
     sd = np.sqrt(np.diag(inverse @ fitted.covariance[:3, :3] @ inverse.T))
     shifts = shifts or {}
     weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, settings, shifts).probabilities)]
-    for model, weight in search.alternatives if search is not None else ():
-        assert search is not None
-        whole = search.system
-        sizes, theirs = free_estimates(whole, model, search.weighting)
-        weighed.append((weight, weigh_subsets(whole, model, sizes, theirs, settings, shifts).probabilities))
+    if search is not None:
+        for model, weight in search.alternatives:
+            free = free_estimates(search.system, model, search.weighting)
+            weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts).probabilities))
     instead = {name: _instead(k, fitted, search, weighed) for k, name in enumerate(NAMES)}
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total

@@ -9,11 +9,13 @@ from typing import Final
 import numpy as np
 
 from calib.gap.inference.group_trends import N_GROUP_COLUMNS, GroupTrends, group_factors
-from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents, Trends
+from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents, Trends, whitener_of
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
+#: of the logs of scales
+SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
 #: units further from their repeats than normal noise takes one in so many of weigh less. Weights that already fall
 #: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
 #: square and two to three times as often beyond its 99 % quantile, even where noise is normal
@@ -51,18 +53,17 @@ class Replicates:
         """Group the units by a label, shape (n_units,)."""
         _, code = np.unique(labels, return_inverse=True)
         units = np.argsort(code, kind="stable")
-        return Replicates._numbered(units[np.bincount(code)[code[units]] >= 2], code)
+        units = units[np.bincount(code)[code[units]] >= 2]
+        return Replicates._numbered(units, code[units])
 
     @staticmethod
-    def _numbered(units: IntArray, code: IntArray) -> Replicates:
-        _, first, group = np.unique(code[units], return_index=True, return_inverse=True)
+    def _numbered(units: IntArray, label: IntArray) -> Replicates:
+        _, first, group = np.unique(label, return_index=True, return_inverse=True)
         return Replicates(units, group, first)
 
     def select(self, keep: BoolArray) -> Replicates:
         """Return the groups with some of their units only, shape (n,)."""
-        units = self.units[keep]
-        _, first, group = np.unique(self.group[keep], return_index=True, return_inverse=True)
-        return Replicates(units, group, first)
+        return Replicates._numbered(self.units[keep], self.group[keep])
 
     def summed(self, values: FloatArray) -> FloatArray:
         """Sum values (n, ...) over each group."""
@@ -109,8 +110,7 @@ class ScaleLikelihood:
         self.grouped = grouped if self.known is None else by_size
         units = self.grouped.units
         self.shapes = shapes.select(units)
-        self.active = shapes.active
-        self.usable = self.shapes.usable
+        self.active, self.usable = shapes.active, self.shapes.usable
         self.k = trends.n_trends
         self.own = path.calibration[units, :, :3]
         self.design = design[units]
@@ -123,10 +123,6 @@ class ScaleLikelihood:
         design = np.concatenate([self.own, self.design[:, :, 3:]], axis=2)
         used = _rank(design, self.grouped, self.usable)
         return float(max(self.usable.sum() - used - self.k, 0))
-
-    def _whitener(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
-        """Return inverse Cholesky factors, shape (n, 6, 6)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.shapes.covariance(log_scale, weight))))
 
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return residual (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle term."""
@@ -155,7 +151,7 @@ class ScaleLikelihood:
 
     def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
         """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
-        factor = self._whitener(log_scale, weight)
+        factor = whitener_of(self.shapes.covariance(log_scale, weight))
         log_det = -2 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
         residual, kept, middle = self.solved(factor)
         away = (log_scale - np.log(PRIOR_MEDIANS)) / PRIOR_SPREADS
@@ -172,7 +168,8 @@ class ScaleLikelihood:
         """Return unit weights by distance from their repeats, 1 within normal reach, shape (n,)."""
         from scipy.special import chdtri
 
-        residual, own, _ = self.solved(self._whitener(log_scale, np.ones(len(self.usable))))
+        covariance = self.shapes.covariance(log_scale, np.ones(len(self.usable)))
+        residual, own, _ = self.solved(whitener_of(covariance))
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
         dim = np.maximum(self.usable.sum(axis=1), 1)
         # what a unit keeps of its own after its group's means are removed
@@ -201,17 +198,9 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
     from scipy.optimize import minimize
 
     best, weight = start, np.ones(len(likelihood.usable))
-    bounds = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
     for _ in range(_WEIGHT_ROUNDS):
-        best = minimize(
-            likelihood.cost,
-            best,
-            args=(weight,),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": 30, "ftol": 1e-6},
-        ).x
+        how = {"method": "L-BFGS-B", "bounds": SCALE_BOUNDS, "options": {"maxiter": 30, "ftol": 1e-6}}
+        best = minimize(likelihood.cost, best, (weight,), jac=True, **how).x
         # the share that the weights take from normal noise too makes the scales smaller
         fresh = likelihood.weights(best) / likelihood.weighted_share
         if np.abs(fresh - weight).max() < 0.05:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.lack_of_fit import BlockColumns, Blocks, LackOfFit
+from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: what choosing the prior's scale by the fitted size costs, in log-evidence units
@@ -169,17 +169,9 @@ class Sums:
 
     def pick(self, scales: BoolArray | slice) -> Sums:
         """Return some scales only."""
-        return Sums(
-            self.gram[scales],
-            self.right[scales],
-            self.square[scales],
-            self.log_det[scales],
-            self.log_prior[scales],
-            self.kind[scales],
-            self.scale[scales],
-            self.n_rows,
-            None if self.wide is None else replace(self.wide, numbers=self.wide.numbers[scales]),
-        )
+        by_scale = ("gram", "right", "square", "log_det", "log_prior", "kind", "scale")
+        wide = None if self.wide is None else replace(self.wide, numbers=self.wide.numbers[scales])
+        return replace(self, **{name: getattr(self, name)[scales] for name in by_scale}, wide=wide)
 
     def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the products of columns (k,) with each other and with the gap at a scale, (k, k) and (k,)."""
@@ -200,7 +192,7 @@ class Reduced:
     """
 
     def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
-        self.gram, self.log_det = gram, 0.0
+        self.gram, self.log_det, self.n_rows = gram, 0.0, len(whole)
         #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
         self.wholes = [blocks.alike_rows(whole, group) for group in range(len(blocks.alike))]
         self.factors: list[FloatArray] = []
@@ -217,10 +209,16 @@ class Reduced:
         rows = np.concatenate([taken.reshape(-1, whole.shape[1]) for taken in self.taken])
         self.gram = self.gram - rows.T @ rows
 
-    def of_blocks(self, stacks: Sequence[BlockColumns], columns: slice) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (q,) of the parts' scalar products and the turned products (q, n) with some columns."""
+    def turned(self, kind: LackOfFit, where: slice | None, columns: slice) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (q,) of a lack of fit's scalar products and the turned products (q, n) with some columns.
+
+        `where`: its columns common to all blocks, None where each block has its own.
+        """
+        if where is not None:
+            eigen, vectors = np.linalg.eigh(self.gram[where, where])
+            return np.maximum(eigen, 0.0), vectors.T @ self.gram[where, columns]
         eigens, turned = [np.zeros(0)], [np.zeros((0, columns.stop - columns.start))]
-        for stack in stacks:
+        for stack in kind.stacks:
             part, across = stack.part, stack.part.transpose(0, 2, 1)
             own, cross = across @ part, across @ self.wholes[stack.group][:, :, columns][stack.same]
             if self.factors:
@@ -231,7 +229,7 @@ class Reduced:
             keep = eigen > 1e-9 * np.maximum(eigen[:, -1:], 1e-12)
             eigens.append(eigen[keep])
             turned.append((vectors.transpose(0, 2, 1) @ cross)[keep])
-        return np.concatenate(eigens), np.concatenate(turned)
+        return np.maximum(np.concatenate(eigens), 0.0), np.concatenate(turned)
 
 
 def above_rounding(gram: FloatArray) -> FloatArray:
@@ -239,32 +237,13 @@ def above_rounding(gram: FloatArray) -> FloatArray:
     return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Components:
-    """Components of lack of fit as `scalar_products` takes them."""
-
-    kinds: Sequence[tuple[int, LackOfFit]]  #: each with its number
-    stacks: Sequence[Sequence[BlockColumns]]  #: columns that blocks have of their own, of every component
-    common: dict[int, slice]  #: places of the columns common to all blocks, by number
-
-    def turned(self, reduced: Reduced, number: int, columns: slice) -> tuple[FloatArray, FloatArray]:
-        """Return a component's eigenvalues (q,), and its turned products (q, n) with some columns."""
-        if number not in self.common:
-            eigen, turned = reduced.of_blocks(self.stacks[number], columns)
-        else:
-            where = self.common[number]
-            eigen, vectors = np.linalg.eigh(reduced.gram[where, where])
-            turned = vectors.T @ reduced.gram[where, columns]
-        return np.maximum(eigen, 0.0), turned
-
-
 def scalar_products(
     reduced: Reduced,
-    components: Components,
+    kinds: Sequence[tuple[int, LackOfFit]],
+    common: dict[int, slice],
     sizes: tuple[int, int, int],
     scales: Sequence[float],
     prior_rest: float,
-    n_rows: int,
 ) -> Sums:
     """Return the scalar products of columns and gap under each scale of the lack of fit.
 
@@ -272,25 +251,25 @@ def scalar_products(
     ----------
     reduced : Reduced
         The whole: nuisances, columns, gap, columns of a wide form, then those common to all blocks.
-    components : Components
-        Of the lack of fit.
+    kinds : sequence of tuple
+        Components of the lack of fit, each with its number.
+    common : dict of int to slice
+        Places of their columns common to all blocks, by number.
     sizes : tuple of int
         Number of nuisances, of columns, and of columns of a wide form.
     scales : sequence of float
         Of the lack of fit.
     prior_rest : float
         Prior odds of a lack of fit.
-    n_rows : int
-        Length of the gap.
     """
-    (m, p, w), kinds = sizes, components.kinds
+    m, p, w = sizes
     core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)
     log_dets, labels, shrinking = [reduced.log_det], [(-1, 0.0)], [np.zeros(0)]
     gram = np.empty((1 + len(kinds) * len(scales), core.stop, core.stop))
     gram[0] = reduced.gram[core, core]
     turned_of: dict[int, FloatArray] = {}
-    for number, _ in kinds:
-        eigen, turned_of[number] = components.turned(reduced, number, core)
+    for number, kind in kinds:
+        eigen, turned_of[number] = reduced.turned(kind, common.get(number), core)
         for scale in scales:
             # a matrix times itself is symmetric: half the time
             shrinking.append(scale / np.sqrt(1.0 + scale**2 * eigen))
@@ -313,7 +292,7 @@ def scalar_products(
         number, shrink = labels[place][0], shrinking[place][:, None]
         if number >= 0:
             if number not in wide_of:
-                wide_of[number] = components.turned(reduced, number, apart)[1]
+                wide_of[number] = reduced.turned(dict(kinds)[number], common.get(number), apart)[1]
             shrunk = wide_of[number] * shrink
             own, across = own - shrunk.T @ shrunk, across - shrunk.T @ (turned_of[number] * shrink)
         taken = np.linalg.solve(lower[place], across[:, :m].T / root[place][:, None])
@@ -327,7 +306,7 @@ def scalar_products(
         log_prior=_log_priors([kind for _, kind in kinds], scales, prior_rest),
         kind=np.array([number for number, _ in labels]),
         scale=np.array([scale for _, scale in labels]),
-        n_rows=n_rows,
+        n_rows=reduced.n_rows,
         wide=WideSums(wide, np.arange(len(labels))) if w else None,
     )
 

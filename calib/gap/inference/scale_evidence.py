@@ -17,8 +17,8 @@ from calib.gap.inference.least_squares import Weighting
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model
 from calib.gap.inference.marginal_likelihood import log_marginal, prior_scale, ridge_solve
-from calib.gap.inference.noise_components import COMPONENTS, N_CHANNELS, PRIOR_MEDIANS, NoiseComponents
-from calib.gap.inference.repeatability import MAX_REPLICATES, PRIOR_SPREADS
+from calib.gap.inference.noise_components import COMPONENTS, N_CHANNELS, PRIOR_MEDIANS, NoiseComponents, whitener_of
+from calib.gap.inference.repeatability import MAX_REPLICATES, PRIOR_SPREADS, SCALE_BOUNDS
 from calib.types import FloatArray
 
 #: steps to the most likely scales, from those estimated from replicates
@@ -61,16 +61,17 @@ class ScaleEvidence:
         spread[self._blocks.unit, self._blocks.channel] = columns
         return spread
 
-    def _variance(self, log_scale: FloatArray) -> FloatArray:
-        return np.asarray(np.exp(2 * log_scale) * self._active)
+    def _whitened_at(self, log_scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of each component, (n_components,), and the inverse Cholesky factors (n_units, 6, 6)."""
+        variance = np.asarray(np.exp(2 * log_scale) * self._active)
+        return variance, whitener_of(np.tensordot(variance, self._kernels, axes=1) + self._fixed)
 
     def _cost(self, log_scale: FloatArray, columns: FloatArray) -> tuple[float, FloatArray, float, float]:
         """Return minus the log likelihood, prior included, its gradient, the square of the gap and log |C|.
 
         `columns`: (n_units, 6, q), of the model and its nuisances, to unit prior variance.
         """
-        variance = self._variance(log_scale)
-        factor = np.linalg.inv(np.linalg.cholesky(np.tensordot(variance, self._kernels, axes=1) + self._fixed))
+        variance, factor = self._whitened_at(log_scale)
         own, gap = factor @ columns, (factor @ self._gap[:, :, None])[:, :, 0]
         flat = own.reshape(-1, own.shape[2])
         lower = np.linalg.cholesky(np.eye(flat.shape[1]) + flat.T @ flat)
@@ -88,8 +89,7 @@ class ScaleEvidence:
         return 0.5 * (log_det + square + float(away @ away)), gradient, square, log_det
 
     def _information(self, log_scale: FloatArray) -> FloatArray:
-        variance = self._variance(log_scale)
-        factor = np.linalg.inv(np.linalg.cholesky(np.tensordot(variance, self._kernels, axes=1) + self._fixed))
+        variance, factor = self._whitened_at(log_scale)
         parts = (factor @ self._kernels[self._active] @ factor.transpose(0, 2, 1)).reshape(int(self._active.sum()), -1)
         parts *= variance[self._active][:, None]
         return np.asarray(2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2))
@@ -108,9 +108,7 @@ class ScaleEvidence:
             self._estimated,
             jac=True,
             method="L-BFGS-B",
-            bounds=list(
-                zip(np.log(PRIOR_MEDIANS) - 4 * PRIOR_SPREADS, np.log(PRIOR_MEDIANS) + 5 * PRIOR_SPREADS, strict=True)
-            ),
+            bounds=SCALE_BOUNDS,
             options={"maxiter": _MAX_STEPS, "ftol": 1e-7},
         )
         over_all = -float(best.fun) - 0.5 * float(np.linalg.slogdet(self._information(best.x))[1])

@@ -111,20 +111,6 @@ def test_what_is_not_free_stays_and_what_is_follows() -> None:
     np.testing.assert_allclose(nothing.left, gap, atol=1e-12)
 
 
-def test_runs_left_out_do_not_count() -> None:
-    """What is measured in a run that is not used, the fit is the same."""
-    s = seen(loaded)
-    nominal = predict(s)
-    use = np.arange(len(s)) >= 2
-    wild = s.measured.copy()
-    wild[:2, 0] += 1.0
-    forms = LoadRadius().forms(s)
-    noise = noise_at(nominal, {})
-    fits = [fit(predict(one), noise, forms, use=use) for one in (s, replace(s, measured=wild))]
-    np.testing.assert_array_equal(fits[0].theta[0], fits[1].theta[0])
-    assert fits[0].chi_square == fits[1].chi_square
-
-
 def test_the_stated_covariance_is_that_of_repeated_noise() -> None:
     """Over campaigns with fresh Gaussian noise the estimates scatter by the uncertainty that each states."""
     s = seen(unequal)

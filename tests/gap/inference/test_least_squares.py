@@ -37,11 +37,13 @@ def test_a_square_is_that_of_the_whole_covariance(kind: int) -> None:
     deviations, y = 0.3 * rng.standard_normal((len(system.gap), 2)), rng.standard_normal(len(system.gap))
     weighting = Weighting.from_component(system, number, 3.0, deviations)
     covariance = np.eye(len(y)) + weighting.common @ weighting.common.T
-    by_block = system.kinds[number].by_block if number >= 0 else None
-    for block, rows_b in enumerate(system.blocks.slices()):
+    for rows_b in system.blocks.slices():
         covariance[rows_b, rows_b] += deviations[rows_b] @ deviations[rows_b].T
-        if by_block is not None:
-            covariance[rows_b, rows_b] += 9.0 * by_block[block] @ by_block[block].T
+    for stack in system.kinds[number].stacks if number >= 0 else ():
+        blocks = system.blocks.alike[stack.group][0][stack.same]
+        for block, part in zip(blocks, stack.part, strict=True):
+            rows_b = system.blocks.slices()[block]
+            covariance[rows_b, rows_b] += 9.0 * part @ part.T
     assert weighting.square(y) == pytest.approx(float(y @ np.linalg.solve(covariance, y)), rel=ROUNDING)
     used = rng.random(len(system.path.s)) < 0.7
     rows = used[system.blocks.unit]
