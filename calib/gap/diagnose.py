@@ -126,7 +126,7 @@ def diagnose_in_full(
         noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
-    held_out = _held_out(situation, nominal, noise, searched, effects, left_out, rng)
+    held_out = _held_out(situation, searched, effects, left_out, rng)
     shifts = {effect.id: effect.own_shifts for effect in effects}
     evidence = Evidence(
         situation=situation,
@@ -360,8 +360,6 @@ def _searched(
 
 def _held_out(
     situation: Situation,
-    nominal: Path,
-    noise: Noise,
     searched: SearchResult,
     effects: Sequence[Effect],
     left_out: HeldOutFit,
@@ -370,14 +368,11 @@ def _held_out(
     """Return the gap before and after on held-out runs: whole sessions, unless the cause is a step between them."""
     best = searched.fitted
     # where no cause is missing, the residual is noise, and a better estimate of its level
-    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(nominal.s.usable.sum()))
+    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(left_out.observations.usable.sum()))
     return measure_closure(
-        nominal,
-        noise,
-        best,
+        left_out,
         rng,
         sessions=not any(effect.per_session for effect in effects if effect.id in searched.effects),
         floor_factor=1.0 if searched.rest > EVEN_PROBABILITY else min(factor, MOST_VARIANCE_FACTOR),
-        left_out=left_out,
         as_counted=situation.as_counted,
     )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.part import as_delivered
 from calib.vehicle import Vehicle
@@ -226,9 +227,9 @@ def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -
     assert {cause.effect for cause in verdict.causes} == {"load_radius", "wheel_slip"} and verdict.recommended
     evidence, law = verdict.evidence, [cause for cause in verdict.causes if cause.effect == "load_radius"]
     assert evidence is not None
-    alone = as_delivered(evidence, law, None, replace(verdict.fix, corrects=None))
+    alone = as_delivered(evidence, Finding(law, {}), replace(verdict.fix, corrects=None))
     assert not alone.recommended and all("without wheel_slip" in reason for reason in alone.why)
-    assert as_delivered(evidence, verdict.causes, None, verdict.fix) == verdict.fix
+    assert as_delivered(evidence, Finding(verdict.causes, {}), verdict.fix) == verdict.fix
     # a track is named by neither, and is left as it is
     assert verdict.correction.calibration[2] == 0.0
 

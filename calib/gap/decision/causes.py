@@ -6,7 +6,7 @@ A cause has one size; an imitation differs between groups of runs.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -137,14 +137,11 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
     largest = max((cause.share for cause in causes), default=0.0)
     strongest = max((cause.signal for cause in causes if cause.effect not in NAMES), default=0.0)
 
-    def is_certain(cause: Cause) -> bool:
-        if cause.probability <= EVEN_PROBABILITY:
-            return False
-        return max(cause.probability, certain.get(cause.effect, 0.0)) >= CERTAIN_PROBABILITY
-
     def too_small(cause: Cause) -> bool:
+        likeliest = max(cause.probability, certain.get(cause.effect, 0.0))
+        is_certain = cause.probability > EVEN_PROBABILITY and likeliest >= CERTAIN_PROBABILITY
         # a small error of the largest cause's law looks like a small cause
-        doubtful = cause.share <= SMALL_SHARE * largest and not is_certain(cause)
+        doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
         weak = cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
@@ -268,7 +265,7 @@ def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> 
     whose residual is weaker than most of what is at work, 9 were.
     """
     if unexplained is None or unexplained.share <= SMALL_SHARE:
-        return list(causes)
+        return [*causes]
     return limited_to_even(causes, {cause.effect for cause in causes if cause.signal < unexplained.signal})
 
 
@@ -318,6 +315,29 @@ class SizeDifference:
             f"{2.0 * self.ratio_sd:.1g} times that on {self.reference} (p = {self.p_value:.1g}): another effect "
             "may act instead; 'calib plan' names the runs that tell"
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """What is named, how sure that is, and what stands beside it."""
+
+    causes: Sequence[Cause]
+    #: of each effect, the probability that it or an effect that it is confounded with is at work
+    certain: Mapping[str, float]
+    unexplained: Unexplained | None = None
+    #: causes whose sizes differ between groups of runs
+    differing: Mapping[str, SizeDifference] = field(default_factory=dict)
+    #: confounded effects of the named causes without their own families
+    tied: Sequence[Sequence[str]] = ()
+
+    def probability(self, cause: Cause) -> float:
+        """Return the probability that a cause or an effect that it is confounded with is at work."""
+        return self.certain.get(cause.effect, cause.probability)
+
+    @property
+    def leaves_part(self) -> bool:
+        """Whether more than a small share is unexplained."""
+        return self.unexplained is not None and self.unexplained.share > SMALL_SHARE
 
 
 def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:

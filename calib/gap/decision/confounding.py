@@ -60,7 +60,7 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
         nuisance = Nuisance.of(np.concatenate(free, axis=1))
         near = aliases_of(system, nuisance, evidence.calibration_contribution(calibration), forms, evidence.named)
         if near:
-            return [*groups, [*calibration, *sorted(near, key=lambda name: near[name])]]
+            return [*groups, [*calibration, *sorted(near, key=near.__getitem__)]]
     own = {name: effect.forms(evidence.observations) for name, effect in evidence.effects.items() if effect.calibration}
     for name in calibration:
         others = []
@@ -73,7 +73,7 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
         nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
         near = aliases_of(system, nuisance, evidence.calibration_contribution([name]), forms | own, evidence.named)
         instead = [alias for alias in evidence.recalibration.instead.get(name, ()) if alias not in near]
-        groups.append([name, *sorted(near, key=lambda alias: near[alias]), *instead])
+        groups.append([name, *sorted(near, key=near.__getitem__), *instead])
     return groups
 
 
@@ -100,7 +100,7 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
         for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
             if name not in evidence.named:
                 near.setdefault(name, SEPARATION_SD)
-        groups.append([form.effect, *sorted(near, key=lambda name: near[name])])
+        groups.append([form.effect, *sorted(near, key=near.__getitem__)])
     return groups
 
 
@@ -119,9 +119,8 @@ def _undetected(evidence: Evidence) -> FloatArray:
     columns = evidence.per_unit @ DIRECTIONS.T
     limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     off = [name in evidence.calibration for name in NAMES]
-    return np.concatenate(
-        [columns * np.where(off, CALIBRATION_SD[0], limits), evidence.system.calibration[:, 3:]], axis=1
-    )
+    free = columns * np.where(off, CALIBRATION_SD[0], limits)
+    return np.concatenate([free, evidence.system.calibration[:, 3:]], axis=1)
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
@@ -212,8 +211,7 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
         named = [name for name in group if name in evidence.named]
         exchanged = [_exchanged(evidence, named, other) for other in group if other not in named]
         for alternative in filter(None, exchanged):
-            ends_m = best.ends(evidence)
-            apart = alternative.ends(evidence) - ends_m
+            apart = alternative.ends(evidence) - best.ends(evidence)
             distances.append(float(np.sqrt(np.mean((apart**2).sum(axis=1)))))
     return max(distances, default=None)
 
@@ -235,14 +233,13 @@ def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -
     fitted = evidence.fitted
     every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
     system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
-    numbers = [next(k for k, offered in enumerate(every) if offered is form) for form in forms]
+    numbers = system.numbers(forms)
     free = [k for k in range(len(NAMES)) if k not in fixed]
     directions = DIRECTIONS[free].T
     calibration = (system.calibration / CALIBRATION_SD) @ directions * CALIBRATION_SD[0]
     columns = np.concatenate([calibration, *(system.of(k) for k in numbers)], axis=1)
-    weighting = Weighting.from_component(system, -1, 0.0, np.zeros((len(system.gap), 0)))
     precision = np.concatenate([np.ones(len(free)), prior_precision(4 + columns.shape[1] - len(free))[4:]])
-    sizes, _ = weighting.solve(columns, precision)
+    sizes, _ = Weighting.from_component(system).solve(columns, precision)
     residual = system.gap - columns @ sizes
     change = directions @ sizes[: len(free)] * CALIBRATION_SD[0]
     parts = np.split(sizes, np.cumsum([len(free), *(len(form.parameters) for form in forms)])[:-1])[1:]
@@ -277,8 +274,6 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
                 or not (families[other.effect] == families[cause.effect] or _acts_opposite(evidence, form))
             )
         ]
-        if not second:
-            continue
         kept = [form for form in fitted.forms if form.effect != cause.effect]
         fixed = [NAMES.index(cause.effect)] if _is_recalibrated(evidence, cause.effect) else []
         if any(_refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least for form in second):
@@ -340,10 +335,8 @@ def with_alternatives(evidence: Evidence, groups: Sequence[Sequence[str]]) -> di
 def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float:
     """Return the probability that no further effect is at work beside the named ones and their aliases."""
     named = set(evidence.named).union(*groups)
-    search = evidence.search
-    return float(
-        sum(p for model, p in zip(search.models, search.probabilities, strict=True) if named.issuperset(model))
-    )
+    weighed = zip(evidence.search.models, evidence.search.probabilities.tolist(), strict=True)
+    return float(sum(p for model, p in weighed if named.issuperset(model)))
 
 
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:

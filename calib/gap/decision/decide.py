@@ -10,8 +10,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import implausible
-from calib.gap.decision import confounding
+from calib.gap.decision import confounding, sentences
 from calib.gap.decision.causes import (
+    Finding,
     SizeDifference,
     blunder_cause,
     causes_of,
@@ -22,29 +23,10 @@ from calib.gap.decision.causes import (
     size_differences,
     unexplained_of,
 )
-from calib.gap.decision.diagnosis import (
-    Cause,
-    Diagnosis,
-    Evidence,
-    Group,
-    NoiseSummary,
-    Situation,
-    VerdictKind,
-)
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
 from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
-from calib.gap.decision.sentences import (
-    CERTAIN_PROBABILITY,
-    NAMED_PROBABILITY,
-    SMALL_SHARE,
-    blunder_sentence,
-    fails,
-    hides_causes,
-    is_shown,
-    joined,
-    kind_of,
-    sentence,
-)
+from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NAMED_PROBABILITY, SMALL_SHARE
 from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
@@ -82,26 +64,26 @@ def decide(evidence: Evidence) -> Diagnosis:
     placed, unexplained = places_as_unexplained(evidence, causes, unexplained)
     causes = limited_beside(unexplained, [cause for cause in causes if cause not in placed])
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
-    stated |= _rather_unknown(placed, stated["unknown"])
+    stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
+    stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
     # what is off and excluded from the library is a cause that nothing explains
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    kind = _kind(
-        evidence, gap_probability, causes, share, groups, differing, bool(doubted) or _rather_not(causes, certain)
-    )
+    doubtful = bool(doubted) or _rather_not(causes, certain)
+    kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
     if kind is VerdictKind.NO_GAP and stands_off(evidence):
         kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
     if kind in NOTHING_NAMED:
         causes = []
-    elif hides_causes(closure, share) or not evidence.noise.supported:
+    elif sentences.hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
-    fix = fix_of(evidence, confounded, tied, causes, certain, unexplained, small, differing)
-    fix = as_delivered(evidence, causes, unexplained, fix)
+    found = Finding(causes, certain, unexplained, differing, tied)
+    fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
-        fix = sure_part(evidence, tied, causes, certain, unexplained, fix, differing)
-        causes = [cause for cause in causes if is_named_beside(cause, fix, certain)]
+        fix = sure_part(evidence, found, fix)
+        causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
     causes = sorted(causes, key=lambda cause: -cause.probability)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
@@ -128,7 +110,7 @@ def decide(evidence: Evidence) -> Diagnosis:
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
-    said = blunder_sentence(diagnosis, off) if blunder else sentence(diagnosis)
+    said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
@@ -186,13 +168,13 @@ def _kind(
     improvement = evidence.held_out.improvement
     if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
         causes = []
-    if not evidence.noise.supported and is_shown(causes, evidence.held_out.improvement):
+    if not evidence.noise.supported and sentences.is_shown(causes, evidence.held_out.improvement):
         return VerdictKind.PARTLY_EXPLAINED
-    return kind_of(
+    return sentences.kind_of(
         gap_probability,
         causes,
         evidence.held_out.closure,
-        incomplete=any(map(fails, evidence.trials))
+        incomplete=any(map(sentences.fails, evidence.trials))
         or not large.isdisjoint(differing)
         or doubted
         or any(True for cause in causes for _ in beyond_vehicles(cause)),
@@ -207,11 +189,6 @@ def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> t
     small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
     others = [cause for cause in causes if cause.effect in probable.difference(small)]
     return small + confounding.form_errors(evidence, others)
-
-
-def _rather_unknown(placed: Sequence[Cause], unknown: float) -> dict[str, float]:
-    stated = {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
-    return {**stated, "unknown": max([unknown, *(cause.probability for cause in placed)])}
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:
@@ -235,7 +212,7 @@ def _on_scatter(evidence: Evidence) -> str:
 def _on_omitted(omitted: Mapping[str, float]) -> str:
     if not omitted:
         return ""
-    runs = joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
+    runs = sentences.joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
     return (
         f" Omitted, since no other run ends off nearly as far: {runs}. Look for a counter that was reset or stood "
         "still, or the reference of another run, with 'calib check'."

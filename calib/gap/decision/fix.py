@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from math import prod
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from math import inf, prod
 from typing import Final
 
 from calib.gap.decision import confounding
-from calib.gap.decision.causes import SizeDifference
+from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
-from calib.gap.decision.sentences import (
-    HALF_CLOSURE,
-    SIGNAL_OVER_UNEXPLAINED,
-    SMALL_SHARE,
-    corrections_agree,
-)
+from calib.gap.decision.sentences import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
@@ -35,83 +30,41 @@ FIX_PROBABILITY: Final = 0.6
 FURTHER_PROBABILITY: Final = 0.8
 
 
-def fix_of(
-    evidence: Evidence,
-    confounded: Sequence[Sequence[str]],
-    tied: Sequence[Sequence[str]],
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-    small: Sequence[str] = (),
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> Fix:
+def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str]], small: Sequence[str] = ()) -> Fix:
     """Return what the correction is worth, and whether and why not to apply it.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    confounded, tied : sequence of sequence of str
-        Confounded effects: of everything fitted, and of the named causes without their own families.
-    causes : sequence of Cause
-        What is named.
-    certain : mapping of str to float
-        Of each effect, the probability that it or an effect that it is confounded with is at work.
-    unexplained : Unexplained or None
-    small : sequence of str
-        Effects that were fitted and are negligible.
-    differing : mapping of str to SizeDifference, optional
-        Causes whose sizes differ between groups of runs.
+    `confounded`: groups of effects, of everything fitted; `small`: effects that were fitted and are negligible.
     """
-    apart_m = confounding.agreement_m(evidence, tied)
+    apart_m = confounding.agreement_m(evidence, found.tied)
     on = DRIVEN if evidence.journeys is None else JOURNEYS
-    improvement = evidence.held_out.improvement
-    fix = Fix(
-        agreement_m=apart_m,
-        agreement_on=on,
-        nothing_else=confounding.nothing_else_probability(evidence, confounded),
-        transfer=evidence.trials if causes else (),
-        held_out=improvement if causes else None,
-    )
-    if not causes:
+    nothing_else = confounding.nothing_else_probability(evidence, confounded)
+    fix = Fix(agreement_m=apart_m, agreement_on=on, nothing_else=nothing_else)
+    if not found.causes:
         return fix
     # the correction holds all that was fitted
     fitted = [name for name in evidence.named if name not in small]
-    unnamed = [name for name in fitted if name not in {cause.effect for cause in causes}]
-    why = [
-        *reasons(causes, certain, improvement, evidence.trials, unexplained, differing),
-        *disagreement(apart_m, on, evidence.held_out.closure, tied),
+    unnamed = [name for name in fitted if name not in {cause.effect for cause in found.causes}]
+    improvement = evidence.held_out.improvement
+    why = (
+        *reasons(found, improvement, evidence.trials),
+        *disagreement(apart_m, on, evidence.held_out.closure, found.tied),
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
-        *elsewhere(fitted, alternatives(evidence, tied, unexplained, differing)),
-        *unsized(evidence, causes, unexplained),
+        *elsewhere(fitted, alternatives(evidence, found)),
+        *unsized(evidence, found),
         *([] if evidence.noise.supported else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
-    ]
-    return Fix(
-        recommended=not why,
-        agreement_m=fix.agreement_m,
-        agreement_on=on,
-        nothing_else=fix.nothing_else,
-        transfer=fix.transfer,
-        held_out=improvement,
-        why=tuple(why),
     )
+    return replace(fix, recommended=not why, transfer=evidence.trials, held_out=improvement, why=why)
 
 
-def reasons(
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    improvement: Improvement | None,
-    trials: Sequence[Trial] = (),
-    unexplained: Unexplained | None = None,
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> list[str]:
+def reasons(found: Finding, improvement: Improvement | None, trials: Sequence[Trial] = ()) -> list[str]:
     """Return what keeps a fix of some causes back, each with its figure and what settles it; empty where nothing does.
 
-    The parameters are those of `fix_of`.
+    `improvement`: what it does on held-out runs; `trials`: on each value of what varies, held out.
     """
-    single = (text for cause in causes for text in doubts(cause, unexplained, differing))
-    helpful = [*unhelpful(improvement), *remaining(improvement, unexplained)]
-    measured = without_length(cause.effect for cause in causes)
-    return [*_doubtful(causes, certain), *helpful, *single, *measured, *harm(trials)]
+    single = (text for cause in found.causes for text in doubts(cause, found))
+    helpful = [*unhelpful(improvement), *remaining(improvement, found.unexplained)]
+    measured = without_length(cause.effect for cause in found.causes)
+    return [*_doubtful(found), *helpful, *single, *measured, *harm(trials)]
 
 
 def without_length(names: Iterable[str]) -> list[str]:
@@ -124,21 +77,22 @@ def without_length(names: Iterable[str]) -> list[str]:
     ]
 
 
-def doubts(
-    cause: Cause, unexplained: Unexplained | None, differing: Mapping[str, SizeDifference] | None = None
-) -> Iterator[str]:
+def doubts(cause: Cause, found: Finding) -> Iterator[str]:
     """Yield why a single cause is no part of a fix.
 
     Its size may be zero or differs between groups of runs, or it may be a part of the unexplained residual.
     """
     yield from beyond_vehicles(cause)
     if holds_zero(cause):
-        yield _sizeless(cause)
-    if differing and cause.effect in differing:
-        yield differing[cause.effect].sentence
-    if unexplained is None or unexplained.share <= SMALL_SHARE:
-        return
-    if cause.share > SMALL_SHARE and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
+        sizes = ", ".join(
+            f"{name} {quantity.ci95[0]:.2g} to {quantity.ci95[1]:.2g} {quantity.unit.removeprefix('1')}".rstrip()
+            for name, quantity in cause.parameters.items()
+        )
+        yield f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
+    if cause.effect in found.differing:
+        yield found.differing[cause.effect].sentence
+    unexplained = found.unexplained if found.leaves_part and cause.share > SMALL_SHARE else None
+    if unexplained is not None and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
         yield (
             f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
             f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
@@ -148,7 +102,7 @@ def doubts(
 def beyond_vehicles(cause: Cause) -> Iterator[str]:
     """Yield that a length is further from nominal than any vehicle's is: the bounds are those of `calib geometry`."""
     kind = effect_class(cause.effect)
-    largest = math.inf if kind is None else kind.wrong_beyond
+    largest = inf if kind is None else kind.wrong_beyond
     if any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
         sizes = ", ".join(f"{100 * quantity.value:+.3g} %" for quantity in cause.parameters.values())
         yield (
@@ -157,42 +111,37 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
         )
 
 
-def improbable(causes: Sequence[Cause], certain: Mapping[str, float]) -> Cause | None:
+def improbable(causes: Sequence[Cause], found: Finding) -> Cause | None:
     """Return the least probable cause where that or all together are less probable than a fix asks; None where not."""
-    probability = {cause.effect: certain.get(cause.effect, cause.probability) for cause in causes}
     further = sorted(causes, key=lambda cause: -cause.share)[1:]
-    least = min(further, key=lambda cause: probability[cause.effect], default=None)
-    if least is not None and probability[least.effect] < FURTHER_PROBABILITY:
+    least = min(further, key=found.probability, default=None)
+    if least is not None and found.probability(least) < FURTHER_PROBABILITY:
         return least
-    if prod(probability.values()) < FIX_PROBABILITY:
-        return min(causes, key=lambda cause: probability[cause.effect])
-    return None
+    return min(causes, key=found.probability) if prod(map(found.probability, causes)) < FIX_PROBABILITY else None
 
 
-def _doubtful(causes: Sequence[Cause], certain: Mapping[str, float]) -> Iterator[str]:
-    if improbable(causes, certain) is not None:
-        together = prod(certain.get(cause.effect, cause.probability) for cause in causes)
+def _doubtful(found: Finding) -> Iterator[str]:
+    if improbable(found.causes, found) is not None:
         listed = ", ".join(
-            f"{_or_alias(cause, certain)} {certain.get(cause.effect, cause.probability):.2f}" for cause in causes
+            # by itself, or with what looks like it
+            f"{cause.effect}{'' if cause.probability >= 0.9 * found.probability(cause) else ' or what looks like it'} "
+            f"{found.probability(cause):.2f}"
+            for cause in found.causes
         )
+        together = prod(map(found.probability, found.causes))
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
 
 
-def _or_alias(cause: Cause, certain: Mapping[str, float]) -> str:
-    alone = cause.probability >= 0.9 * certain.get(cause.effect, cause.probability)
-    return cause.effect if alone else f"{cause.effect} or what looks like it"
-
-
-def unsized(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None) -> Iterator[str]:
+def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
     """Yield that an unexplained residual is probable that has no size, where a cause is not strong beside it.
 
     Two standard deviations of chi square hide a signal of (8 n)^(1/4) in n readings.
     """
-    if unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
+    if found.unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
         return
     hidden = (8.0 * float(evidence.observations.usable.sum())) ** 0.25
-    weak = [c for c in causes if c.share > SMALL_SHARE and c.signal < SIGNAL_OVER_UNEXPLAINED * hidden]
-    if weak or not causes:
+    weak = [c for c in found.causes if c.share > SMALL_SHARE and c.signal < SIGNAL_OVER_UNEXPLAINED * hidden]
+    if weak or not found.causes:
         yield (
             f"the probability of an unexplained residual is {evidence.search.rest:.2f}, though it is too small to be "
             f"located (a signal below {hidden:.0f}); repeat the routes with the largest gap"
@@ -250,14 +199,6 @@ def holds_zero(cause: Cause) -> bool:
     return bool(own) and all(low <= 0.0 <= high for low, high in own)
 
 
-def _sizeless(cause: Cause) -> str:
-    sizes = ", ".join(
-        f"{name} {quantity.ci95[0]:.2g} to {quantity.ci95[1]:.2g} {quantity.unit.removeprefix('1')}".rstrip()
-        for name, quantity in cause.parameters.items()
-    )
-    return f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
-
-
 def harm(trials: Sequence[Trial]) -> Iterator[str]:
     """Yield where a correction harms beyond noise when that is held out."""
     for trial in harmed(trials):
@@ -284,23 +225,18 @@ def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
     return sorted({text for name in {*fitted, *alternatives} if (text := why_not_transferable(name))})
 
 
-def alternatives(
-    evidence: Evidence,
-    tied: Sequence[Sequence[str]],
-    unexplained: Unexplained | None,
-    differing: Mapping[str, SizeDifference] | None,
-) -> set[str]:
+def alternatives(evidence: Evidence, found: Finding) -> set[str]:
     """Return what the causes may be instead: the probable ones where they explain all, else every one.
 
     Odds hold only where one cause is the whole truth: beside an unexplained residual, or a size that differs between
     groups of runs, none is. What steps between sessions always counts: a quantity that varies with the session alone is
     never told from it.
     """
-    every = {name for group in tied for name in group}
-    if differing or (unexplained is not None and unexplained.share > SMALL_SHARE):
+    every = {name for group in found.tied for name in group}
+    if found.differing or found.leaves_part:
         return every
     stepping = {name for name in every if name in evidence.effects and evidence.effects[name].per_session}
-    return confounding.as_probable(evidence, tied) | stepping
+    return confounding.as_probable(evidence, found.tied) | stepping
 
 
 def parting(group: Sequence[str]) -> list[str]:

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from calib.documents import plain_fields
-from calib.gap.inference.fit import Fitted, whitened_rows
+from calib.gap.inference.fit import squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
-from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, measured_gap, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -148,43 +148,35 @@ def _of_each_condition(observations: Observations) -> IntArray:
 
 
 def measure_closure(
-    nominal: Path,
-    noise: Noise,
-    fitted: Fitted,
+    left_out: HeldOutFit,
     rng: np.random.Generator,
     *,
     sessions: bool = True,
     floor_factor: float = 1.0,
-    left_out: HeldOutFit | None = None,
     as_counted: FloatArray | None = None,
 ) -> HeldOut:
     """Fit on the other folds, predict the held-out one, and compare with the model alone.
 
     Parameters
     ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-    fitted : Fitted
-        The hypothesis, fitted on all runs.
+    left_out : HeldOutFit
+        Predicts held-out runs.
     rng : numpy.random.Generator
         For the bootstrap.
     sessions : bool
         Hold sessions out where there are three or more; else conditions.
     floor_factor : float
         Variance of the noise level over that of `noise`, where the residual of the fit counts as noise.
-    left_out : HeldOutFit, optional
-        Predicts held-out runs; by default without an unexplained residual.
     as_counted : array of float, shape (n_units, n_channels), optional
         The gap to state instead: before a blunder was corrected.
     """
-    left_out = left_out or HeldOutFit(fitted, nominal, noise)
+    nominal, noise = left_out.nominal, left_out.noise
     before = residuals(nominal, nominal)
     after, by = _after(left_out, sessions=sessions)
     stated = measured_gap(nominal, nominal) if as_counted is None else as_counted
     held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
     before = before if as_counted is None else as_counted
-    return replace(held_out, improvement=_improvement(left_out, before, after, noise.dof, floor_factor))
+    return replace(held_out, improvement=_improvement(left_out, before, after, floor_factor))
 
 
 def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
@@ -204,12 +196,10 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
 def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) -> Improvement:
     """Return what a correction does on held-out runs to a stated gap, (n_units, n_channels); see `measure_closure`."""
     after, _ = _after(left_out, sessions=sessions)
-    return _improvement(left_out, stated, after, left_out.noise.dof, 1.0)
+    return _improvement(left_out, stated, after, 1.0)
 
 
-def _improvement(
-    left_out: HeldOutFit, before: FloatArray, after: FloatArray, dof: float, floor_factor: float
-) -> Improvement:
+def _improvement(left_out: HeldOutFit, before: FloatArray, after: FloatArray, floor_factor: float) -> Improvement:
     """Return the paired improvement: what noise both residuals share cancels, but for that along the correction."""
     from scipy.special import stdtrit
 
@@ -217,7 +207,7 @@ def _improvement(
     expected = floor_factor * float(left_out.observations.usable.sum())
     every = np.ones(len(left_out.observations), dtype=np.bool_)
     # of squares r^2 - (r - d)^2 = 2 r d - d^2 the noise of r makes 2 sd(r d)
-    half = 2.0 * float(stdtrit(max(dof, 3.0), 0.975)) * left_out.spread(after - before, every)
+    half = 2.0 * float(stdtrit(max(left_out.noise.dof, 3.0), 0.975)) * left_out.spread(after - before, every)
     gain, gap = squares[0] - squares[1], max(squares[0] - expected, 1.0)
     rms = [float(np.sqrt(square / expected)) for square in squares]
     ends = [rms[0] - float(np.sqrt(max(squares[0] - end, 0.0) / expected)) for end in (gain - half, gain + half)]
@@ -242,11 +232,7 @@ def closure_of(
     """
     observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable
-    white = whitened_rows(nominal, noise, np.stack([before, after], axis=2))
-    unit = np.repeat(np.arange(len(observations))[:, None], N_CHANNELS, axis=1)[usable]
-    squares: FloatArray = np.stack(
-        [np.bincount(unit, white[:, k] ** 2, len(observations)).astype(np.float64) for k in range(2)], axis=1
-    )
+    squares = np.stack([squares_by_unit(nominal, noise, left) for left in (before, after)], axis=1)
     expected = floor_factor * usable.sum(axis=1).astype(np.float64)
     fraction = _fraction(squares, expected)
     floor = np.where(usable, np.sqrt(floor_factor) * noise.floor, 0.0)
@@ -279,8 +265,8 @@ def _fraction(squares: FloatArray, expected: FloatArray) -> float | None:
 def _interval(
     squares: FloatArray, expected: FloatArray, condition: IntArray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    _, number = np.unique(condition, return_inverse=True)
-    n = int(number.max()) + 1
+    names, number = np.unique(condition, return_inverse=True)
+    n = len(names)
     by_condition = np.stack([np.bincount(number, values, n) for values in (*squares.T, expected)], axis=1)
     before, after, noise = by_condition[rng.integers(0, n, (BOOTSTRAPS, n))].sum(axis=1).T
     gap = np.maximum(before - noise, LEAST_RESAMPLED_GAP * np.maximum(noise, 1.0))

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.gap.decision import confounding
-from calib.gap.decision.causes import SizeDifference
-from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Unexplained
-from calib.gap.decision.fix import (
-    alternatives,
-    disagreement,
-    doubts,
-    elsewhere,
-    harm,
-    improbable,
-    needed,
-    remaining,
-    unhelpful,
-    unsized,
-    without_length,
-)
+from calib.gap.decision import fix as rule
+from calib.gap.decision.causes import Finding
+from calib.gap.decision.diagnosis import Cause, Evidence, Fix
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
@@ -35,22 +23,15 @@ from calib.gap.predict import residuals
 from calib.types import FloatArray
 
 
-def sure_part(
-    evidence: Evidence,
-    tied: Sequence[Sequence[str]],
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-    whole: Fix,
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> Fix:
+def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
 
-    `whole` is the fix of all causes, blunders apart, which is not recommended; the others are those of `fix_of`.
+    `whole` is the fix of all causes, blunders apart, which is not recommended.
     """
-    kept, dropped, by_odds = _parted(causes, certain, unexplained, differing)
+    causes, unexplained = found.causes, found.unexplained
+    kept, dropped, by_odds = _parted(found)
     if len(kept) > 1:
-        dropped |= _unclear(evidence, tied, kept, unexplained, whole, differing)
+        dropped |= _unclear(evidence, replace(found, causes=kept), whole)
         kept = [cause for cause in kept if cause.effect not in dropped]
     names = {cause.effect for cause in kept}
     families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
@@ -62,22 +43,22 @@ def sure_part(
     if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
         return whole
     # what the dropped causes explain is left by design: the closure is that of all of them
-    if causes and (_is_whole(evidence, names) or any(True for _ in remaining(whole.held_out, unexplained))):
+    if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):
         return whole
     # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
     beside = {name for name in steps if names.isdisjoint(evidence.effects[name].shifts)}
-    concerned = [group for group in tied if names.intersection(group)]
-    apart_m = confounding.agreement_m(evidence, concerned)
-    others = elsewhere(names, alternatives(evidence, concerned, unexplained, differing))
-    apart = disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, concerned)
-    beyond = [*apart, *others, *unsized(evidence, kept, unexplained), *_odd(evidence, kept, beside)]
+    sure = replace(found, causes=kept, tied=[group for group in found.tied if names.intersection(group)])
+    apart_m = confounding.agreement_m(evidence, sure.tied)
+    others = rule.elsewhere(names, rule.alternatives(evidence, sure))
+    apart = rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, sure.tied)
+    beyond = [*apart, *others, *rule.unsized(evidence, sure), *_odd(evidence, kept, beside)]
     # the calibration that a cause dropped would look like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
         # without a dropped cause, what is left is the unexplained residual
-        left = () if dropped else remaining(improvement, unexplained)
-        odds = needed(improvement) if by_odds else ()
-        why = [*unhelpful(improvement), *worse, *left, *odds, *harm(tried), *beyond]
+        left = () if dropped else rule.remaining(improvement, unexplained)
+        odds = rule.needed(improvement) if by_odds else ()
+        why = [*rule.unhelpful(improvement), *worse, *left, *odds, *rule.harm(tried), *beyond]
         if not why:
             break
     if why and steps:
@@ -103,48 +84,39 @@ def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> 
     drifts = {evidence.effects[name].family for name in beside}
     known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
     odd = [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
-    return [*without_length(cause.effect for cause in kept), *odd]
+    return [*rule.without_length(cause.effect for cause in kept), *odd]
 
 
-def _unclear(
-    evidence: Evidence,
-    tied: Sequence[Sequence[str]],
-    kept: Sequence[Cause],
-    unexplained: Unexplained | None,
-    whole: Fix,
-    differing: Mapping[str, SizeDifference] | None,
-) -> dict[str, str]:
+def _unclear(evidence: Evidence, found: Finding, whole: Fix) -> dict[str, str]:
     unclear: dict[str, str] = {}
-    for group in tied:
+    for group in found.tied:
         apart_m = confounding.agreement_m(evidence, [group])
-        for text in (
-            *disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, [group]),
-            *elsewhere((), alternatives(evidence, [group], unexplained, differing)),
-        ):
-            unclear |= {cause.effect: f"{cause.effect}: {text}" for cause in kept if cause.effect in group}
+        texts = [
+            *rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, [group]),
+            *rule.elsewhere((), rule.alternatives(evidence, replace(found, tied=[group]))),
+        ]
+        named = [cause.effect for cause in found.causes if cause.effect in group]
+        unclear |= {name: f"{name}: {text}" for text in texts for name in named}
     return unclear
 
 
-def as_delivered(evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None, fix: Fix) -> Fix:
+def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     """Return a recommended fix as it is written: without what was fitted and is not named, judged anew.
 
     The sizes of the others change with it. Radii and track change only where named, or for another zero of a named
     effect.
     """
-    names = {cause.effect for cause in causes}
+    names = {cause.effect for cause in found.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
-    why = (
-        *unhelpful(improvement),
-        *remaining(improvement, unexplained, f"the rest is what {beside} would take"),
-        *harm(tried),
-    )
+    left = rule.remaining(improvement, found.unexplained, f"the rest is what {beside} would take")
+    why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
-    corrects = tuple(cause.effect for cause in causes)
+    corrects = tuple(cause.effect for cause in found.causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
 
 
@@ -181,40 +153,34 @@ def _tried(
     return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
 
 
-def is_named_beside(cause: Cause, fix: Fix, certain: Mapping[str, float]) -> bool:
+def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
     """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
     kind = effect_class(cause.effect)
     # what steps is excluded for what it is, not for doubt
     if fix.corrects is None or cause.effect in fix.corrects or (kind is not None and kind.per_session):
         return True
-    return certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
+    return found.probability(cause) >= CERTAIN_PROBABILITY
 
 
-def _parted(
-    causes: Sequence[Cause],
-    certain: Mapping[str, float],
-    unexplained: Unexplained | None,
-    differing: Mapping[str, SizeDifference] | None = None,
-) -> tuple[list[Cause], dict[str, str], bool]:
-    dropped = {cause.effect: text for cause in causes for text in doubts(cause, unexplained, differing)}
+def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
+    causes, differing = found.causes, found.differing
+    dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, found)}
     # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
     kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
     # and track
-    other = max((c for c in causes if differing and c.effect in differing), key=lambda c: c.signal, default=None)
+    other = max((cause for cause in causes if cause.effect in differing), key=lambda cause: cause.signal, default=None)
     for cause in causes:
-        sure = cause.effect in NAMES and certain.get(cause.effect, cause.probability) >= CERTAIN_PROBABILITY
+        sure = cause.effect in NAMES and found.probability(cause) >= CERTAIN_PROBABILITY
         if other is not None and not sure and cause.effect not in dropped and cause.signal < other.signal:
             dropped[cause.effect] = (
                 f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
                 "whose size differs between runs: it may be a part of that"
             )
     kept = [cause for cause in causes if cause.effect not in dropped]
-    by_odds = False
-    while (least := improbable(kept, certain)) is not None:
+    n_probable = len(kept)
+    while (least := rule.improbable(kept, found)) is not None:
         kept.remove(least)
-        by_odds = True
-        probability = certain.get(least.effect, least.probability)
-        dropped[least.effect] = f"{least.effect} is at work with a probability of {probability:.2f}"
-    return kept, dropped, by_odds
+        dropped[least.effect] = f"{least.effect} is at work with a probability of {found.probability(least):.2f}"
+    return kept, dropped, len(kept) < n_probable

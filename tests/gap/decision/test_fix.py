@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.gap.decision.causes import SizeDifference
+from calib.gap.decision.causes import Finding, SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
 from calib.gap.decision.held_out import Improvement
@@ -33,7 +33,7 @@ def trial(growth_sd: float, value: str = "square_cw") -> Trial:
 
 def test_a_fix_that_helps_and_harms_nowhere_has_nothing_against_it() -> None:
     for improvement in (CLOSES, SMALL):
-        assert reasons([cause()], {"load_radius": 0.9}, improvement, [trial(-5.0), trial(1.0)]) == []
+        assert reasons(Finding([cause()], {"load_radius": 0.9}), improvement, [trial(-5.0), trial(1.0)]) == []
 
 
 @pytest.mark.parametrize(
@@ -45,18 +45,19 @@ def test_a_fix_that_helps_and_harms_nowhere_has_nothing_against_it() -> None:
     ],
 )
 def test_what_does_not_help_enough_is_no_fix(improvement: Improvement | None, words: str) -> None:
-    (why,) = reasons([cause()], {"load_radius": 0.9}, improvement)
+    (why,) = reasons(Finding([cause()], {"load_radius": 0.9}), improvement)
     assert words in why
 
 
 def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_for_certain() -> None:
     small = Unexplained(share=0.03, signal=28.0)
     barely = Improvement(11.2, 2.2, (0.04, 11.2), (0.01, 1.93))
-    assert reasons([cause(signal=156.0)], {"load_radius": 0.95}, barely) == []
-    (why,) = reasons([cause(signal=156.0)], {"load_radius": 0.95}, barely, unexplained=small)
+    assert reasons(Finding([cause(signal=156.0)], {"load_radius": 0.95}), barely) == []
+    (why,) = reasons(Finding([cause(signal=156.0)], {"load_radius": 0.95}, small), barely)
     assert "closes 1 to 193 % of the gap, where 50 % are to be certain" in why
     assert (
-        reasons([cause(signal=156.0)], {"load_radius": 0.95}, replace(barely, closed_ci95=(0.64, 1.3)), (), small) == []
+        reasons(Finding([cause(signal=156.0)], {"load_radius": 0.95}, small), replace(barely, closed_ci95=(0.64, 1.3)))
+        == []
     )
 
 
@@ -67,7 +68,7 @@ def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_fo
 def test_a_length_that_no_vehicle_is_off_by_is_no_fix(effect: str, value: float, kept_back: int) -> None:
     """Feet read as metres make radii 3.3 times their nominal value; `calib geometry` calls 15 % (track 30 %) wrong."""
     size = {"relative": Quantity(value, (0.99 * value, 1.01 * value), "1")}
-    why = reasons([replace(cause(effect), parameters=size, family="calibration")], {effect: 0.96}, CLOSES)
+    why = reasons(Finding([replace(cause(effect), parameters=size, family="calibration")], {effect: 0.96}), CLOSES)
     assert len(why) == kept_back and all("beyond any vehicle's" in text for text in why)
 
 
@@ -78,27 +79,27 @@ def test_the_bounds_of_lengths_are_those_of_the_geometry() -> None:
 
 def test_a_size_whose_interval_holds_zero_is_no_fix() -> None:
     """One parameter of several may hold zero: a lever arm ahead has no part to the side."""
-    (why,) = reasons([cause("wear", -1.0, 2.0)], {"wear": 0.9}, CLOSES)
+    (why,) = reasons(Finding([cause("wear", -1.0, 2.0)], {"wear": 0.9}), CLOSES)
     assert "the interval of wear holds zero (slope -1 to 2 m/N)" in why
     lever = replace(cause(), parameters={**cause().parameters, "y": Quantity(0.0, (-1.0, 1.0), "m")})
-    assert reasons([lever], {"load_radius": 0.9}, CLOSES) == []
+    assert reasons(Finding([lever], {"load_radius": 0.9}), CLOSES) == []
 
 
 def test_causes_that_are_rather_not_all_at_work_are_no_fix() -> None:
     both = [cause("load_radius"), cause("wear")]
-    assert reasons(both, {"load_radius": 0.9, "wear": 0.8}, CLOSES) == []
-    (why,) = reasons(both, {"load_radius": 0.9, "wear": 0.4}, CLOSES)
+    assert reasons(Finding(both, {"load_radius": 0.9, "wear": 0.8}), CLOSES) == []
+    (why,) = reasons(Finding(both, {"load_radius": 0.9, "wear": 0.4}), CLOSES)
     assert "all of its causes are at work is 0.36 (load_radius 0.90, wear 0.40)" in why
-    (alone,) = reasons([cause("wear")], {"wear": 0.55}, CLOSES)
+    (alone,) = reasons(Finding([cause("wear")], {"wear": 0.55}), CLOSES)
     assert "is 0.55 (wear 0.55)" in alone
 
 
 def test_beside_the_largest_cause_each_is_surer_than_one_alone() -> None:
     """0.9 x 0.7 is 0.63, enough for all together; but the smaller of the two is dropped for little."""
     large, small = replace(cause("load_radius"), share=0.8), replace(cause("wear"), share=0.2)
-    assert reasons([large], {"load_radius": 0.7}, CLOSES) == []
-    assert reasons([large, small], {"load_radius": 0.7, "wear": 0.9}, CLOSES) == []
-    (why,) = reasons([large, small], {"load_radius": 0.9, "wear": 0.7}, CLOSES)
+    assert reasons(Finding([large], {"load_radius": 0.7}), CLOSES) == []
+    assert reasons(Finding([large, small], {"load_radius": 0.7, "wear": 0.9}), CLOSES) == []
+    (why,) = reasons(Finding([large, small], {"load_radius": 0.9, "wear": 0.7}), CLOSES)
     assert "all of its causes are at work is 0.63" in why
 
 
@@ -107,21 +108,21 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     share: float, signal: float, against: int
 ) -> None:
     """It may be a part of that; a residual of a small share does not matter."""
-    found = reasons([cause(signal=10.0)], {"load_radius": 0.9}, CLOSES, unexplained=Unexplained(share, signal))
+    found = reasons(Finding([cause(signal=10.0)], {"load_radius": 0.9}, Unexplained(share, signal)), CLOSES)
     assert len(found) == against
 
 
 def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:
     """A tape and a tracking system that agree are not both wrong by one share: the wheels that disagree are."""
     both = [cause("reference_scale"), cause("rangefinder_scale")]
-    (why,) = reasons(both, {"reference_scale": 0.96, "rangefinder_scale": 0.96}, CLOSES)
+    (why,) = reasons(Finding(both, {"reference_scale": 0.96, "rangefinder_scale": 0.96}), CLOSES)
     assert "nothing is left that measures one" in why
-    assert reasons(both[:1], {"reference_scale": 0.96}, CLOSES) == []
+    assert reasons(Finding(both[:1], {"reference_scale": 0.96}), CLOSES) == []
 
 
 def test_harm_beyond_noise_keeps_a_fix_back_and_is_named_with_its_size() -> None:
     """The limit is that of one false alarm in a hundred campaigns: 2.33 for one trial, 3.09 for ten (normal tables)."""
-    (why,) = reasons([cause()], {"load_radius": 0.9}, CLOSES, [trial(4.2)])
+    (why,) = reasons(Finding([cause()], {"load_radius": 0.9}), CLOSES, [trial(4.2)])
     assert "kind square_cw gets worse from 12 to 19 mm, 4.2 standard deviations beyond noise" in why
     assert harmed([trial(2.4)]) and not harmed([trial(2.2)])
     ten = [trial(3.0), *(trial(0.0, f"route {n}") for n in range(9))]
@@ -150,5 +151,5 @@ def test_an_alternative_that_holds_nowhere_else_counts_where_it_is_probable_or_o
 ) -> None:
     search = SimpleNamespace(inclusion=lambda: {"steering_scale": 0.95, "floor_zone": floor_zone})
     evidence = SimpleNamespace(search=search, named=("steering_scale",), effects={})
-    instead = alternatives(evidence, TIED, unexplained, differing)  # type: ignore[arg-type]
+    instead = alternatives(evidence, Finding((), {}, unexplained, differing, TIED))  # type: ignore[arg-type]
     assert bool(elsewhere(["steering_scale"], instead)) is counted

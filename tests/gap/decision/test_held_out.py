@@ -11,6 +11,7 @@ import pytest
 from calib.gap.decision.held_out import HeldOut, folds, measure_closure
 from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
+from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
@@ -37,7 +38,7 @@ def held_out(s: Observations, *, temperature: bool = False) -> HeldOut:
     nominal = predict(s)
     noise = noise_at(nominal, {})
     fitted = fit(nominal, noise, TemperatureRadius().forms(s) if temperature else [])
-    return measure_closure(nominal, noise, fitted, np.random.default_rng(0))
+    return measure_closure(HeldOutFit(fitted, nominal, noise), np.random.default_rng(0))
 
 
 def warm(run: Run, now: Motion) -> None:
@@ -119,7 +120,9 @@ def test_what_a_session_measured_does_not_enter_its_own_prediction() -> None:
     nominal, other = predict(s), predict(replace(s, measured=spoilt))
     noise = noise_at(nominal, {})
     a, b = (
-        measure_closure(one, noise, fit(one, noise, TemperatureRadius().forms(one.s)), np.random.default_rng(0))
+        measure_closure(
+            HeldOutFit(fit(one, noise, TemperatureRadius().forms(one.s)), one, noise), np.random.default_rng(0)
+        )
         for one in (nominal, other)
     )
     np.testing.assert_allclose((b.after - a.after)[mine & s.usable[:, 0], 0], 0.01, atol=SECOND_ORDER_M)

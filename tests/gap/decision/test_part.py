@@ -12,7 +12,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
-from calib.gap.decision.causes import SizeDifference, negligible
+from calib.gap.decision.causes import Finding, SizeDifference, negligible
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
@@ -48,7 +48,9 @@ def cause(name: str, low: float = 1.0, signal: float = 60.0, share: float = 0.5)
     ],
 )
 def test_what_is_not_sure_is_dropped_with_its_reason(weak: Cause, certain: float, words: str) -> None:
-    kept, dropped, by_odds = _parted([cause("load_radius"), weak], {"load_radius": 0.95, "wear": certain}, LEFT)
+    kept, dropped, by_odds = _parted(
+        Finding([cause("load_radius"), weak], {"load_radius": 0.95, "wear": certain}, LEFT)
+    )
     assert by_odds is (certain < EVEN_PROBABILITY)
     assert [one.effect for one in kept] == ["load_radius"]
     assert words in dropped["wear"]
@@ -57,33 +59,41 @@ def test_what_is_not_sure_is_dropped_with_its_reason(weak: Cause, certain: float
 def test_the_least_probable_causes_are_dropped_until_the_rest_is_probable_enough() -> None:
     """0.95 x 0.9 x 0.6 is 0.51, less than a fix needs; 0.95 x 0.9 alone is 0.86."""
     certain = {"a": 0.95, "b": 0.6, "c": 0.9}
-    kept, dropped, by_odds = _parted([cause(name) for name in certain], certain, None)
+    kept, dropped, by_odds = _parted(Finding([cause(name) for name in certain], certain))
     assert [one.effect for one in kept] == ["a", "c"] and set(dropped) == {"b"} and by_odds
-    assert _parted([cause("a"), cause("c")], certain, None)[1:] == ({}, False)
+    assert _parted(Finding([cause("a"), cause("c")], certain))[1:] == ({}, False)
 
 
 def test_a_cause_weaker_than_one_whose_size_differs_may_be_a_part_of_that() -> None:
     """What differs between groups of runs acts as another effect, and that leaves traces elsewhere."""
     differing = {"floor_zone": SizeDifference("floor_zone", "session", "a", "b", 0.1, 0.2, 1e-4)}
     zone = cause("floor_zone", signal=27.0)
-    kept, dropped, _ = _parted([zone, cause("wear", signal=9.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    kept, dropped, _ = _parted(
+        Finding([zone, cause("wear", signal=9.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    )
     assert kept == [] and "wear has a signal of 9 beside floor_zone with 27" in dropped["wear"]
-    kept, _, _ = _parted([zone, cause("wear", signal=34.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    kept, _, _ = _parted(
+        Finding([zone, cause("wear", signal=34.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
+    )
     assert [one.effect for one in kept] == ["wear"]
 
 
 def test_a_step_of_each_session_keeps_itself_out_and_no_other_cause() -> None:
     """It says nothing of the next session; a zone of the floor, which looks like nearly anything, keeps others back."""
     certain = {"load_radius": 0.95, "session_step": 0.95, "floor_zone": 0.95}
-    kept, dropped, by_odds = _parted([cause("load_radius"), cause("session_step")], certain, None)
+    kept, dropped, by_odds = _parted(Finding([cause("load_radius"), cause("session_step")], certain))
     assert [one.effect for one in kept] == ["load_radius"] and not by_odds
     assert "calibrate in each" in dropped["session_step"]
-    assert _parted([cause("load_radius"), cause("floor_zone")], certain, None)[1] == {}
+    assert _parted(Finding([cause("load_radius"), cause("floor_zone")], certain))[1] == {}
 
 
 def test_beside_the_fix_of_a_part_only_a_nearly_certain_cause_stays_named() -> None:
     fix = Fix(recommended=True, corrects=("a",))
-    named = [one.effect for one in map(cause, "abc") if is_named_beside(one, fix, {"a": 0.7, "b": 0.95, "c": 0.7})]
+    named = [
+        one.effect
+        for one in map(cause, "abc")
+        if is_named_beside(one, fix, Finding((), {"a": 0.7, "b": 0.95, "c": 0.7}))
+    ]
     assert named == ["a", "b"]
 
 
@@ -163,7 +173,7 @@ def test_a_radius_that_follows_the_speed_is_no_error_of_lost_counts(tmp_path: Pa
 def test_a_step_of_each_session_stays_named_beside_the_fix_of_another_cause() -> None:
     """It is excluded for what it is: unnamed, the closure that it makes would be ascribed to the others."""
     fix = Fix(recommended=True, corrects=("unequal_radii",))
-    assert is_named_beside(cause("session_step"), fix, {"session_step": 0.7})
+    assert is_named_beside(cause("session_step"), fix, Finding((), {"session_step": 0.7}))
 
 
 def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_delivered(tmp_path: Path) -> None:
@@ -175,7 +185,7 @@ def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_deliver
     (arm,) = diagnosis.causes
     kept_back = replace(diagnosis.fix, recommended=False, corrects=None, why=("a route held out gets worse",))
     assert diagnosis.evidence is not None
-    fix = sure_part(diagnosis.evidence, [], [arm], {arm.effect: arm.probability}, None, kept_back)
+    fix = sure_part(diagnosis.evidence, Finding([arm], {arm.effect: arm.probability}), kept_back)
     assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
 
 
