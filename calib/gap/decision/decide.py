@@ -10,19 +10,8 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import implausible
+from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
-from calib.gap.decision.causes import (
-    Finding,
-    SizeDifference,
-    blunder_cause,
-    causes_of,
-    limited_beside,
-    limited_to_even,
-    negligible,
-    places_as_unexplained,
-    size_differences,
-    unexplained_of,
-)
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
 from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
@@ -48,21 +37,21 @@ def decide(evidence: Evidence) -> Diagnosis:
     """Return the diagnosis, its sentence included; detection limits and runs to drive next are added by the caller."""
     confounded = confounding.groups_of(evidence)
     groups, forms_open = _by_family(evidence, confounded)
-    unexplained = unexplained_of(evidence)
+    unexplained = naming.unexplained_of(evidence)
     stated = confounding.effect_probabilities(evidence, confounded)
     certain = confounding.with_alternatives(evidence, confounded)
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
-    differing = size_differences(evidence, probable)
-    causes = limited_beside(unexplained, causes_of(evidence, stated, certain, forms_open))
+    differing = naming.size_differences(evidence, probable)
+    causes = naming.limited_beside(unexplained, naming.causes_of(evidence, stated, certain, forms_open))
     # no reading decides between causes that follow what went together
-    causes = limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
+    causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     # what an alias makes probable and is itself hardly in the 95 % set is not the cause to name
     doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - confounding.CREDIBLE}
     causes = [cause for cause in causes if cause.effect not in doubted]
-    placed, unexplained = places_as_unexplained(evidence, causes, unexplained)
-    causes = limited_beside(unexplained, [cause for cause in causes if cause not in placed])
+    placed, unexplained = naming.places_as_unexplained(evidence, causes, unexplained)
+    causes = naming.limited_beside(unexplained, [cause for cause in causes if cause not in placed])
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
@@ -79,7 +68,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     elif sentences.hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
-    found = Finding(causes, certain, unexplained, differing, tied)
+    found = naming.Finding(causes, certain, unexplained, differing, tied)
     fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
@@ -88,7 +77,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
-        causes=(*map(blunder_cause, situation.faults), *causes),
+        causes=(*map(naming.blunder_cause, situation.faults), *causes),
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
         groups=tuple(Group(tuple(group)) for group in tied),
         where=evidence.where,
@@ -161,7 +150,7 @@ def _kind(
     causes: Sequence[Cause],
     unexplained_share: float | None,
     groups: Sequence[Sequence[str]],
-    differing: Mapping[str, SizeDifference],
+    differing: Mapping[str, naming.SizeDifference],
     doubted: bool,
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
@@ -186,7 +175,7 @@ def _kind(
 
 
 def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:
-    small = negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
+    small = naming.negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
     others = [cause for cause in causes if cause.effect in probable.difference(small)]
     return small + confounding.form_errors(evidence, others)
 

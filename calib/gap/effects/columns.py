@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from calib.campaign.model import NUMERIC_COLUMNS
 from calib.errors import BadFileError, BadInputError
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Proportional, varies
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Proportional, varies
+from calib.gap.observations.arrays import Observations
 from calib.types import FloatArray
 
 COVARIATE_PREFIX: Final = "covariate:"
@@ -33,8 +34,8 @@ class _OfColumn(Proportional):
     family = Family.COVARIATE
     separates = "runs that vary this column alone"
 
-    def __init__(self, name: str, title: str, column: str) -> None:
-        self.id, self.column = name, column
+    def __init__(self, name: str, title: str, column: str, origin: str) -> None:
+        self.id, self.column, self.origin = name, column, origin  # type: ignore[misc]
         self.title = title or f"an influence of the column {column}"
 
     def quantity(self, observations: Observations) -> FloatArray:
@@ -52,7 +53,7 @@ class Covariate(_OfColumn):
     shifts = ("radius_scale", "unequal_radii")
 
     def __init__(self, column: str) -> None:
-        super().__init__(COVARIATE_PREFIX + column, "", column)
+        super().__init__(COVARIATE_PREFIX + column, "", column, f"the column {column} of runs.csv")
 
     def centre(self, values: FloatArray) -> Centre:
         """Return mean and standard deviation of the column."""
@@ -122,7 +123,7 @@ class Declared(_OfColumn):
     needs = "its column to vary"
 
     def __init__(self, entry: _Entry) -> None:
-        super().__init__(entry.id, entry.title or "", entry.column)
+        super().__init__(entry.id, entry.title or "", entry.column, "[[effects]] of campaign.toml")
         self.acts_on = entry.acts_on  # type: ignore[misc]
         self.columns = (entry.column,)  # type: ignore[misc]
         # what another zero looks like
@@ -182,20 +183,7 @@ def _wrong(key: str, found: object, expected: str, remedy: str) -> BadFileError:
 
 def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | None = None) -> list[Effect]:
     """Return the effects that installed packages offer (or these entry points); no id is `taken` twice."""
-    return [effect for _, effect in _offered(taken, points)]
-
-
-def entry_point_origins() -> dict[str, str]:
-    """Return which package each effect of an entry point comes from, by its id; see `entry_point_effects`."""
-    origins = {}
-    for point, effect in _offered((), None):
-        package = f"the package {point.dist.name} {point.dist.version}" if point.dist else "an installed package"
-        origins[effect.id] = f"{package} ({point.name} = {point.value})"
-    return origins
-
-
-def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> list[tuple[EntryPoint, Effect]]:
-    loaded: list[tuple[EntryPoint, Effect]] = []
+    effects: list[Effect] = []
     used = set(taken)
     for point in entry_points(group=ENTRY_POINT_GROUP) if points is None else points:
         where = f"entry point {point.name} = {point.value} of group {ENTRY_POINT_GROUP}"
@@ -213,6 +201,8 @@ def _offered(taken: Collection[str], points: Sequence[EntryPoint] | None) -> lis
         name = getattr(effect, "id", None)
         if not isinstance(name, str) or not name or name in used:
             raise BadInputError(f"{where}: found the id {name!r}; expected one that no other effect has; {remedy}")
-        loaded.append((point, effect))
+        package = f"the package {point.dist.name} {point.dist.version}" if point.dist else "an installed package"
+        effect.origin = f"{package} ({point.name} = {point.value})"  # type: ignore[misc]
+        effects.append(effect)
         used.add(name)
-    return loaded
+    return effects

@@ -49,22 +49,6 @@ class Family(StrEnum):
     SIMULATOR = "simulator", "a parameter of the simulator is off"
 
 
-__all__ = [
-    "Centre",
-    "Effect",
-    "Family",
-    "Form",
-    "Observations",
-    "Parameter",
-    "Path",
-    "Perturbation",
-    "Perturbations",
-    "Proportional",
-    "acting_on",
-    "varies",
-]
-
-
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """A parameter of an effect."""
@@ -97,6 +81,16 @@ class Centre:
 
 
 Perturbations = Callable[[Path], Sequence[Perturbation]]
+
+
+def always(*perturbations: Perturbation) -> Perturbations:
+    """Return perturbations that are the same on every path."""
+    return lambda _: perturbations
+
+
+def on_both(share: FloatArray) -> Perturbation:
+    """Return a relative change of both wheels' travel, shape (n_obs,) or (n_steps,)."""
+    return Perturbation(left=share, right=share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +133,15 @@ class Form:
         return np.array([p.typical for p in self.parameters])
 
 
+#: label, parameters and perturbations of a form
+Offer = tuple[str, tuple[Parameter, ...], Perturbations]
+
+
 class Effect(ABC):
     """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry."""
 
+    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
+    origin: ClassVar[str] = "the library"
     id: ClassVar[str]  #: name in verdicts
     title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
@@ -192,6 +192,10 @@ class Effect(ABC):
     @abstractmethod
     def forms(self, observations: Observations) -> list[Form]:
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
+
+    def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
+        """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""
+        return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]
 
 
 def varies(values: FloatArray, by: float, observations: Observations) -> bool:

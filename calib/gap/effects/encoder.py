@@ -9,19 +9,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import (
-    Effect,
-    Family,
-    Form,
-    Observations,
-    Parameter,
-    Path,
-    Perturbations,
-    acting_on,
-    varies,
-)
+from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
 from calib.gap.effects.quantities import driven_speed_mps, wheel_size
-from calib.gap.predict import predict, residuals
+from calib.gap.observations.arrays import Observations
+from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 

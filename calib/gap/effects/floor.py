@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
-from calib.gap.observations.arrays import STRAIGHT_RAD, Channel
+from calib.gap.effects.effect import Effect, Family, Form, Parameter, always, on_both, varies
+from calib.gap.observations.arrays import STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.routes import ROUTE_LENGTH_SHARE, lane_names
-from calib.gap.predict import GUIDED_TURN_RAD, predict
+from calib.gap.predict import GUIDED_TURN_RAD, Path, predict
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -145,7 +146,7 @@ class FloorZone(Effect):
                 share[inside], way[inside] = 1.0, np.abs(path.s.path_m[inside])
                 by_heading[inside] = way[inside] * cosine[inside]
                 pulls = (way, by_heading) if both_ways else (way,)
-                return [Perturbation(left=share, right=share), *(Perturbation(heading_rad=pull) for pull in pulls)]
+                return [on_both(share), *(Perturbation(heading_rad=pull) for pull in pulls)]
 
             where = ", whole width" if strip else f", y {y:g} m" + (f", lane {number + 1}" if lane.max() > 0 else "")
             parameters = (along, *turns) if both_ways else (along, turns[0])
@@ -238,12 +239,8 @@ class FloorUndulation(Effect):
             return []
         parameter = Parameter("excess", "1", typical=2.5e-4, largest=2e-3, sign=1)
 
-        def form(label: str, mine: BoolArray) -> Form:
-            shorter = np.where(mine, -1.0, 0.0)
-            perturbation = Perturbation(left=shorter, right=shorter)
-            return Form(self.id, label, (parameter,), lambda _: [perturbation], tries=len(groups))
-
-        return [form(*group) for group in groups]
+        shorter = [(label, on_both(np.where(mine, -1.0, 0.0))) for label, mine in groups]
+        return self.offer([(label, (parameter,), always(less)) for label, less in shorter])
 
 
 class RearDrag(Effect):
@@ -313,13 +310,12 @@ class TravelDirection(Effect):
         senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
         if labelled.all():
             senses = {"": sigma}
+        return self.offer([(label, (parameter,), always(on_both(sense))) for label, sense in senses.items()])
 
-        def form(label: str, sense: FloatArray) -> Form:
-            return Form(
-                self.id, label, (parameter,), lambda _: [Perturbation(left=sense, right=sense)], tries=len(senses)
-            )
 
-        return [form(*each) for each in senses.items()]
+#: heading on the floor -> share, and share and way -> what it does, each by step
+_Share = Callable[[FloatArray], FloatArray]
+_Act = Callable[[FloatArray, FloatArray], Perturbation]
 
 
 def _to_the_right(heading_rad: FloatArray) -> FloatArray:
@@ -358,37 +354,38 @@ class FloorSlope(Effect):
             (np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
         )
 
-        def radii_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            share = part(map_heading_rad(path))
-            return Perturbation(left=share, right=share)
+        def radii_by(share: FloatArray, _way: FloatArray) -> Perturbation:
+            return on_both(share)
 
-        def pull_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(heading_rad=np.abs(path.s.path_m) * part(map_heading_rad(path)))
+        def pull_by(share: FloatArray, way: FloatArray) -> Perturbation:
+            return Perturbation(heading_rad=way * share)
 
-        def drift_by(part: Callable[[FloatArray], FloatArray], path: Path) -> Perturbation:
-            return Perturbation(lateral_m=np.abs(path.s.path_m) * part(map_heading_rad(path)))
+        def drift_by(share: FloatArray, way: FloatArray) -> Perturbation:
+            return Perturbation(lateral_m=way * share)
 
-        def with_pull(path: Path) -> list[Perturbation]:
-            return [radii_by(np.cos, path), pull_by(np.sin, path)]
-
-        def any_direction(path: Path) -> list[Perturbation]:
-            return [radii_by(np.cos, path), radii_by(np.sin, path)]
-
-        offered: list[tuple[str, tuple[Parameter, ...], Perturbations]] = [
-            ("along x, radii alone", (radii,), lambda path: [radii_by(np.cos, path)]),
-            ("across, pull alone", (pull,), lambda path: [pull_by(np.cos, path)]),
-            ("across, drift alone", (drift,), lambda path: [drift_by(np.cos, path)]),
+        offered: list[tuple[str, list[tuple[Parameter, _Act, _Share]]]] = [
+            ("along x, radii alone", [(radii, radii_by, np.cos)]),
+            ("across, pull alone", [(pull, pull_by, np.cos)]),
+            ("across, drift alone", [(drift, drift_by, np.cos)]),
         ]
         if sided:
-            both = (replace(radii, name="radii_x"), replace(radii, name="radii_y"))
-            offered.append(("along x, radii and pull", (radii, pull), with_pull))
-            offered.append(("any direction, radii alone", both, any_direction))
-            drifts = (replace(drift, name="drift_x"), replace(drift, name="drift_y"))
-            offered.append(
-                (
-                    "any direction, drift alone",
-                    drifts,
-                    lambda path: [drift_by(_to_the_right, path), drift_by(np.cos, path)],
-                )
+            radii_x, radii_y, drift_x, drift_y = (
+                replace(one, name=f"{one.name}_{axis}") for one in (radii, drift) for axis in ("x", "y")
             )
-        return [Form(self.id, *each, tries=len(offered), by_parts=True) for each in offered]
+            offered += [
+                ("along x, radii and pull", [(radii, radii_by, np.cos), (pull, pull_by, np.sin)]),
+                ("any direction, radii alone", [(radii_x, radii_by, np.cos), (radii_y, radii_by, np.sin)]),
+                ("any direction, drift alone", [(drift_x, drift_by, _to_the_right), (drift_y, drift_by, np.cos)]),
+            ]
+
+        def perturbations(path: Path, parts: list[tuple[Parameter, _Act, _Share]]) -> list[Perturbation]:
+            heading, way = map_heading_rad(path), np.abs(path.s.path_m)
+            return [act(share(heading), way) for _, act, share in parts]
+
+        return self.offer(
+            [
+                (label, tuple(one for one, _, _ in parts), partial(perturbations, parts=parts))
+                for label, parts in offered
+            ],
+            by_parts=True,
+        )

@@ -11,15 +11,7 @@ import numpy as np
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
-from calib.gap.effects.columns import (
-    Covariate,
-    Declared,
-    column_of,
-    covariate_effects,
-    declared_effects,
-    entry_point_effects,
-    entry_point_origins,
-)
+from calib.gap.effects.columns import Covariate, column_of, covariate_effects, declared_effects, entry_point_effects
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.observations.arrays import POSE, Channel, Observations
@@ -76,7 +68,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
 #: id -> class
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
 #: origin of the registered effects
-LIBRARY: Final = "the library"
+LIBRARY: Final = Effect.origin
 #: a path on a floor plan is drawn apart by about this share of its extent
 DRAWN_SHARE: Final = 0.12
 #: largest factor by which an effect is enlarged for a floor plan
@@ -173,18 +165,16 @@ class EffectSignature:
 def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
     """Return the signature of an effect on the runs of a path; None where it has no form there."""
     observations = nominal.s
-    best: tuple[float, Form, list[Perturbation], FloatArray] | None = None
+    offered: list[tuple[float, Form, list[Perturbation], FloatArray]] = []
     for form in effect.forms(observations):
         pairs = zip(form.perturbations(nominal), form.typical, strict=True)
         typical = [perturbation.scaled(size) for perturbation, size in pairs]
         change = np.sum([signature(nominal, perturbation) for perturbation in typical], axis=0)
         change = np.where(observations.usable, change, np.nan)
-        size = float(np.sqrt(np.nansum(change**2)))
-        if best is None or size > best[0]:
-            best = size, form, typical, change
-    if best is None:
+        offered.append((float(np.sqrt(np.nansum(change**2))), form, typical, change))
+    if not offered:
         return None
-    _, form, typical, change = best
+    _, form, typical, change = max(offered, key=lambda each: each[0])
     away = float(np.nanmax(np.abs(change[:, POSE]), initial=0.0))
     extent = float(nominal.of_parts(lambda part: np.hypot(part.steps.x_m, part.steps.y_m)).max(initial=1.0))
     factor = float(np.clip(DRAWN_SHARE * extent / away, 1.0, MAX_ENLARGEMENT)) if away > 0 else 1.0
@@ -197,19 +187,21 @@ class Entry:
     """An effect of the catalogue."""
 
     effect: Effect
-    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
-    origin: str
     #: its signature on the runs at its typical size; None where they do not excite it
     signature: EffectSignature | None
     #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
     changes: Mapping[str, FloatArray]
 
+    @property
+    def origin(self) -> str:
+        """Where it comes from."""
+        return self.effect.origin
+
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON values; sizes in SI units."""
         form = None if self.signature is None else self.signature.form
-        texts = ("id", "title", "family", "needs", "separates", "implausible")
+        texts = ("id", "title", "family", "needs", "separates", "implausible", "origin")
         return {name: str(getattr(self.effect, name)) for name in texts} | {
-            "origin": self.origin,
             "shows": form is not None,
             "form": "" if form is None else form.label,
             "parameters": [] if form is None else plain(form.parameters),
@@ -229,21 +221,10 @@ def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) 
     for name in only:
         if name not in every:
             raise BadInputError(f"found the effect {name!r}; expected one of: {', '.join(every)}")
-    offered = entry_point_origins()
     entries = []
     for name, effect in every.items():
         if not only or name in only:
             shown = signature_of(effect, nominal)
             changes = {} if shown is None else shown.rms_by_kind()
-            entries.append(Entry(effect, _origin(effect, offered), shown, changes))
+            entries.append(Entry(effect, shown, changes))
     return entries
-
-
-def _origin(effect: Effect, offered: Mapping[str, str]) -> str:
-    if effect.id in REGISTRY:
-        return LIBRARY
-    if isinstance(effect, Covariate):
-        return f"the column {effect.column} of runs.csv"
-    if isinstance(effect, Declared):
-        return "[[effects]] of campaign.toml"
-    return offered.get(effect.id, "an installed package")

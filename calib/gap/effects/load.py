@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
 from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, softness
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Path, Perturbation
+from calib.gap.effects.effect import Effect, Family, Form, Parameter
 from calib.gap.effects.quantities import start_to_end_frame
-from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel
-from calib.gap.predict import predict
+from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel, Observations
+from calib.gap.predict import Path, predict
+from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 

@@ -6,8 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Observations, Path, varies
+from calib.gap.effects.effect import varies
+from calib.gap.observations.arrays import Observations
 from calib.gap.observations.routes import row_numbers
+from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 PAPER_LOAD_N: Final = 300.0
@@ -79,6 +81,13 @@ def numbered_sessions(observations: Observations) -> tuple[IntArray, int]:
     return number, int(number.max()) + 1
 
 
+def session_steps(observations: Observations) -> list[tuple[str, FloatArray]]:
+    """Return name and step (n_obs,) of each session but the first, counted from the campaign's mean."""
+    number, count = numbered_sessions(observations)
+    inside = [number == later for later in range(1, count)]
+    return [(str(sessions(observations)[mine][0]), mine - mine.mean()) for mine in inside]
+
+
 def driven_speed_mps(observations: Observations) -> FloatArray:
     """Return the speed of each observation as a mean over its path, shape (n_obs,); NaN where it is not known.
 
@@ -136,29 +145,19 @@ def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[Fl
     return c * x_m + sn * y_m, c * y_m - sn * x_m
 
 
-def end_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
-    """Return signed speed (m/s) and turn rate (rad/s) at the end of each observation, each shape (n_obs,).
+def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Return signed speed (m/s) and turn rate (rad/s) at the end (or start) of each observation, each shape (n_obs,).
 
     By the log's last two stretches of three tenths of a second, carried on to the very end: a vehicle that brakes to a
     halt stands there. Without a log it is read at its set speed, 0 where that is not known.
     """
 
     def motion(part: Observations) -> FloatArray:
-        last = part.starts[1:] - 1
-        to_end = part.time_s[last][part.unit] - (part.time_s - 0.5 * np.nan_to_num(part.duration_s))
-        return np.stack(_motion_at(part, to_end, last), axis=1)
-
-    speed, rate = observations.of_parts(motion).T
-    return speed, rate
-
-
-def start_motion(observations: Observations) -> tuple[FloatArray, FloatArray]:
-    """Return signed speed (m/s) and turn rate (rad/s) at the start of each unit, as `end_motion` at its end."""
-
-    def motion(part: Observations) -> FloatArray:
-        first, duration = part.starts[:-1], np.nan_to_num(part.duration_s)
-        from_start = (part.time_s - 0.5 * duration) - (part.time_s - duration)[first][part.unit]
-        return np.stack(_motion_at(part, from_start, first), axis=1)
+        duration = np.nan_to_num(part.duration_s)
+        edge = part.starts[:-1] if at_start else part.starts[1:] - 1
+        at = (part.time_s - duration if at_start else part.time_s)[edge][part.unit]
+        away = part.time_s - 0.5 * duration - at
+        return np.stack(_motion_at(part, away if at_start else -away, edge), axis=1)
 
     speed, rate = observations.of_parts(motion).T
     return speed, rate
@@ -177,8 +176,6 @@ def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> t
     known = observations.from_log & np.isfinite(way)
     set_speed = np.nan_to_num(observations.number("speed_mps")) * np.sign(observations.total(observations.path_m))
     speed = np.where(known, np.where(stands, 0.0, way), set_speed)
-    if known.all():
-        return speed, np.where(stands, 0.0, turn)
     return speed, np.where(known, np.where(stands, 0.0, turn), np.abs(set_speed) * curvature_per_m(observations)[edge])
 
 

@@ -15,10 +15,11 @@ from calib.gap.effects.effect import (
     Perturbations,
     Proportional,
     acting_on,
+    always,
     varies,
 )
-from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, sessions
-from calib.gap.effects.steering import error_form, has_front
+from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, session_steps
+from calib.gap.effects.steering import angle_error, has_front
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
@@ -165,17 +166,10 @@ class SessionStep(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form, a left and a right step a session but the first; none with one session."""
-        number, count = numbered_sessions(observations)
-        names = sessions(observations)
-        parameters: list[Parameter] = []
-        perturbations: list[Perturbation] = []
-        for later in range(1, count):
-            inside = number == later
-            step = inside - inside.mean()
-            name = names[inside][0]
-            parameters += [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side in ("left", "right")]
-            perturbations += [Perturbation(left=step), Perturbation(right=step)]
-        return [Form(self.id, "", tuple(parameters), lambda _: perturbations)] if parameters else []
+        steps = [(side, *step) for step in session_steps(observations) for side in ("left", "right")]
+        parameters = [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side, name, _ in steps]
+        perturbations = [Perturbation(**{side: step}) for side, _, step in steps]
+        return [Form(self.id, "", tuple(parameters), always(*perturbations))] if steps else []
 
 
 class SteeringZeroStep(Effect):
@@ -192,16 +186,12 @@ class SteeringZeroStep(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form, a step a session but the first; none with one session or without a front wheel."""
-        number, count = numbered_sessions(observations)
-        if count < 2 or not has_front(observations).any():
+        steps = session_steps(observations) if has_front(observations).any() else []
+        if not steps:
             return []
-        names, parameters, steps = sessions(observations), [], []
-        for later in range(1, count):
-            inside = number == later
-            parameters.append(Parameter(f"zero_{names[inside][0]}", "rad", typical=2e-3, largest=3.5e-2))
-            step = (inside - inside.mean())[observations.unit]
-            steps.append(error_form(observations, self.id, "", parameters[-1], step).perturbations)
-        return [Form(self.id, "", tuple(parameters), lambda path: [one for step in steps for one in step(path)])]
+        parameters = tuple(Parameter(f"zero_{name}", "rad", typical=2e-3, largest=3.5e-2) for name, _ in steps)
+        errors = [angle_error(observations, step[observations.unit]) for _, step in steps]
+        return [Form(self.id, "", parameters, always(*errors))]
 
 
 class SpeedRadius(Proportional):

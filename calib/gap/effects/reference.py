@@ -4,32 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.effects.effect import (
-    Centre,
-    Effect,
-    Family,
-    Form,
-    Observations,
-    Parameter,
-    Path,
-    Perturbation,
-    Perturbations,
-    varies,
-)
-from calib.gap.effects.quantities import (
-    end_motion,
-    reach,
-    standstill_mps,
-    start_motion,
-    start_to_end_frame,
-)
-from calib.gap.observations.arrays import POSE, Channel
-from calib.gap.predict import predict, residuals
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, always, varies
+from calib.gap.effects.quantities import end_motion, reach, standstill_mps, start_to_end_frame
+from calib.gap.observations.arrays import POSE, Channel, Observations
+from calib.gap.predict import Path, predict, residuals
+from calib.gap.steps import Perturbation
 from calib.types import ComplexArray, FloatArray
 
 
@@ -172,15 +157,12 @@ class ReferenceYaw(Effect):
         # a window begins in the same axes: what it turns by is not touched
         shapes = {self.OF_POSITION: 0.0} | ({} if observations.windowed else {"position and heading": 1.0})
 
-        def form(label: str, heading: float) -> Form:
-            def turned(path: Path) -> list[Perturbation]:
-                along, lateral = _read_at(path, 1j * complex(*observations.sensor_m))
-                reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=heading)
-                return [replace(reading, turned_rad=np.ones(len(path.s)))]
+        def turned(path: Path, heading: float) -> list[Perturbation]:
+            along, lateral = _read_at(path, 1j * complex(*observations.sensor_m))
+            reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=heading)
+            return [replace(reading, turned_rad=np.ones(len(path.s)))]
 
-            return Form(self.id, label, (parameter,), turned, tries=len(shapes))
-
-        return [form(*shape) for shape in shapes.items()]
+        return self.offer([(label, (parameter,), partial(turned, heading=one)) for label, one in shapes.items()])
 
 
 class ReferenceScale(Effect):
@@ -242,7 +224,9 @@ class ReferenceLatency(Effect):
         """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
         speed, rate = end_motion(observations)
         nothing = np.zeros(len(observations))
-        first_speed, first_rate = start_motion(observations) if observations.windowed else (nothing, nothing)
+        first_speed, first_rate = (
+            end_motion(observations, at_start=True) if observations.windowed else (nothing, nothing)
+        )
         least = np.minimum(0.01, 0.2 * standstill_mps(observations))
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
@@ -266,10 +250,7 @@ class ReferenceLatency(Effect):
             late[self.OF_CLOCK] = Perturbation(start_arc=start * begin_s[:, None], delay_s=end_s)
             parameters[self.OF_CLOCK] = Parameter("rate", "1", typical=5e-4, largest=1e-2)
 
-        def form(label: str, perturbation: Perturbation) -> Form:
-            return Form(self.id, label, (parameters[label],), lambda _: [perturbation], tries=len(late))
-
-        return [form(*each) for each in late.items()]
+        return self.offer([(label, (parameters[label],), always(push)) for label, push in late.items()])
 
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth

@@ -10,18 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import (
-    Effect,
-    Family,
-    Form,
-    Observations,
-    Parameter,
-    Path,
-    Perturbation,
-    Perturbations,
-)
-from calib.gap.observations.arrays import N_CHANNELS, Channel
-from calib.gap.predict import predict
+from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.predict import Path, predict
+from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.settings import FrontModel
-from calib.gap.effects.effect import Effect, Family, Form, Observations, Parameter, Perturbation
-from calib.gap.observations.arrays import Channel
-from calib.gap.steps import joined_perturbation
+from calib.gap.effects.effect import Effect, Family, Form, Parameter, always
+from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.steps import Perturbation, joined_perturbation
 from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -54,37 +54,14 @@ def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray
     return Perturbation.on_readings(observations, front=front, steering=steering)
 
 
-def error_form(
-    observations: Observations,
-    effect: str,
-    label: str,
-    parameter: Parameter,
-    error_rad: FloatArray,
-    *,
-    tries: int = 1,
-    settings: dict[str, float] | None = None,
-    exact_at: float = 0.0,
-) -> Form:
-    """Return a form by which the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
+def angle_error(observations: Observations, error_rad: FloatArray, exact_at: float = 0.0) -> Perturbation:
+    """Return what it does that the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
     The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L, and the distance by
     the front wheel, sum of ds cos(delta), too small by ds sin(delta) error. The channels are what the rear wheels say
     less that, so they gain the excess.
 
-    Parameters
-    ----------
-    observations : Observations
-    effect, label : str
-        Id of the effect, and which of its forms this is.
-    parameter : Parameter
-    error_rad : array of float, shape (n_steps,)
-        Error of the angle per unit of the parameter.
-    tries : int
-        How many forms were searched over.
-    settings : dict of str to float, optional
-        Quantities of the form that are not fitted.
-    exact_at : float
-        Size at which sine and cosine are taken of the whole error; their slopes by default.
+    `exact_at`: size at which sine and cosine are taken of the whole error; their slopes by default.
     """
 
     def acts(part: Observations, error: FloatArray) -> Perturbation:
@@ -103,9 +80,7 @@ def error_form(
 
     edges = observations.starts
     some = ((units, error_rad[edges[units.start] : edges[units.stop]]) for units in observations.spans)
-    parts = ((units, acts(observations.part(units), error)) for units, error in some)
-    perturbations = [joined_perturbation(observations, parts)]
-    return Form(effect, label, (parameter,), lambda _: perturbations, tries=tries, settings=settings or {})
+    return joined_perturbation(observations, ((units, acts(observations.part(units), error)) for units, error in some))
 
 
 class SteeringZero(Effect):
@@ -123,8 +98,8 @@ class SteeringZero(Effect):
         if not has_front(observations).any():
             return []
         parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
-        error = np.ones(len(observations.unit))
-        return [error_form(observations, self.id, "", parameter, error, exact_at=straight_ahead_rad(observations))]
+        error = angle_error(observations, np.ones(len(observations.unit)), straight_ahead_rad(observations))
+        return [Form(self.id, "", (parameter,), always(error))]
 
 
 def steering_blunder(observations: Observations) -> str:
@@ -177,13 +152,11 @@ class SteeringScale(Effect):
         angle = steer_rad(observations)
         if not has_front(observations).any() or not (np.abs(angle) > 0.02).any():
             return []
-        parameter = Parameter("relative", "1", typical=1e-2, largest=1e-1)
+        parameters = (Parameter("relative", "1", typical=1e-2, largest=1e-1),)
         # the distance by the front wheel knows nothing of the wheelbase
-        longer = [excess(observations, np.zeros_like(angle), front_turn_rad(observations))]
-        return [
-            error_form(observations, self.id, "scale of the angle", parameter, angle, tries=2),
-            Form(self.id, "wheelbase", (parameter,), lambda _: longer, tries=2),
-        ]
+        longer = excess(observations, np.zeros_like(angle), front_turn_rad(observations))
+        scaled = always(angle_error(observations, angle))
+        return self.offer([("scale of the angle", parameters, scaled), ("wheelbase", parameters, always(longer))])
 
 
 #: logged angle from which on a step belongs to a turn
@@ -215,7 +188,7 @@ class SteeringBacklash(Effect):
         angle = steer_rad(observations)
         if not has_front(observations).any() or not (np.abs(angle) > TURN_ANGLE_RAD).any():
             return []
-        parameter = Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1)
+        parameters = (Parameter("play", "rad", typical=8e-3, largest=4e-2, sign=1),)
         # only a clear turn has a side: near zero the sign is noise
         by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)
@@ -224,20 +197,18 @@ class SteeringBacklash(Effect):
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
         rough = _noise_rad(observations, wheel)
-        forms: list[Form] = []
-
-        def offer(label: str, error: FloatArray, settings: dict[str, float]) -> None:
-            tries = 2 * len(PLAYS_RAD) + 1
-            forms.append(error_form(observations, self.id, label, parameter, error, tries=tries, settings=settings))
-
+        errors: list[tuple[str, FloatArray, dict[str, float]]] = []
         for play in PLAYS_RAD:
-            label = f"through {1e3 * play:g} mrad"
+            label, settings = f"through {1e3 * play:g} mrad", {"play_rad": play}
             ahead = _lost_in_play(observations, moved, play, 6.0 * noise) / play
-            offer(f"by the moves of the motor, {label}", ahead, {"play_rad": play})
             behind = -_lost_in_play(observations, wheel, play, 3.0 * rough) / play
-            offer(f"by the moves of the wheel, {label}", behind, {"play_rad": play})
-        offer("by the side of the turn", 0.5 * by_side, {})
-        return forms
+            errors.append((f"by the moves of the motor, {label}", ahead, settings))
+            errors.append((f"by the moves of the wheel, {label}", behind, settings))
+        errors.append(("by the side of the turn", 0.5 * by_side, {}))
+        return [
+            Form(self.id, label, parameters, always(angle_error(observations, error)), settings, len(errors))
+            for label, error, settings in errors
+        ]
 
 
 def _noise_rad(observations: Observations, angle: FloatArray) -> float:
@@ -335,7 +306,7 @@ class SteeringDelay(Effect):
         rate = rate_per_s(observations, angle, 1)
         if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
             return []
-        parameter = Parameter("delay", "s", typical=1e-1, largest=5e-1)
+        parameters = (Parameter("delay", "s", typical=1e-1, largest=5e-1),)
         # a log that lags by the first order is short by tau d(delta)/dt: the form of a short delay
         errors = {"": (-rate, 0.0)}
         for delay in DELAYS_S:
@@ -343,10 +314,8 @@ class SteeringDelay(Effect):
             errors[f"a lag of about {delay:g} s"] = -_lag_behind(observations, angle, delay) / delay, -delay
 
         def form(label: str, error: FloatArray, exact_at: float) -> Form:
-            settings = {"shift_s": exact_at} if exact_at else {}
-            return error_form(
-                observations, self.id, label, parameter, error, tries=len(errors), settings=settings, exact_at=exact_at
-            )
+            settings, acts = {"shift_s": exact_at} if exact_at else {}, angle_error(observations, error, exact_at)
+            return Form(self.id, label, parameters, always(acts), settings, len(errors))
 
         return [form(label, *error) for label, error in errors.items()]
 

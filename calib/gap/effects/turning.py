@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Observations, Parameter, Path, Perturbations, varies
-from calib.gap.effects.load import slope_parameters
-from calib.gap.effects.quantities import (
-    curvature_per_m,
-    driven_speed_mps,
-    on_the_spot,
-    path_curvature_per_m,
-    reach,
-    shows_curves,
-    softness,
-    standstill_mps,
-    turns_on_the_spot_too,
+from calib.gap.effects import quantities
+from calib.gap.effects.effect import (
+    Centre,
+    Effect,
+    Family,
+    Form,
+    Offer,
+    Parameter,
+    Perturbations,
+    always,
+    on_both,
+    varies,
 )
+from calib.gap.effects.load import slope_parameters
 from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
-from calib.gap.observations.arrays import POSE
+from calib.gap.observations.arrays import POSE, Observations
+from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
@@ -47,13 +50,13 @@ class CurveLoadTransfer(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where nothing turns or no speed is known."""
-        if not shows_curves(observations) or not observations.speed_mps.any():
+        if not quantities.shows_curves(observations) or not observations.speed_mps.any():
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
             s = path.s
             # the curvature counts turn per distance, unsigned: rolling backward, the same turn pulls to the other side
-            pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * curvature_per_m(s)
+            pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * quantities.curvature_per_m(s)
             moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
             return [Perturbation(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
 
@@ -75,11 +78,11 @@ class LoadDependentTrack(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
         axle = observations.wheel_loads_N.sum(axis=0)
-        if not varies(axle, 10.0, observations) or not shows_curves(observations):
+        if not varies(axle, 10.0, observations) or not quantities.shows_curves(observations):
             return []
         over = axle - 2.0 * observations.model.reference_load_N
         # up to 1 % for 1000 N
-        soft = softness(observations)
+        soft = quantities.softness(observations)
         parameter = Parameter("per_N", "1/N", typical=5e-6 * soft, largest=5e-5 * soft)
         return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=over)])]
 
@@ -99,20 +102,24 @@ class SideSlip(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return two forms, of an angle and of a speed; none without turns, a known speed or measured positions."""
-        if not shows_curves(observations) or not observations.speed_mps.any() or not observations.usable[:, POSE].any():
+        if (
+            not quantities.shows_curves(observations)
+            or not observations.speed_mps.any()
+            or not observations.usable[:, POSE].any()
+        ):
             return []
 
-        def form(label: str, parameter: Parameter, power: int) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-                way_m = curvature_per_m(path.s) * path.s.path_m
-                return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * way_m)]
-
-            return Form(self.id, label, (parameter,), perturbations, tries=2, by_parts=True)
+        def slips(path: Path, power: int) -> list[Perturbation]:
+            # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
+            way_m = quantities.curvature_per_m(path.s) * path.s.path_m
+            return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * way_m)]
 
         angle = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
-        sideways = Parameter("speed_per_acceleration", "s", typical=2e-3, largest=5e-2, sign=1)
-        return [form("slip angle", angle, 2), form("sideways speed", sideways, 1)]
+        offers = [
+            ("slip angle", angle, 2),
+            ("sideways speed", replace(angle, name="speed_per_acceleration", unit="s"), 1),
+        ]
+        return self.offer([(label, (one,), partial(slips, power=k)) for label, one, k in offers], by_parts=True)
 
 
 class CurveScrub(Effect):
@@ -133,22 +140,21 @@ class CurveScrub(Effect):
 
         Tyres that twist on the spot scrub where those that roll do not; it counts as a turn about a rear wheel.
         """
-        shapes: dict[str, Callable[[Path], FloatArray]] = {}
-        if shows_curves(observations):
-            shapes[""] = lambda path: np.abs(path_curvature_per_m(path))
-        if turns_on_the_spot_too(observations):
-            shapes["on the spot"] = lambda path: on_the_spot(path.s, path.steps.turn_rad, path.steps.ds_m)
         # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
-        size = reach(observations)
-        parameter = Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size)
+        size = quantities.reach(observations)
+        parameters = (Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size),)
 
-        def form(label: str, shape: Callable[[Path], FloatArray]) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                return [Perturbation(track=shape(path))]
+        def of_spots(path: Path) -> list[Perturbation]:
+            return [Perturbation(track=quantities.on_the_spot(path.s, path.steps.turn_rad, path.steps.ds_m))]
 
-            return Form(self.id, label, (parameter,), perturbations, tries=len(shapes), by_parts=True)
-
-        return [form(*each) for each in shapes.items()]
+        offers: list[Offer] = []
+        if quantities.shows_curves(observations):
+            offers.append(
+                ("", parameters, lambda path: [Perturbation(track=np.abs(quantities.path_curvature_per_m(path)))])
+            )
+        if quantities.turns_on_the_spot_too(observations):
+            offers.append(("on the spot", parameters, of_spots))
+        return self.offer(offers, by_parts=True)
 
 
 class BrakingSkid(Effect):
@@ -169,23 +175,20 @@ class BrakingSkid(Effect):
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
         if not stops(observations).any():
             return []
-        speed = driven_speed_mps(observations)
+        speed = quantities.driven_speed_mps(observations)
         per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
         slips = [("the same at each stop", np.ones_like(speed), per_stop)]
         if varies(speed, 0.02, observations):
             squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
             slips.append(("~ v^2", speed**2, squared))
 
-        def form(label: str, size: FloatArray, parameter: Parameter) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                s = path.s
-                sense = np.where(s.path_m < 0.0, -1.0, 1.0)
-                along = np.where(stops(s), sense * s.here(size)[s.unit], 0.0)
-                return [Perturbation(along_m=along, heading_rad=np.abs(along) * curvature_per_m(s))]
+        def slides(path: Path, size: FloatArray) -> list[Perturbation]:
+            s = path.s
+            sense = np.where(s.path_m < 0.0, -1.0, 1.0)
+            along = np.where(stops(s), sense * s.here(size)[s.unit], 0.0)
+            return [Perturbation(along_m=along, heading_rad=np.abs(along) * quantities.curvature_per_m(s))]
 
-            return Form(self.id, label, (parameter,), perturbations, tries=len(slips), by_parts=True)
-
-        return [form(*slip) for slip in slips]
+        return self.offer([(label, (one,), partial(slides, size=size)) for label, size, one in slips], by_parts=True)
 
 
 def stops(observations: Observations) -> BoolArray:
@@ -196,9 +199,9 @@ def stops(observations: Observations) -> BoolArray:
     speed = np.abs(observations.speed_mps)
     last = np.zeros(len(observations.unit), dtype=bool)
     last[observations.starts[1:] - 1] = True
-    moving = speed > standstill_mps(observations)[observations.unit]
+    moving = speed > quantities.standstill_mps(observations)[observations.unit]
     follows = np.concatenate((moving[1:], [False]))
-    driven = np.nan_to_num(driven_speed_mps(observations))[observations.unit]
+    driven = np.nan_to_num(quantities.driven_speed_mps(observations))[observations.unit]
     within = moving & ~last & ~follows
     at_end = last & moving & (speed < 0.5 * driven)
     return np.where(observations.from_log[observations.unit], within | at_end, last)
@@ -236,14 +239,10 @@ class WheelSlip(Effect):
         # a run from rest to rest gains and loses the same
         shown = [(label, one, law) for label, one, *law in laws if _most_lost_m(observations, one, *law) > LEAST_SLIP_M]
 
-        def form(label: str, parameter: Parameter, law: Sequence[float]) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                slip = _slip(path.s, *law)
-                return [Perturbation(left=-slip, right=-slip)]
+        def slips(path: Path, law: Sequence[float]) -> list[Perturbation]:
+            return [on_both(-_slip(path.s, *law))]
 
-            return Form(self.id, label, (parameter,), perturbations, tries=len(shown), by_parts=True)
-
-        return [form(*each) for each in shown]
+        return self.offer([(label, (one,), partial(slips, law=law)) for label, one, law in shown], by_parts=True)
 
 
 def _slip(observations: Observations, least_mps2: float, power: float) -> FloatArray:
@@ -317,11 +316,10 @@ class DriveSlip(Effect):
             label: str, force: FloatArray | None, parts: list[Perturbation], parameters: tuple[Parameter, ...]
         ) -> Form:
             if force is None:
-                return Form(self.id, label, parameters, lambda _: parts, tries=len(slips))
+                return Form(self.id, label, parameters, always(*parts), tries=len(slips))
 
             def about(centre: Centre) -> Perturbations:
-                shared = [_shared(observations, part, centre.deviations(force)) for part in parts]
-                return lambda _: shared
+                return always(*(_shared(observations, part, centre.deviations(force)) for part in parts))
 
             centre = Centre(0.0, float(np.mean(force)))
             return Form(self.id, label, parameters, about(centre), tries=len(slips), centre=centre, about=about)

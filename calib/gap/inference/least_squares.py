@@ -9,18 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.fit import (
-    CALIBRATION_SD,
-    SIZE_SD,
-    Fitted,
-    by_form,
-    calibration_basis,
-    hypothesis_columns,
-    hypothesis_path,
-    is_gain,
-    squares_by_unit,
-    whitened,
-)
+from calib.gap.inference import fit as fitting
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form, whitened
 from calib.gap.inference.lack_of_fit import LackOfFit
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.noise import Noise
@@ -40,7 +30,7 @@ MAX_PREDICTION_VARIANCE: Final = 0.1
 
 def prior_precision(n_columns: int) -> FloatArray:
     """Return the prior precision of a recalibration and sizes after it, shape (n_columns,)."""
-    return np.concatenate([np.ones(4), np.full(n_columns - 4, 1.0 / SIZE_SD**2)])
+    return np.concatenate([np.ones(4), np.full(n_columns - 4, 1.0 / fitting.SIZE_SD**2)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +143,7 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
         stiff = np.where(np.arange(len(sizes)) < 4, 1e12, 1.0)
         held, _ = weighting.solve(columns, prior_precision(columns.shape[1]) * stiff)
         gained = weighting.square(system.gap - columns @ held) - weighting.square(system.gap - columns @ sizes)
-        if not is_gain(gained, system.fitted):
+        if not fitting.is_gain(gained, system.fitted):
             sizes = held * (np.arange(len(sizes)) >= 4)
     if stays and np.array_equal(sizes, present):
         return system.fitted
@@ -179,7 +169,7 @@ def _simulated_at(
     """Re-simulate at (4 + n_parameters,) values; also return the whitened residual, shape (n_rows,)."""
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
     theta = tuple(by_form(forms, values))
-    path = hypothesis_path(system.path.s, calibration, forms, theta, system.path)
+    path = fitting.hypothesis_path(system.path.s, calibration, forms, theta, system.path)
     left = residuals(path, system.nominal)
     white = whitened(path, system.noise, left)[system.blocks.order]
     return Fitted(forms, theta, calibration, covariance, path, float(white @ white), left), white
@@ -205,7 +195,7 @@ class HeldOutFit:
             weighting = Weighting.from_component(LinearSystem(fitted, nominal, noise, fitted.forms))
         self.weighting = weighting
         columns = weighting.system.columns_of(weighting.system.numbers(fitted.forms))
-        basis = np.eye(columns.shape[1]) if along is None else calibration_basis(along, columns.shape[1] - 4)
+        basis = np.eye(columns.shape[1]) if along is None else fitting.calibration_basis(along, columns.shape[1] - 4)
         self.columns, self.basis = columns @ basis, basis
         self.precision = np.square(basis).T @ prior_precision(len(basis))
         self._solved: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -223,7 +213,7 @@ class HeldOutFit:
     @cached_property
     def derivative(self) -> FloatArray:
         """What each estimate does to the readings, shape (n_units, n_channels, p)."""
-        columns = hypothesis_columns(self.fitted.path, self.fitted.forms)
+        columns = fitting.hypothesis_columns(self.fitted.path, self.fitted.forms)
         return np.where(self.observations.usable[:, :, None], columns @ self.basis, 0.0)
 
     def contribution(self, effects: Collection[str]) -> FloatArray:
@@ -268,7 +258,7 @@ class HeldOutFit:
 
     def squares(self, residuals: FloatArray) -> FloatArray:
         """Return the whitened squares of each unit, shape (n_units,)."""
-        return squares_by_unit(self.fitted.path, self.noise, residuals)
+        return fitting.squares_by_unit(self.fitted.path, self.noise, residuals)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
         """Return the gap's standard deviation, lack of fit included, along a change of some units' readings."""

@@ -14,15 +14,8 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.inference.fit import (
-    CALIBRATION_SD,
-    Fitted,
-    recalibration_columns,
-    signature_columns,
-    signatures_by_part,
-    whitened,
-    whitened_rows,
-)
+from calib.gap.inference import fit as fitting
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted
 from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components, row_blocks
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
@@ -48,14 +41,14 @@ class LinearSystem:
         self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
         self.layout = Layout.of(self.forms)
         self.whole = np.empty((len(order), self._width))
-        self.calibration[:] = whitened_rows(path, noise, recalibration_columns(path))[order]
+        self.calibration[:] = fitting.whitened_rows(path, noise, fitting.recalibration_columns(path))[order]
         place = np.argsort(order)
         edges = np.concatenate(([0], np.cumsum(path.s.usable.sum(axis=1))))
-        for number, units, some in signatures_by_part(path, self.forms):
+        for number, units, some in fitting.signatures_by_part(path, self.forms):
             # as they come: all of them before they are whitened would be as many again
             rows = place[edges[units.start] : edges[units.stop]]
-            self.of(number)[rows] = whitened_rows(path, noise, some, units)
-        self.left = whitened(path, noise, residuals(path, nominal))[order]
+            self.of(number)[rows] = fitting.whitened_rows(path, noise, some, units)
+        self.left = fitting.whitened(path, noise, residuals(path, nominal))[order]
         gap = self.left + self.calibration @ (fitted.calibration / CALIBRATION_SD)
         for number, form, theta in zip(self.numbers(fitted.forms), fitted.forms, fitted.theta, strict=True):
             gap = gap + self.of(number) @ (theta / form.typical)
@@ -174,8 +167,8 @@ class WhitenedSystem:
         known: LinearSystem | None = None,
     ) -> None:
         self.path, self.nominal, self.noise = path, nominal, noise
-        self.gap = whitened(path, noise, residuals(path, nominal))
-        self.calibration = whitened_rows(path, noise, recalibration_columns(path))
+        self.gap = fitting.whitened(path, noise, residuals(path, nominal))
+        self.calibration = fitting.whitened_rows(path, noise, fitting.recalibration_columns(path))
         self._offered = () if path.kept is not None else tuple(offered)
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
         self._known, self._back = known, None if known is None else np.argsort(known.blocks.order)
@@ -187,7 +180,7 @@ class WhitenedSystem:
         if id(form) not in self._columns:
             wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
             self._offered = ()
-            for other, columns in zip(wanted, signature_columns(self.path, wanted), strict=True):
+            for other, columns in zip(wanted, fitting.signature_columns(self.path, wanted), strict=True):
                 # the form is kept with its columns, so that its id stays its own
-                self._columns[id(other)] = other, whitened_rows(self.path, self.noise, columns)
+                self._columns[id(other)] = other, fitting.whitened_rows(self.path, self.noise, columns)
         return self._columns[id(form)][1]

@@ -16,24 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.noise_components import (
-    COMPONENTS,
-    PRIOR_MEDIANS,
-    NoiseComponents,
-    Trends,
-    ambient_interactions,
-    ambient_trends,
-    load_speed_trends,
-    session_steps,
-    whitener_of,
-)
-from calib.gap.inference.repeatability import (
-    Replicates,
-    ScaleLikelihood,
-    most_likely_scales,
-    neighbours,
-    thinned_replicates,
-)
+from calib.gap.inference import noise_components as components
+from calib.gap.inference import repeatability
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
@@ -83,7 +67,7 @@ class NoiseSupport:
 
     basis: Basis  #: what it rests on
     labels: IntArray  #: shape (n_units,): units compared with each other share a number
-    trends: Trends | None  #: what may differ between them and is no noise
+    trends: components.Trends | None  #: what may differ between them and is no noise
     dof: float  #: degrees of freedom from which it is taken
 
 
@@ -95,25 +79,25 @@ def noise_supports(path: Path) -> Iterator[NoiseSupport]:
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
-    ambient = ambient_trends(path)
-    trends = replace(ambient, after=np.concatenate([ambient.after, *ambient_interactions(path)], axis=2))
+    ambient = components.ambient_trends(path)
+    trends = replace(ambient, after=np.concatenate([ambient.after, *components.ambient_interactions(path)], axis=2))
     yield NoiseSupport(alike, observations.cell, None, enough)
     yield NoiseSupport(alike, observations.condition, trends, enough)
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
-    beside = neighbours(observations.condition, NEIGHBOURS_TOGETHER)
+    beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
     # neighbours are alike in all but this: a session may end between them
-    yield NoiseSupport(near, beside, session_steps(path), enough)
+    yield NoiseSupport(near, beside, components.session_steps(path), enough)
     yield NoiseSupport(near, beside, None, enough)
     yield NoiseSupport(alike, observations.condition, trends, MIN_DOF)
     yield NoiseSupport(alike, observations.cell, None, MIN_DOF)
     yield NoiseSupport(near, beside, None, MIN_DOF)
     if observations.windowed:
-        yield NoiseSupport(near, neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
+        yield NoiseSupport(near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
     else:
-        loads = load_speed_trends(path)
+        loads = components.load_speed_trends(path)
         with_loads = replace(trends, before=np.concatenate([loads, trends.before], axis=2))
         yield NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
-        yield NoiseSupport(Basis.ROUTE, observations.kind, Trends.of_all(loads), MIN_DOF)
+        yield NoiseSupport(Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +130,7 @@ class Noise:
     @cached_property
     def whitener(self) -> FloatArray:
         """Inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
-        return whitener_of(self.covariance)
+        return components.whitener_of(self.covariance)
 
     @property
     def floor(self) -> FloatArray:
@@ -168,22 +152,22 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
     `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `start`: an estimate about another
     path, to begin at.
     """
-    shapes = NoiseComponents.about(path)
-    begin = np.log(PRIOR_MEDIANS)
+    shapes = components.NoiseComponents.about(path)
+    begin = np.log(components.PRIOR_MEDIANS)
     if start is not None:
-        known = [start.scales.get(name, median) for name, median, _ in COMPONENTS]
+        known = [start.scales.get(name, median) for name, median, _ in components.COMPONENTS]
         begin = np.log(np.maximum(known, 1e-300))
     first = None
     for support in noise_supports(path):
-        grouped = Replicates.by(support.labels)
+        grouped = repeatability.Replicates.by(support.labels)
         if len(grouped.units) == 0:
             continue
-        whole = ScaleLikelihood(path, gap, shapes, grouped, support.trends)
+        whole = repeatability.ScaleLikelihood(path, gap, shapes, grouped, support.trends)
         if whole.dof < support.dof:
             continue
-        some = thinned_replicates(grouped)
-        part = whole if some is grouped else ScaleLikelihood(path, gap, shapes, some, support.trends)
-        log_scale = most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
+        some = repeatability.thinned_replicates(grouped)
+        part = whole if some is grouped else repeatability.ScaleLikelihood(path, gap, shapes, some, support.trends)
+        log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
         # those far from their repeats weigh less
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
@@ -192,25 +176,27 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
             return noise
         # many units are worth nothing where their differences cannot be told from a gap: the next support is tried
         first = first or noise
-    return first or _noise(path, shapes, np.log(PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
+    return first or _noise(path, shapes, np.log(components.PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 
 
 def _noise(
-    path: Path, shapes: NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
+    path: Path, shapes: components.NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
 ) -> Noise:
     """Return the noise of scales (n_components,) and weights (n_units,), and its support."""
     covariance = shapes.covariance(log_scale, weight)
     scales = {
-        name: float(np.exp(v)) for (name, _, _), v, on in zip(COMPONENTS, log_scale, shapes.active, strict=True) if on
+        name: float(np.exp(v))
+        for (name, _, _), v, on in zip(components.COMPONENTS, log_scale, shapes.active, strict=True)
+        if on
     }
     excess = _excess(shapes, covariance)
     supported, words = _support(path, covariance, basis, dof, excess)
     return Noise(covariance, scales, dof, weight, supported, words, excess)
 
 
-def _excess(shapes: NoiseComponents, covariance: FloatArray) -> FloatArray:
+def _excess(shapes: components.NoiseComponents, covariance: FloatArray) -> FloatArray:
     usable = shapes.usable
-    stated = shapes.covariance(np.log(PRIOR_MEDIANS), np.ones(len(usable)))
+    stated = shapes.covariance(np.log(components.PRIOR_MEDIANS), np.ones(len(usable)))
     ratio = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) / np.diagonal(stated, axis1=1, axis2=2))
     return np.array([float(np.median(ratio[on, k])) if (on := usable[:, k]).any() else np.nan for k in range(6)])
 

@@ -20,12 +20,12 @@ from typing import IO, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects.effect import Perturbation
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, SimulatorParameter, WheelMotion
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
+from calib.gap.steps import Perturbation
 from calib.types import FloatArray, Progress
 
 #: kept of a simulator's output for an error: its last lines say what went wrong
