@@ -181,10 +181,10 @@ def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> t
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:
-    if not small:
-        return ()
-    listed = ", ".join(small)
-    return (f"too small beside the largest cause to be named: {listed}; correct that first, then diagnose again",)
+    text = (
+        f"too small beside the largest cause to be named: {', '.join(small)}; correct that first, then diagnose again"
+    )
+    return (text,) if small else ()
 
 
 def _on_scatter(evidence: Evidence) -> str:

@@ -255,9 +255,8 @@ class Diagnosis(Result):
     notes: tuple[str, ...] = ()  #: what was excluded or assumed
     correct_first: tuple[str, ...] = ()  #: what the check says of data that name no cause
     noise_level: NoiseSummary = field(default_factory=NoiseSummary, metadata={"json": "noise"})
-    probabilities: Mapping[str, float] = field(
-        default_factory=dict
-    )  #: of each effect and of ``unknown``, largest first
+    #: of each effect and of ``unknown``, largest first
+    probabilities: Mapping[str, float] = field(default_factory=dict)
     judged_against: str = BY_MODEL  #: ``model``, ``sim columns of runs.csv``, or the name of a coefficient file
     campaign: str = ""  #: name of the campaign
     simulated: bool = False  #: whether a program made its data

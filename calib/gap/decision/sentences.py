@@ -313,13 +313,12 @@ def _channels(diagnosis: Diagnosis) -> str:
     """
     closure, named = diagnosis.closure, bool(diagnosis.causes)
 
-    def ratio(line: ChannelClosure) -> float:
-        return line.before_rms / line.floor_rms if line.floor_rms > 0.0 else 0.0
+    def moved(line: ChannelClosure) -> float:
+        """Return the squares of the gap over those of the noise, less those with the causes where any is named."""
+        left = line.after_rms**2 if named else 0.0
+        return (line.before_rms**2 - left) / line.floor_rms**2 if line.floor_rms > 0.0 else 0.0
 
-    def lowered(line: ChannelClosure) -> float:
-        return (line.before_rms**2 - line.after_rms**2) / line.floor_rms**2 if line.floor_rms > 0.0 else 0.0
-
-    lines = closure.moved or sorted(closure.channels, key=lowered if named else ratio)[-1:]
+    lines = closure.moved or sorted(closure.channels, key=moved)[-1:]
     parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
     where = "" if not named else ", which ran again with the fix" if closure.held_out == RERUN else ", on held-out runs"
     return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""

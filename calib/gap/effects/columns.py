@@ -83,11 +83,6 @@ def column_of(effect: str) -> str | None:
     return effect.removeprefix(COVARIATE_PREFIX) if effect.startswith(COVARIATE_PREFIX) else None
 
 
-def covariate_effects(observations: Observations) -> list[Covariate]:
-    """Return an effect for each further numeric column."""
-    return [Covariate(column) for column in covariate_columns(observations)]
-
-
 #: group of entry points under which packages offer classes of effects
 ENTRY_POINT_GROUP: Final = "calib.effects"
 

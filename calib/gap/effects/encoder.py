@@ -185,16 +185,18 @@ class Blunder:
 
 
 def _candidates() -> list[Blunder]:
-    faults = [Blunder(_SWAPPED, 1.0, 1.0, swapped=True)]
-    for label, factor in FACTORS.items():
-        for whose, left, right in (
-            ("both wheels'", factor, factor),
-            ("the left wheel's", factor, 1.0),
-            ("the right wheel's", 1.0, factor),
-        ):
-            faults.append(Blunder(f"{whose} counts are to be multiplied by {label}", left, right))
+    times = "counts are to be multiplied by"
+    of_factors = [
+        (
+            Blunder(f"both wheels' {times} {label}", factor, factor),
+            Blunder(f"the left wheel's {times} {label}", factor, 1.0),
+            Blunder(f"the right wheel's {times} {label}", 1.0, factor),
+        )
+        for label, factor in FACTORS.items()
+    ]
     return [
-        *faults,
+        Blunder(_SWAPPED, 1.0, 1.0, swapped=True),
+        *(fault for faults in of_factors for fault in faults),
         Blunder("the left wheel counts backwards", -1.0, 1.0),
         Blunder("the right wheel counts backwards", 1.0, -1.0),
         Blunder("both wheels count backwards", -1.0, -1.0),
@@ -204,14 +206,13 @@ def _candidates() -> list[Blunder]:
 
 def corrected(observations: Observations, fault: Blunder) -> Observations:
     """Return the observations with the counts corrected."""
-    left, right = ("right", "left") if fault.swapped else ("left", "right")
-    return replace(
-        observations,
-        roll_left_rad=getattr(observations, f"roll_{left}_rad") * fault.left,
-        roll_right_rad=getattr(observations, f"roll_{right}_rad") * fault.right,
-        phase_left_rad=getattr(observations, f"phase_{left}_rad") * fault.left,
-        phase_right_rad=getattr(observations, f"phase_{right}_rad") * fault.right,
-    )
+    other = {"left": "right", "right": "left"}
+    counted = {
+        f"{angle}_{side}_rad": getattr(observations, f"{angle}_{other[side] if fault.swapped else side}_rad") * factor
+        for angle in ("roll", "phase")
+        for side, factor in (("left", fault.left), ("right", fault.right))
+    }
+    return replace(observations, **counted)
 
 
 def bad_runs(nominal: Path) -> dict[str, float]:

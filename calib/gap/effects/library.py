@@ -11,7 +11,7 @@ import numpy as np
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
-from calib.gap.effects.columns import Covariate, column_of, covariate_effects, declared_effects, entry_point_effects
+from calib.gap.effects.columns import Covariate, column_of, covariate_columns, declared_effects, entry_point_effects
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.observations.arrays import POSE, Channel, Observations
@@ -126,7 +126,7 @@ def check_excluded(exclude: Collection[str], observations: Observations, declare
 def _all(observations: Observations, declared: object) -> tuple[list[Effect], list[Covariate], list[Effect]]:
     registered = [kind() for kind in EFFECTS]
     taken_columns = {column for effect in registered for column in effect.columns}
-    covariates = [effect for effect in covariate_effects(observations) if effect.column not in taken_columns]
+    covariates = [Covariate(name) for name in covariate_columns(observations) if name not in taken_columns]
     taken = [effect.id for effect in (*registered, *covariates)]
     own = declared_effects(declared, observations, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])

@@ -160,10 +160,8 @@ class LoadCreep(_OfLoad):
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
-        parameters = tuple(
-            Parameter(name, "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
-            for name in ("creep_left", "creep_right")
-        )
+        left = Parameter("creep_left", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
+        parameters = (left, replace(left, name="creep_right"))
         unladen = observations.vehicle.unladen_load_N
         # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
         # where that is zero: the vehicle always bears its own
@@ -183,10 +181,8 @@ class LoadCreep(_OfLoad):
                 return _on_radii(observations, *-(above - (above - old) * gone))
 
             label, tries = f"{name}, time constant {tau:g} min", len(creeps) * len(CREEP_TIMES_MIN)
-            perturbations = about(centre or Centre(0.0))
-            return Form(
-                self.id, label, parameters, perturbations, {"tau_min": tau}, tries, centre, about if centre else None
-            )
+            perturbations, settings = about(centre or Centre(0.0)), {"tau_min": tau}
+            return Form(self.id, label, parameters, perturbations, settings, tries, centre, about if centre else None)
 
         return [form(*creep, tau) for creep in creeps for tau in CREEP_TIMES_MIN]
 
@@ -307,11 +303,8 @@ class PayloadPosition(_OfPayload):
             )
             return [replace(readings, left=-0.5 * left_m / radius_left, right=-0.5 * right_m / radius_right)]
 
-        def form(label: str, name: str, perturbations: Perturbations) -> Form:
-            size = reach(observations)
-            # what stands further off than a hand's width, on a vehicle of a metre, is seen
-            parameter = Parameter(name, "m", typical=3e-2 * size, largest=1.2e-1 * size)
-            through = () if has_slopes else LOAD_LAWS
-            return Form(self.id, label, (parameter,), perturbations, tries=2, acts_through=through)
-
-        return [form("sideways", "further_left", sideways), form("lengthways", "further_ahead", ahead)]
+        size, through = reach(observations), () if has_slopes else LOAD_LAWS
+        # what stands further off than a hand's width, on a vehicle of a metre, is seen
+        left = Parameter("further_left", "m", typical=3e-2 * size, largest=1.2e-1 * size)
+        offers = [("sideways", left, sideways), ("lengthways", replace(left, name="further_ahead"), ahead)]
+        return [Form(self.id, label, (one,), acts, tries=2, acts_through=through) for label, one, acts in offers]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Parameter
@@ -107,23 +109,19 @@ class IntegrationScheme(Effect):
             return []
         parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
 
-        def form(label: str, back: float) -> Form:
-            def perturbations(path: Path) -> list[Perturbation]:
-                heading = observations.cumulative(path.steps.turn_rad) - back * path.steps.turn_rad
-                x = path.end[:, 0] - observations.total(path.steps.ds_m * np.cos(heading))
-                y = path.end[:, 1] - observations.total(path.steps.ds_m * np.sin(heading))
-                x, y = np.where(outside, x, 0.0), np.where(outside, y, 0.0)
-                along, lateral = start_to_end_frame(path, x, y)
-                # a laser's simulated distance was taken from the same pose
-                end_x, end_y = path.end[:, 0], path.end[:, 1]
-                chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
-                laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
-                distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
-                return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]
+        def coarse(path: Path, back: float) -> list[Perturbation]:
+            heading = observations.cumulative(path.steps.turn_rad) - back * path.steps.turn_rad
+            end_x, end_y = path.end[:, 0], path.end[:, 1]
+            x = np.where(outside, end_x - observations.total(path.steps.ds_m * np.cos(heading)), 0.0)
+            y = np.where(outside, end_y - observations.total(path.steps.ds_m * np.sin(heading)), 0.0)
+            along, lateral = start_to_end_frame(path, x, y)
+            # a laser's simulated distance was taken from the same pose
+            chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
+            laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
+            distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
+            return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]
 
-            return Form(self.id, label, (parameter,), perturbations, tries=2)
-
-        forms = [form("end-point heading", 0.0), form("start heading (Euler)", 1.0)]
-        nominal = predict(observations)
-        reading = forms[0].perturbations(nominal)[0].reading
+        schemes = [("end-point heading", 0.0), ("start heading (Euler)", 1.0)]
+        forms = self.offer([(label, (parameter,), partial(coarse, back=back)) for label, back in schemes])
+        reading = coarse(predict(observations), 0.0)[0].reading
         return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

@@ -55,6 +55,10 @@ class Carried:
     track: FloatArray
     reading: FloatArray  #: shape (n_obs, 4): the rest, of (distance, x, y, heading), in the frame of the run's start
 
+    def motion(self, size: float) -> Perturbation:
+        """Return the motion that the parameter off by a size makes."""
+        return Perturbation(left=self.left * size, right=self.right * size, track=self.track * size)
+
 
 class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
@@ -84,8 +88,7 @@ class SimulatorParameter(Effect):
             return []
 
         def pushed(path: Path) -> list[Perturbation]:
-            reading = in_end_frame(path, carried.reading)
-            return [Perturbation(left=carried.left, right=carried.right, track=carried.track, reading=reading)]
+            return [replace(carried.motion(1.0), reading=in_end_frame(path, carried.reading))]
 
         return [Form(self.id, "", (self.parameter,), pushed)]
 
@@ -296,12 +299,11 @@ def _forms_with_zero(
     def shifted(form: Form) -> Form:
         if (form.centre is None and not effect.per_session) or not offsets:
             return form
-        named = []
-        for offset, share in offsets:
-            own = offset.parameters[0]
-            typical = own.typical * share * reach[form.label]
-            zero = replace(own, name=f"zero_{offset.effect}", typical=typical, largest=3.0 * typical, shift=True)
-            named.append(zero)
+        sizes = [(offset, offset.parameters[0].typical * share * reach[form.label]) for offset, share in offsets]
+        named = [
+            replace(zero.parameters[0], name=f"zero_{zero.effect}", typical=size, largest=3.0 * size, shift=True)
+            for zero, size in sizes
+        ]
         moved = form.about
         about = None if moved is None else lambda centre: beside(moved(centre))
         parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)

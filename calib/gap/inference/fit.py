@@ -47,8 +47,8 @@ class Fitted:
     @property
     def parameters(self) -> FloatArray:
         """All theta end to end, in typical sizes, shape (n_parameters,)."""
-        parts = [theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True)]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        parts = (theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True))
+        return np.concatenate([np.zeros(0), *parts])
 
 
 def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | None) -> list[Perturbation]:

@@ -159,12 +159,7 @@ class WhitenedSystem:
     """
 
     def __init__(
-        self,
-        path: Path,
-        nominal: Path,
-        noise: Noise,
-        offered: Sequence[Form] = (),
-        known: LinearSystem | None = None,
+        self, path: Path, nominal: Path, noise: Noise, offered: Sequence[Form] = (), known: LinearSystem | None = None
     ) -> None:
         self.path, self.nominal, self.noise = path, nominal, noise
         self.gap = fitting.whitened(path, noise, residuals(path, nominal))

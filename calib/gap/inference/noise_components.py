@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 from typing import Final
 
 import numpy as np
@@ -90,20 +91,17 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
 def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
     """Sum weighted outer products over each unit, shape (n_units, 6, 6)."""
     summed = np.zeros((len(starts) - 1, N_CHANNELS, N_CHANNELS))
-    channels = sorted(vector)
-    for a in channels:
-        weighted = vector[a] * weight
-        for b in channels:
-            if b >= a:
-                summed[:, a, b] = summed[:, b, a] = np.add.reduceat(weighted * vector[b], starts[:-1])
+    weighted = {channel: values * weight for channel, values in vector.items()}
+    for a, b in combinations_with_replacement(sorted(vector), 2):
+        summed[:, a, b] = summed[:, b, a] = np.add.reduceat(weighted[a] * vector[b], starts[:-1])
     return summed
 
 
 def _start_turn(path: Path) -> FloatArray:
     """Return what turning the start frame by 1 does to the readings, shape (n_units, 6)."""
-    start = np.zeros((len(path.s), N_CHANNELS))
-    start[:, 1] = np.sin(path.frame) * path.end[:, 0] - np.cos(path.frame) * path.end[:, 1]
-    start[:, 2] = np.cos(path.frame) * path.end[:, 0] + np.sin(path.frame) * path.end[:, 1]
+    start, (c, s) = np.zeros((len(path.s), N_CHANNELS)), path.frame_turned
+    start[:, 1] = s * path.end[:, 0] - c * path.end[:, 1]
+    start[:, 2] = c * path.end[:, 0] + s * path.end[:, 1]
     start[:, 3] = 1.0
     return start
 
@@ -208,12 +206,9 @@ class Trends:
 
         Standardised over the units.
         """
-        n_sessions = int(self.session.max()) + 1
-        steps = np.zeros((n_sessions, n_sessions - 1))
-        some = np.unique(self.session, return_index=True)[1]
-        for later in range(1, n_sessions):
-            steps[:, later - 1] = _standardised((self.session == later).astype(np.float64))[0][some]
-        return steps
+        n_sessions, some = int(self.session.max()) + 1, np.unique(self.session, return_index=True)[1]
+        inside = [(self.session == later).astype(np.float64) for later in range(1, n_sessions)]
+        return np.array([_standardised(mine)[0][some] for mine in inside]).reshape(-1, n_sessions).T
 
     def columns(self) -> FloatArray:
         """Return all columns, shape (n_units, 6, k)."""
@@ -227,11 +222,8 @@ def ambient_trends(path: Path) -> Trends:
     observations = path.s
     waited = observations.number("minutes_under_load")
     load = observations.number("load_left_N") + observations.number("load_right_N")
-    values = [
-        observations.number("temperature_C"),
-        waited,
-        np.log1p(np.maximum(np.nan_to_num(waited), 0.0) / 5.0) * load,
-    ]
+    crept = np.log1p(np.maximum(np.nan_to_num(waited), 0.0) / 5.0) * load
+    values = [observations.number("temperature_C"), waited, crept]
     values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
     columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
     before = np.concatenate([_on_radii(path, columns), _on_reference(path, _standardised(values[0]))], axis=2)
@@ -271,14 +263,14 @@ def ambient_interactions(path: Path) -> list[FloatArray]:
     speed, turned = observations.number("speed_mps"), observations.total(np.abs(observations.turn_rad))
     total = left + right
     others = ((total, total), (left, right), (speed, speed), (turned, turned))
-    trends = []
-    for value in (observations.number("temperature_C"), observations.number("minutes_under_load")):
-        for first in _standardised(value):
-            for pair in others:
-                columns = [(first * second, (k,)) for k in (0, 1) for second in _standardised(pair[k])]
-                if columns:
-                    trends.append(_on_radii(path, columns))
-    return trends
+    values = (observations.number("temperature_C"), observations.number("minutes_under_load"))
+    each = [
+        [(first * second, (k,)) for k in (0, 1) for second in _standardised(pair[k])]
+        for value in values
+        for first in _standardised(value)
+        for pair in others
+    ]
+    return [_on_radii(path, columns) for columns in each if columns]
 
 
 def load_speed_trends(path: Path) -> FloatArray:

@@ -274,10 +274,9 @@ def _instead(
     if search is None:
         return ()
     holds = np.array([parameter in subset for subset in SUBSETS])
-    own = {form.effect for form in fitted.forms}
-    effects: list[str] = []
+    own, effects = {form.effect for form in fitted.forms}, dict[str, None]()
     for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):
         extra = {search.system.forms[k].effect for k in model} - own
         if weight > ALTERNATIVE_ODDS and len(extra) == 1 and probability[holds].sum() < NEEDLESS_PROBABILITY:
-            effects += extra
-    return tuple(dict.fromkeys(effects))
+            effects |= dict.fromkeys(extra)
+    return tuple(effects)

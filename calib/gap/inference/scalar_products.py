@@ -90,19 +90,10 @@ class FormPriors:
             most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
             sign[layout.of_form(number)] = [p.sign for p in form.parameters]
         # half of the prior lies on the sign that a parameter cannot have
-        log_prior = [
-            -np.log(form.tries) - SCALE_CHOICE_COST + np.log(2.0) * sum(p.sign != 0 for p in form.parameters)
-            for form in forms
-        ]
-        return FormPriors(
-            tuple(forms),
-            layout,
-            most,
-            sign,
-            own,
-            np.array(log_prior),
-            np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)]),
-        )
+        signed = np.array([sum(p.sign != 0 for p in form.parameters) for form in forms])
+        log_prior = -np.log([form.tries for form in forms]) - SCALE_CHOICE_COST + np.log(2.0) * signed
+        by_count = np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
+        return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
         """Return each model's columns and their forms, both (n_models, width), -1 where there is none."""

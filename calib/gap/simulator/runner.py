@@ -25,7 +25,6 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
-from calib.gap.steps import Perturbation
 from calib.types import FloatArray, Progress
 
 #: kept of a simulator's output for an error: its last lines say what went wrong
@@ -230,7 +229,7 @@ class Differences:
         if len(self.met) > 1:
             # what wheels carry is no sum: together they would miss the run that the changes meet
             met = [(carried[name], size) for name, size in self.met.items()]
-            pushes = [Perturbation(left=m.left * size, right=m.right * size, track=m.track * size) for m, size in met]
+            pushes = [motion.motion(size) for motion, size in met]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
             whole = sum(self.change[name][rows] * size for name, size in self.met.items())
             known = sum(carried[name].reading * size for name, size in self.met.items())
