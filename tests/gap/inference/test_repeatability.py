@@ -160,7 +160,8 @@ def test_the_floor_of_many_runs_is_that_of_some_of_them(monkeypatch: pytest.Monk
     """Scales from a fifth of the units are those of all, to their uncertainty, and every unit keeps its own weight."""
     observations = repeats(11, 60)
     every = estimated(observations)
-    monkeypatch.setattr("calib.gap.inference.noise.thinned_replicates", lambda grouped: thinned_replicates(grouped, 48))
+    few = "calib.gap.inference.noise.repeatability.thinned_replicates"
+    monkeypatch.setattr(few, lambda grouped: thinned_replicates(grouped, 48))
     some = estimated(observations)
     # 48 units of 4 conditions, some 40 degrees of freedom a channel: 11 % each; three of these
     np.testing.assert_allclose(np.median(some.floor, axis=0)[:4], np.median(every.floor, axis=0)[:4], rtol=0.33)
