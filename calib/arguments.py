@@ -70,35 +70,30 @@ def bind(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str,
 
 def _accepted(value: Any, hint: Any) -> Any:
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is None:
+        return _plain(value, hint)
     if origin in (Union, UnionType):
         # a text stays a text where either is taken
         for part in sorted(inner, key=lambda one: one is Path):
             with suppress(TypeError, ValueError):
                 return _accepted(value, part)
-    elif origin is Literal:
-        if isinstance(value, str) and value in inner:
-            return value
-    elif origin is tuple:
-        if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-            return tuple(_accepted(one, part) for one, part in zip(value, inner, strict=True))
-    elif origin is Sequence:
-        if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
-            return tuple(_accepted(one, inner[0]) for one in value)
-    else:
-        return _plain(value, hint)
+    elif origin is Literal and isinstance(value, str) and value in inner:
+        return value
+    elif origin is tuple and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return tuple(_accepted(one, part) for one, part in zip(value, inner, strict=True))
+    elif origin is Sequence and isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
+        return tuple(_accepted(one, inner[0]) for one in value)
     raise TypeError
 
 
 def _plain(value: Any, hint: Any) -> Any:
-    if hint is Path and isinstance(value, str | PathLike):
-        text = fspath(value)
-        if isinstance(text, str):
-            return Path(text)
-    elif hint is int and not isinstance(value, bool):
+    if hint is Path and isinstance(value, str | PathLike) and isinstance(text := fspath(value), str):
+        return Path(text)
+    if hint is int and not isinstance(value, bool):
         return operator.index(value)
-    elif hint is float and not isinstance(value, bool | str | bytes):
+    if hint is float and not isinstance(value, bool | str | bytes):
         return float(value)
-    elif isinstance(value, hint):
+    if isinstance(value, hint):
         return value
     raise TypeError
 

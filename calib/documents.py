@@ -83,25 +83,19 @@ def templates_of(package: str, *, markup: bool = False) -> Environment:
     )  # fmt: skip
 
 
-def canonical_bytes(document: dict[str, object]) -> bytes:
-    """Return the bytes that the checksum covers.
+def checksum(document: dict[str, object]) -> str:
+    """Return ``sha256:`` and the hexadecimal SHA-256 of the canonical form of `document`.
 
     The document without its checksum; keys sorted, no white space, ASCII only, every number written as the shortest
     decimal that reads back as the same double, so that 4096 and 4096.0 are one number. Raises ValueError,
     OverflowError where a number is not a finite double.
     """
+    import hashlib
     import json
 
     body = {key: value for key, value in document.items() if key != CHECKSUM_KEY}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    return text.encode("ascii")
-
-
-def checksum(document: dict[str, object]) -> str:
-    """Return ``sha256:`` and the hexadecimal SHA-256 of the canonical form of `document`."""
-    import hashlib
-
-    return "sha256:" + hashlib.sha256(canonical_bytes(document)).hexdigest()
+    return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 def _doubles(value: Any) -> Any:
@@ -125,8 +119,7 @@ class Result:
 
     def summary(self) -> str:
         """Return what the command prints, as lines of text."""
-        text: str = _presentation().summary(self)
-        return text
+        return str(_presentation().summary(self))
 
     def plot(self, kind: str | None = None) -> Figure:
         """Draw the result.
@@ -152,16 +145,13 @@ class Result:
 
     def to_dict(self) -> dict[str, object]:
         """Return the result as plain values: the keys of the command's ``--json``."""
-        document: dict[str, object] = plain(self)
-        return document
+        return plain_fields(self)
 
     def __repr__(self) -> str:
-        text: str = _presentation().brief(self)
-        return text
+        return str(_presentation().brief(self))
 
     def _repr_html_(self) -> str:
-        text: str = _presentation().brief_html(self)
-        return text
+        return str(_presentation().brief_html(self))
 
 
 def _presentation() -> Any:

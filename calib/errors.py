@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -183,8 +184,7 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
 
     Raises BadFileError with the row.
     """
-    deep = _DEEP.search(text)
-    if deep is not None:
+    if deep := _DEEP.search(text):
         found, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
         row = text.count("\n", 0, deep.start()) + 1
         raise BadFileError(shown, found, expected, "correct the line", row=row)
@@ -211,14 +211,11 @@ def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
     for _ in range(KEY_PARTS):
         deeper: list[tuple[str, Any]] = []
         for key, value in level:
-            text = value if isinstance(value, str) else ""
-            name = key.rpartition(".")[2]
-            for part, what, most in (
-                (name, "characters in a key", KEY_CHARACTERS),
-                (text, "characters", TEXT_CHARACTERS),
-            ):
-                refuse_beyond(len(part), most, shown=shown, what=what, remedy="shorten it", column=key[-60:])
-            if isinstance(value, dict):
+            refuse = partial(refuse_beyond, shown=shown, remedy="shorten it", column=key[-60:])
+            refuse(len(key.rpartition(".")[2]), KEY_CHARACTERS, what="characters in a key")
+            if isinstance(value, str):
+                refuse(len(value), TEXT_CHARACTERS, what="characters")
+            elif isinstance(value, dict):
                 deeper += [(f"{key}.{inner}", entry) for inner, entry in value.items()]
             elif isinstance(value, list):
                 deeper += [(key, entry) for entry in value]

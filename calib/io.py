@@ -214,9 +214,7 @@ def settle(folder: Path) -> None:
 
     Raises BadInputError where the folder needs it and cannot be written.
     """
-    for leftover in Path(folder).glob(f"{PREFIX}{INSIDE}-{_mark(platform.node())}-*{SUFFIX}"):
-        if not _is_dead(leftover):
-            continue
+    for leftover in _abandoned(Path(folder), INSIDE):
         if (leftover / _MOVES).is_file():
             try:
                 _move_in(leftover, Path(folder))
@@ -355,9 +353,13 @@ def temporary_beside(path: Path, where: Path | None = None) -> Path:
 
 def sweep(path: Path) -> None:
     """Remove the temporary files of `path` whose writers were killed."""
-    for leftover in path.parent.glob(f"{PREFIX}{_mark(path.name)}-{_mark(platform.node())}-*{SUFFIX}"):
-        if _is_dead(leftover):
-            _remove(leftover)
+    for leftover in _abandoned(path.parent, _mark(path.name)):
+        _remove(leftover)
+
+
+def _abandoned(folder: Path, mark: str) -> list[Path]:
+    """Return the temporary entries of a mark in a folder whose writers on this machine were killed."""
+    return [path for path in folder.glob(f"{PREFIX}{mark}-{_mark(platform.node())}-*{SUFFIX}") if _is_dead(path)]
 
 
 def _remove(path: Path) -> None:

@@ -9,40 +9,21 @@ from typing import Final
 
 GRAVITY_MPS2: Final = 9.81
 
+#: suffix as calib writes it -> suffixes as labs write it, each with its factor
+_FACTORS: Final[dict[str, dict[str, float]]] = {
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "ft": 0.3048, "in": 0.0254},
+    "kg": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
+    "N": {"N": 1.0, "kN": 1e3, "daN": 10.0, "kgf": 9.80665, "lbf": 4.4482216152605},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": 86400.0},
+    "mps": {"mps": 1.0, "kmh": 1 / 3.6, "mmps": 1e-3},
+    "radps": {"radps": 1.0, "degps": 0.017453292519943295},
+    "C": {"C": 1.0, "K": 1.0, "F": 5 / 9},
+}
+_OFFSETS: Final = {"K": -273.15, "F": -160 / 9}
 #: suffix as labs write it -> (suffix as calib writes it, factor, offset): calib value = factor * value + offset
 SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
-    "m": ("m", 1.0, 0.0),
-    "mm": ("m", 1e-3, 0.0),
-    "cm": ("m", 1e-2, 0.0),
-    "km": ("m", 1e3, 0.0),
-    "um": ("m", 1e-6, 0.0),
-    "ft": ("m", 0.3048, 0.0),
-    "in": ("m", 0.0254, 0.0),
-    "kg": ("kg", 1.0, 0.0),
-    "g": ("kg", 1e-3, 0.0),
-    "t": ("kg", 1e3, 0.0),
-    "lb": ("kg", 0.45359237, 0.0),
-    "N": ("N", 1.0, 0.0),
-    "kN": ("N", 1e3, 0.0),
-    "daN": ("N", 10.0, 0.0),
-    "kgf": ("N", 9.80665, 0.0),
-    "lbf": ("N", 4.4482216152605, 0.0),
-    "rad": ("rad", 1.0, 0.0),
-    "mrad": ("rad", 1e-3, 0.0),
-    "deg": ("rad", 0.017453292519943295, 0.0),
-    "s": ("s", 1.0, 0.0),
-    "ms": ("s", 1e-3, 0.0),
-    "us": ("s", 1e-6, 0.0),
-    "ns": ("s", 1e-9, 0.0),
-    "day": ("s", 86400.0, 0.0),
-    "mps": ("mps", 1.0, 0.0),
-    "kmh": ("mps", 1 / 3.6, 0.0),
-    "mmps": ("mps", 1e-3, 0.0),
-    "radps": ("radps", 1.0, 0.0),
-    "degps": ("radps", 0.017453292519943295, 0.0),
-    "C": ("C", 1.0, 0.0),
-    "K": ("C", 1.0, -273.15),
-    "F": ("C", 5 / 9, -160 / 9),
+    name: (suffix, factor, _OFFSETS.get(name, 0.0)) for suffix, of in _FACTORS.items() for name, factor in of.items()
 }
 
 #: how people write a unit, in lower case -> suffix as in `SUFFIXES`; those that differ by case alone are in `_CASED`
@@ -84,9 +65,7 @@ _CASED: Final = {"Grad": "deg"}
 def unit_named(text: str) -> str | None:
     """Return the unit of `SUFFIXES` that a text names as people write it (``mm/s``, ``°C``, ``seconds``), or None."""
     clean = text.strip()
-    if clean in SUFFIXES:
-        return clean
-    return _CASED.get(clean) or _SPELLINGS.get(clean.lower())
+    return clean if clean in SUFFIXES else _CASED.get(clean) or _SPELLINGS.get(clean.lower())
 
 
 def split_suffix(name: str) -> tuple[str, str | None]:
@@ -96,9 +75,7 @@ def split_suffix(name: str) -> tuple[str, str | None]:
     no known unit.
     """
     stem, sep, suffix = name.rpartition("_")
-    if sep and suffix in SUFFIXES:
-        return stem, suffix
-    return name, None
+    return (stem, suffix) if sep and suffix in SUFFIXES else (name, None)
 
 
 def convertible(name: str, wanted: str) -> tuple[float, float] | None:

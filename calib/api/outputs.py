@@ -57,8 +57,7 @@ def simulate(
     """
     vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
     under = None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N)
-    rng = _generator(seed)
-    return simulation.simulate(study, routes=routes, track_m=vehicle.track_m, under=under, rng=rng)
+    return simulation.simulate(study, routes=routes, track_m=vehicle.track_m, under=under, rng=_generator(seed))
 
 
 @checked

@@ -244,22 +244,18 @@ def diagnose(
     refuse_below(1, workers=workers)
     campaign = opened(campaign)
     if simulator is not None:
-        return _diagnose_simulator(campaign, Path(simulator), model or journeys, exclude, seed, workers)
+        from calib.gap.simulator.diagnose import diagnose_simulator
+        from calib.gap.simulator.settings import read_settings
+
+        if (beside := model or journeys) is not None:
+            raise BadInputError(
+                f"found {beside} beside a simulator, which is judged instead of a model; give one of them"
+            )
+        settings = read_settings(Path(simulator))
+        return diagnose_simulator(campaign, settings, seed=seed, exclude=tuple(exclude), workers=workers).diagnosis
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     return diagnosed(campaign, model, exclude, seed, journeys)[0]
-
-
-def _diagnose_simulator(
-    campaign: Campaign, simulator: Path, beside: Path | str | None, exclude: Sequence[str], seed: int, workers: int
-) -> Diagnosis:
-    from calib.gap.simulator.diagnose import diagnose_simulator
-    from calib.gap.simulator.settings import read_settings
-
-    if beside is not None:
-        raise BadInputError(f"found {beside} beside a simulator, which is judged instead of a model; give one of them")
-    settings = read_settings(simulator)
-    return diagnose_simulator(campaign, settings, seed=seed, exclude=tuple(exclude), workers=workers).diagnosis
 
 
 @checked

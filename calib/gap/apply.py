@@ -32,8 +32,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     """
     fitted = diagnosis.correction
     if not diagnosis.causes:
-        nothing = diagnosis.kind is VerdictKind.NO_GAP
-        why = "there is no gap" if nothing else f"the verdict is {diagnosis.kind.value}"
+        why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
         raise RefusedError(
             f"{diagnosis.campaign}: {why}, so there is no effect to add to the model; "
             "drive the runs that 'calib plan' names, or leave the model as it is"
@@ -41,7 +40,6 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     observations = diagnosis.observations
     model = observations.model
     slopes, sections = _slopes_and_sections(fitted, diagnosis.corrected_causes)
-    scatter = float(diagnosis.noise.scales.get("radius_scatter", 0.0))
 
     def law(number: int, side: str) -> WheelLaw:
         grown = 1.0 + float(fitted.calibration[number])
@@ -54,7 +52,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
             slope_m_per_N=getattr(model, f"slope_{side}_m_per_N") * grown + slope,
             covariance=np.diag([fitted.covariance[number, number] * radius_m**2, variance]),
             dof=max(float(diagnosis.noise.dof), 1.0),
-            residual_std_m=scatter * radius_m,
+            residual_std_m=float(diagnosis.noise.scales.get("radius_scatter", 0.0)) * radius_m,
             load_min_N=float(np.nanmin(load_N)),
             load_max_N=float(np.nanmax(load_N)),
             n_runs=len(observations),

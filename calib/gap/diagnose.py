@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final
@@ -66,7 +66,6 @@ def diagnose_in_full(
     exclude: tuple[str, ...] = (),
     model: OdometryModel | None = None,
     applied: Sequence[EffectSection] = (),
-    settings: SearchSettings | None = None,
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
@@ -87,8 +86,6 @@ def diagnose_in_full(
         The simulator's model; the campaign's own by default.
     applied : sequence of EffectSection
         Effects that the simulator has already, from a coefficient file.
-    settings : Settings, optional
-        Priors and limits of the model search.
     plan : bool
         Recommend the runs that would separate confounded causes.
     model_name : str
@@ -107,10 +104,10 @@ def diagnose_in_full(
     RefusedError
         Where no run has both counts and something measured.
     """
-    settings = settings or SearchSettings()
-    rng = np.random.default_rng(seed)
+    settings, rng = SearchSettings(), np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
-    planted, situation = observations, _situation(campaign, model, applied, exclude, observations)
+    sought, planted = _Sought(model, applied, exclude), observations
+    situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
     given = _without(campaign, situation.omitted)
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not applied else None
@@ -119,9 +116,9 @@ def diagnose_in_full(
         _check_copied(campaign, nominal)
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     noise, base, searched = _searched(nominal, effects, settings, progress)
-    refined = _refined(situation, searched.fitted)
-    if refined is not None:
-        situation = _refitted(given, situation, model, applied, exclude, refined)
+    if refined := _refined(situation, searched.fitted):
+        again = sought.corrected(given, refined, situation.as_counted)
+        situation = replace(again, omitted=situation.omitted)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
         noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
@@ -149,8 +146,7 @@ def diagnose_in_full(
 
     progress(0, 0, "next runs")
     ties = [group.effects for group in diagnosis.groups]
-    runs = next_runs(campaign, effects, noise, ties, searched.fitted, model=model)
-    return replace(diagnosis, next_runs=tuple(runs))
+    return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, searched.fitted, model=model)))
 
 
 def diagnosed(
@@ -186,38 +182,47 @@ def diagnosed(
     return found, tuple(effects)
 
 
-def _situation(
-    campaign: Campaign,
-    model: OdometryModel | None,
-    applied: Sequence[EffectSection],
-    exclude: tuple[str, ...],
-    observations: Observations | None,
-) -> Situation:
-    if observations is not None:
-        return _counts_corrected(campaign, observations, (), (), exclude)
-    observations, notes = _observed(campaign, model, applied)
-    nominal = predict(observations)
-    # effects that the model has stand where an outside simulator's poses would
-    bare = predict(_observed(campaign, model, ())[0]) if applied else nominal
-    turned = None if ReferenceYaw.id in exclude else find_turned(bare)
-    omitted = bad_runs(nominal) if turned is None else {}
-    if omitted:
-        return replace(_situation(_without(campaign, omitted), model, applied, exclude, None), omitted=omitted)
-    if turned is None:
-        return _counts_corrected(campaign, observations, notes, (), exclude)
-    return _corrected(campaign, model, applied, exclude, turned, measured_gap(nominal, nominal))
+@dataclass(frozen=True, slots=True)
+class _Sought:
+    """What the simulator believes, and which effects and blunders are not sought."""
 
+    model: OdometryModel | None
+    applied: Sequence[EffectSection]
+    exclude: tuple[str, ...]
 
-def _refitted(
-    given: Campaign,
-    situation: Situation,
-    model: OdometryModel | None,
-    applied: Sequence[EffectSection],
-    exclude: tuple[str, ...],
-    refined: TurnedReference,
-) -> Situation:
-    again = _corrected(given, model, applied, exclude, refined, situation.as_counted)
-    return replace(again, omitted=situation.omitted)
+    def situation(self, campaign: Campaign) -> Situation:
+        """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
+        observations, notes = _observed(campaign, self.model, self.applied)
+        nominal = predict(observations)
+        # effects that the model has stand where an outside simulator's poses would
+        bare = predict(_observed(campaign, self.model, ())[0]) if self.applied else nominal
+        if turned := None if ReferenceYaw.id in self.exclude else find_turned(bare):
+            return self.corrected(campaign, turned, measured_gap(nominal, nominal))
+        if omitted := bad_runs(nominal):
+            return replace(self.situation(_without(campaign, omitted)), omitted=omitted)
+        return self.counted(campaign, observations, notes)
+
+    def corrected(self, campaign: Campaign, turned: TurnedReference, as_read: FloatArray | None) -> Situation:
+        """Return what was driven with the reference's mounting corrected."""
+        campaign = turned.correct(campaign)
+        return self.counted(campaign, *_observed(campaign, self.model, self.applied), (turned,), as_read)
+
+    def counted(
+        self,
+        campaign: Campaign,
+        observations: Observations,
+        notes: tuple[str, ...],
+        faults: tuple[TurnedReference, ...] = (),
+        as_counted: FloatArray | None = None,
+    ) -> Situation:
+        """Return what was driven with a blunder of the encoders corrected; `as_counted`: the gap as first read."""
+        nominal = predict(observations)
+        fault = None if EncoderBlunder.id in self.exclude else find_blunder(observations, nominal)
+        if fault is None:
+            return Situation(campaign, observations, notes, faults, as_counted)
+        if as_counted is None:
+            as_counted = measured_gap(nominal, nominal)
+        return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 
 def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
@@ -225,35 +230,6 @@ def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
         return campaign
     excluded = campaign.runs.excluded | np.isin(campaign.runs.label("run_id"), list(omitted))
     return replace(campaign, runs=replace(campaign.runs, excluded=excluded))
-
-
-def _corrected(
-    campaign: Campaign,
-    model: OdometryModel | None,
-    applied: Sequence[EffectSection],
-    exclude: tuple[str, ...],
-    turned: TurnedReference,
-    as_read: FloatArray | None,
-) -> Situation:
-    campaign = turned.correct(campaign)
-    return _counts_corrected(campaign, *_observed(campaign, model, applied), (turned,), exclude, as_read)
-
-
-def _counts_corrected(
-    campaign: Campaign,
-    observations: Observations,
-    notes: tuple[str, ...],
-    faults: tuple[TurnedReference, ...],
-    exclude: tuple[str, ...],
-    as_counted: FloatArray | None = None,
-) -> Situation:
-    nominal = predict(observations)
-    fault = None if EncoderBlunder.id in exclude else find_blunder(observations, nominal)
-    if fault is None:
-        return Situation(campaign, observations, notes, faults, as_counted)
-    if as_counted is None:
-        as_counted = measured_gap(nominal, nominal)
-    return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
 
 def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
@@ -273,7 +249,8 @@ def _observed(
     observations = observations_of(campaign, model)
     if np.isfinite(observations.simulated).any():
         observations = as_simulated(observations)
-    _check_steering(campaign, observations)
+    if blunder := steering_blunder(observations):
+        raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
     _check_distances(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(
@@ -297,12 +274,6 @@ def _check_distances(campaign: Campaign, observations: Observations) -> None:
                 f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
                 "millimetres; check the counts of this run"
             )
-
-
-def _check_steering(campaign: Campaign, observations: Observations) -> None:
-    blunder = steering_blunder(observations)
-    if blunder:
-        raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:

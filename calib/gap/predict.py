@@ -150,9 +150,8 @@ class Path:
         s = self.s
         with np.errstate(invalid="ignore"):
             bent = np.abs(s.measured[:, Channel.HEADING]) > GUIDED_TURN_RAD
-        turned = np.concatenate([part.total(np.abs(part.turn_rad)) for part in s.parts()])
-        straight: BoolArray = (turned < GUIDED_TURN_RAD) & ~bent
-        return straight | s.guided
+        turned = s.of_parts(lambda part: part.total(np.abs(part.turn_rad)))
+        return np.asarray(((turned < GUIDED_TURN_RAD) & ~bent) | s.guided)
 
 
 def _calibration(path: Path) -> FloatArray:
@@ -176,28 +175,24 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
     # of the counts alone: once for all paths, and known to each part
     _ = s.front_ways
     path = Path(s, perturbation, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
-    derivatives, ways, radii, bent = [], [], [], []
+    kept = []
     for units in s.spans:
         part = _predicted(s.part(units), perturbation.part(units, s))
         path.end[units], path.reading[units], path.line_m[units] = part.end, part.reading, part.line_m
         # asked of every path, and the steps are present
-        derivatives.append(_calibration(part))
-        ways.append(part.way_m)
-        radii.append(part.rolling_radii_m)
-        bent.append(part.bent_m)
+        kept.append((_calibration(part), part.way_m, part.rolling_radii_m, part.bent_m))
         let_go(*s.steps, *perturbation.parts())
-    vars(path).update(way_m=np.concatenate(ways), rolling_radii_m=np.concatenate(radii), bent_m=np.concatenate(bent))
-    vars(path)["calibration"] = path.beside_straights(np.concatenate(derivatives))
+    derivatives, way_m, radii_m, bent_m = map(np.concatenate, zip(*kept, strict=True))
+    vars(path).update(way_m=way_m, rolling_radii_m=radii_m, bent_m=bent_m)
+    vars(path)["calibration"] = path.beside_straights(derivatives)
     return path
 
 
 def _predicted(s: Observations, perturbation: Perturbation) -> Path:
     steps = steps_of(s, perturbation)
-    end = steps.end
-    line_m = s.total(steps.ds_m * steps.weave_cos)
     reading = np.zeros((len(s), N_CHANNELS))
-    path = Path(s, perturbation, end, reading, line_m, steps)
-    reading[:, [*POSE, Channel.HEADING]] = end
+    path = Path(s, perturbation, steps.end, reading, s.total(steps.ds_m * steps.weave_cos), steps)
+    reading[:, [*POSE, Channel.HEADING]] = steps.end
     reading[:, Channel.DISTANCE] = path.distance_m
     if s.usable[:, Channel.FRONT :].any():
         # what the rear wheels say, less what the front wheel and its steering say of the same (Eqs 12 to 14)
@@ -206,11 +201,8 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
     _between_arcs(reading, perturbation, steps)
     if perturbation.reading is not None:
         # along and lateral stand in the frame of the end
-        change = perturbation.reading.copy()
-        _turn(change, path.frame)
-        reading += change
-    if perturbation.turned_rad is not None:
-        _turn(reading, perturbation.turned_rad)
+        reading += _turned(perturbation.reading, path.frame)
+    reading[:] = _turned(reading, perturbation.turned_rad)
     return path
 
 
@@ -231,8 +223,7 @@ def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps)
         reading[:, Channel.HEADING] += turn
     if start_arc is not None:
         way_m, turn = start_arc.T
-        start = way_m * np.sinc(0.5 * turn / np.pi) * np.exp(0.5j * turn)
-        place = (place - start) * np.exp(-1j * turn)
+        place = (place - way_m * np.sinc(0.5 * turn / np.pi) * np.exp(0.5j * turn)) * np.exp(-1j * turn)
         reading[:, Channel.HEADING] -= turn
     reading[:, Channel.ALONG], reading[:, Channel.LATERAL] = place.real, place.imag
 
@@ -242,11 +233,14 @@ def _late_start(start_arc: FloatArray | None, late: FloatArray, follows: BoolArr
     return None if start_arc is None else np.where(follows[:, None], np.roll(late, 1, axis=0), start_arc)
 
 
-def _turn(readings: FloatArray, angle_rad: FloatArray) -> None:
-    """Turn along and lateral (n_obs, n_channels) by an angle (n_obs,), in place."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    x, y = readings[:, Channel.ALONG].copy(), readings[:, Channel.LATERAL].copy()
-    readings[:, Channel.ALONG], readings[:, Channel.LATERAL] = c * x - s * y, s * x + c * y
+def _turned(readings: FloatArray, angle_rad: FloatArray | None) -> FloatArray:
+    """Return readings (n_obs, n_channels) with along and lateral turned by an angle (n_obs,), where there is one."""
+    if angle_rad is None:
+        return readings
+    c, s, turned = np.cos(angle_rad), np.sin(angle_rad), readings.copy()
+    x, y = readings[:, Channel.ALONG], readings[:, Channel.LATERAL]
+    turned[:, Channel.ALONG], turned[:, Channel.LATERAL] = c * x - s * y, s * x + c * y
+    return turned
 
 
 def signature(path: Path, perturbation: Perturbation) -> FloatArray:
@@ -268,11 +262,7 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
         for units, of_units in path.parts():
             change[units] += _along_path(of_units, stepwise if path.kept is not None else stepwise.part(units, s))
     if perturbation.reading is not None:
-        reading = perturbation.reading
-        if path.perturbation.turned_rad is not None:
-            reading = reading.copy()
-            _turn(reading, path.perturbation.turned_rad)
-        change += reading
+        change += _turned(perturbation.reading, path.perturbation.turned_rad)
     _add_moved(change, path, perturbation)
     return change
 
@@ -330,9 +320,7 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     if s.usable[:, Channel.FRONT :].any():
         change[:, Channel.FRONT] = sums[WAY]
         change[:, Channel.STEERING] = sums[TURN]
-    if path.perturbation.turned_rad is not None:
-        _turn(change, path.perturbation.turned_rad)
-    return change
+    return _turned(change, path.perturbation.turned_rad)
 
 
 def measured_gap(path: Path, nominal: Path) -> FloatArray:
@@ -343,8 +331,7 @@ def measured_gap(path: Path, nominal: Path) -> FloatArray:
     """
     s = path.s
     gap = s.measured - np.where(np.isfinite(s.simulated), s.simulated + path.reading - nominal.reading, path.reading)
-    _turn(gap, -path.frame)
-    return np.where(s.usable, np.nan_to_num(gap), 0.0)
+    return np.where(s.usable, np.nan_to_num(_turned(gap, -path.frame)), 0.0)
 
 
 def residuals(path: Path, nominal: Path) -> FloatArray:
@@ -360,5 +347,4 @@ def residuals(path: Path, nominal: Path) -> FloatArray:
     taken = np.zeros_like(gap)
     taken[:, POSE] = bend[:, None] ** 2 * path.bent_m
     taken[:, Channel.DISTANCE] = np.where(s.axis == 1, taken[:, Channel.ALONG], 0.0)
-    _turn(taken, -path.frame)
-    return gap + np.where(s.usable, taken, 0.0)
+    return gap + np.where(s.usable, _turned(taken, -path.frame), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Final
@@ -195,19 +195,15 @@ class Steps:
         return np.asarray(np.cos(dh - slope[s.unit] * da))
 
     @cached_property
-    def by_left(self) -> Lever:
-        """Of the left wheel's travel, relative."""
-        return self._by_wheel(self.ds_left_m, -1.0)
+    def _known_levers(self) -> dict[str, Lever]:
+        return {}
 
-    @cached_property
-    def by_right(self) -> Lever:
-        """Of the right wheel's travel, relative."""
-        return self._by_wheel(self.ds_right_m, 1.0)
-
-    @cached_property
-    def by_both(self) -> Lever:
-        """Of both wheels' travel, relative."""
-        return self.by_left + self.by_right
+    def lever(self, name: str) -> Lever:
+        """Return the lever of a field of a perturbation, or of ``both`` wheels' travel; each is worked out once."""
+        known = self._known_levers
+        if name not in known:
+            known[name] = self.lever("left") + self.lever("right") if name == "both" else _LEVERS[name](self)
+        return known[name]
 
     def _by_wheel(self, travel_m: FloatArray, sense: float) -> Lever:
         by_step = np.empty((N_SUMS, len(travel_m)))
@@ -222,26 +218,9 @@ class Steps:
             y += 0.5 * self.s.aside_m * self.cos
         return Lever((X, Y, TURN, LINE, WAY), by_step)
 
-    @cached_property
-    def by_track(self) -> Lever:
-        """Of the track, relative."""
+    def _by_track(self) -> Lever:
         turn = -(self.ds_right_m - self.ds_left_m) / self.track_m
         return Lever((X, Y, TURN), np.stack([turn * self.lever_x, turn * self.lever_y, turn]))
-
-    @cached_property
-    def by_turn(self) -> Lever:
-        """Of the heading, rad."""
-        return Lever((X, Y, TURN), np.stack([self.lever_x, self.lever_y, np.ones_like(self.lever_x)]))
-
-    @cached_property
-    def by_way(self) -> Lever:
-        """Of the way along, m."""
-        return Lever((X, Y, LINE, WAY), np.stack([self.cos, self.sin, self.weave_cos, np.ones_like(self.cos)]))
-
-    @cached_property
-    def by_slip(self) -> Lever:
-        """Of the way to the left, m."""
-        return Lever((X, Y), np.stack([-self.sin, self.cos]))
 
     def motion_before_end(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return way along and turn in the last `delay_s` (n_obs,) of each observation, each shape (n_obs,).
@@ -278,20 +257,20 @@ class Steps:
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
         """Yield each part with its lever; levers not asked for are never made."""
         both = perturbation.left is perturbation.right
-        for name, lever in _LEVERS.items():
+        for name in _LEVERS:
             part = getattr(perturbation, name)
             if part is not None and not (both and name == "right"):
-                yield part, self.by_both if both and name == "left" else getattr(self, lever)
+                yield part, self.lever("both" if both and name == "left" else name)
 
 
-#: field of a perturbation -> its lever
-_LEVERS: Final = {
-    "left": "by_left",
-    "right": "by_right",
-    "track": "by_track",
-    "heading_rad": "by_turn",
-    "along_m": "by_way",
-    "lateral_m": "by_slip",
+#: field of a perturbation -> its lever: of travel and track relative, of heading, way along and way to the left
+_LEVERS: Final[dict[str, Callable[[Steps], Lever]]] = {
+    "left": lambda s: s._by_wheel(s.ds_left_m, -1.0),
+    "right": lambda s: s._by_wheel(s.ds_right_m, 1.0),
+    "track": Steps._by_track,
+    "heading_rad": lambda s: Lever((X, Y, TURN), np.stack([s.lever_x, s.lever_y, np.ones_like(s.lever_x)])),
+    "along_m": lambda s: Lever((X, Y, LINE, WAY), np.stack([s.cos, s.sin, s.weave_cos, np.ones_like(s.cos)])),
+    "lateral_m": lambda s: Lever((X, Y), np.stack([-s.sin, s.cos])),
 }
 
 

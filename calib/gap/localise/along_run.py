@@ -20,8 +20,8 @@ MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
 POSE_COLUMNS: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 RANGE_COLUMNS: Final = ("range_m",)
-#: channels whose gap is traced along the way
-TRACED_CHANNELS: Final = (Channel.ALONG, Channel.HEADING)
+#: channels whose gap is traced along the way -> field of a trace
+TRACED_CHANNELS: Final = {Channel.ALONG: "along_m", Channel.HEADING: "heading_rad"}
 GRID_SPACING_M: Final = 0.25
 MAX_GRID_POINTS: Final = 120
 #: a longer zone looks like a scale of the whole run
@@ -80,8 +80,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
     """Return counts and reference (poses before ranges) where all are known; None where too little is."""
-    reference = POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS
-    needed = (*COUNT_COLUMNS, *reference)
+    needed = (*COUNT_COLUMNS, *(POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
     known = np.all([np.isfinite(log[column]) for column in needed], axis=0)
@@ -161,11 +160,11 @@ def scan_route(
     """
     from scipy.special import stdtr
 
-    traces = [trace for trace in traces if np.isfinite(_gap(trace, channel)).all()]
-    route = _route(traces)
-    if route is None:
+    name = TRACED_CHANNELS[channel]
+    traces = [trace for trace in traces if np.isfinite(getattr(trace, name)).all()]
+    if (route := _route(traces)) is None:
         return None
-    gaps = np.stack([route.read(trace, _gap(trace, channel)) for trace in route.traces])
+    gaps = np.stack([route.read(trace, getattr(trace, name)) for trace in route.traces])
     if signed:
         gaps *= np.where([trace.back for trace in route.traces], -1.0, 1.0)[:, None]
     sizes, norm, starts, ends = _sizes(route, gaps)
@@ -200,10 +199,6 @@ def scan_route(
     return line, len(starts)
 
 
-def _gap(trace: Trace, channel: Channel) -> FloatArray:
-    return trace.along_m if channel is Channel.ALONG else trace.heading_rad
-
-
 def _route(traces: list[Trace]) -> _Route | None:
     """Return the runs that are about as long as usual, with their grid; None where they are too few or too short."""
     if len(traces) < MIN_TRACED_RUNS:
@@ -214,8 +209,7 @@ def _route(traces: list[Trace]) -> _Route | None:
         return None
     spacing = max(GRID_SPACING_M, length / MAX_GRID_POINTS)
     grid = np.arange(0.0, WHOLE_RUN_SHARE * length + 1e-9, spacing)
-    on_floor = any(trace.back for trace in traces)
-    if on_floor:
+    if on_floor := any(trace.back for trace in traces):
         grid = grid[grid >= 0.05 * length]
     return _Route(traces, grid, spacing, length, on_floor)
 

@@ -31,34 +31,24 @@ def covariate_values(observations: Observations) -> dict[str, FloatArray | StrAr
 
     Missing numbers are NaN, missing labels empty. Only what varies is listed.
     """
-    load_left, load_right = observations.number("load_left_N"), observations.number("load_right_N")
+    number, labels = observations.number, observations.labels
+    load_left, load_right = observations.wheel_loads_N
     by_wheels = observations.total(observations.turn_rad)
     # by the reference where there is one: the wheels' own turn shares the gap's errors
     turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
-    speed = observations.number("speed_mps")
-    values: dict[str, FloatArray | StrArray] = {
-        "route": observations.labels["kind"],
-        "session": observations.labels["session"],
-        "direction": observations.labels["direction"],
-        "payload_kg": observations.number("payload_kg"),
-        "load_left_N": load_left,
-        "load_right_N": load_right,
-        "load_sum_N": load_left + load_right,
-        "load_difference_N": load_right - load_left,
-        "speed_mps": speed if np.isfinite(speed).any() else driven_speed_mps(observations),
-        "temperature_C": observations.number("temperature_C"),
-        "minutes_under_load": observations.number("minutes_under_load"),
-        "travelled_km": observations.number("travelled_km"),
-    }
+    speed = number("speed_mps")
+    values: dict[str, FloatArray | StrArray] = {"route": labels["kind"]}
+    values |= {name: labels[name] for name in ("session", "direction")}
+    values |= {name: number(name) for name in ("payload_kg", "load_left_N", "load_right_N")}
+    values |= {"load_sum_N": load_left + load_right, "load_difference_N": load_right - load_left}
+    values["speed_mps"] = speed if np.isfinite(speed).any() else driven_speed_mps(observations)
+    values |= {name: number(name) for name in ("temperature_C", "minutes_under_load", "travelled_km")}
     if np.ptp(turn) > MIN_TURN_RAD:
-        values["turn"] = turn
-        values["turn_absolute"] = np.maximum(
-            observations.total(np.abs(observations.turn_rad)) - np.abs(by_wheels - turn), 0.0
-        )
+        turned = observations.total(np.abs(observations.turn_rad)) - np.abs(by_wheels - turn)
+        values |= {"turn": turn, "turn_absolute": np.maximum(turned, 0.0)}
     if np.ptp(observations.length_m) > MIN_LENGTH_VARIATION * float(np.max(observations.length_m)):
         values["length_m"] = observations.length_m
-    for name in ("amplitude_m", "wavelength_m", *covariate_columns(observations)):
-        values[name] = observations.number(name)
+    values |= {name: number(name) for name in ("amplitude_m", "wavelength_m", *covariate_columns(observations))}
     return {name: column for name, column in values.items() if _varied(column)}
 
 
@@ -98,7 +88,7 @@ def covariate_test(
     return CovariateResult(
         name=name,
         channel=channel,
-        share=dependence.share(),
+        share=float(dependence.shares(np.ones((1, len(dependence.y))))[0]),
         ci95=interval(dependence.shares(weights[:, dependence.on])),
         p_value=float(min(1.0, min(p_values) * len(found))),
         significant=False,
@@ -171,15 +161,17 @@ class _Dependence:
     def shares(self, weight: FloatArray) -> FloatArray:
         """Return the share of variance above the noise level that the covariate explains, for weights (n_draws, n)."""
         total, explained, n = self.squares(weight)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            residual = np.maximum((total - explained) / np.maximum(n - self.df - 1.0, 1.0), 1.0)
-            beyond = total - (n - 1.0)
-            share = np.where(beyond > 0, (explained - self.df * residual) / beyond, 0.0)
-        return np.asarray(np.clip(share, 0.0, 1.0))
+        return _share(explained, self.df, total - explained, n - self.df - 1.0, total - (n - 1.0))
 
-    def share(self) -> float:
-        """Return the share itself."""
-        return float(self.shares(np.ones((1, len(self.y))))[0])
+
+def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Return the share of the squares beyond the noise level that is explained by `df` parameters, each shape (n,).
+
+    What they explain by chance, from the squares `left` at `dof` degrees of freedom, is taken off.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
+        return np.asarray(np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0))
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
@@ -222,10 +214,7 @@ def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray,
 def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
     """Return the share above the noise level that a wheel explains, of moments (n, 3, 3) of `count` rows (n,)."""
     explained, rest = _partial_squares(moments, wheel)
-    variance = np.maximum(rest / np.maximum(count - 2.0, 1.0), 1.0)
-    beyond = moments[:, 2, 2] - count
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(np.where(beyond > 0, (explained - variance) / beyond, 0.0), 0.0, 1.0)
+    return _share(explained, 1, rest, count - 2.0, moments[:, 2, 2] - count)
 
 
 def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:

@@ -64,8 +64,7 @@ def locate(
     weights = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAP_DRAWS).astype(np.float64)
     scaled = np.where(observations.usable, gap / noise.floor, np.nan)
     for name, values in covariate_values(observations).items():
-        line = covariate_test(name, values, scaled, weights, max(noise.dof, 3.0))
-        if line is not None:
+        if (line := covariate_test(name, values, scaled, weights, max(noise.dof, 3.0))) is not None:
             lines.append(line)
     places: tuple[PlaceResult, ...] = ()
     notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
@@ -141,13 +140,11 @@ def find_places(
     if not traces:
         note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"
         return (), (note,)
-    groups: dict[str, list[Trace]] = {}
-    for trace in traces:
-        groups.setdefault(trace.kind, []).append(trace)
     notes: list[str] = []
     candidates = compare_windows(traces)
     n_tests = len(candidates)
-    for kind, group in groups.items():
+    for kind in dict.fromkeys(trace.kind for trace in traces):
+        group = [trace for trace in traces if trace.kind == kind]
         if len(group) < MIN_TRACED_RUNS:
             few = f"fewer than {MIN_TRACED_RUNS} runs with a trace; no place along it is sought"
             notes.append(f"{kind or 'a route'}: {few}")
@@ -155,8 +152,7 @@ def find_places(
         both_ways = len({trace.back for trace in group}) == 2
         for channel in TRACED_CHANNELS:
             for signed in (False, True) if both_ways and channel is Channel.HEADING else (False,):
-                stretch = scan_route(kind, group, channel, rng, signed=signed)
-                if stretch is not None:
+                if stretch := scan_route(kind, group, channel, rng, signed=signed):
                     candidates.append(stretch[0])
                     n_tests += stretch[1]
     corrected = (replace(place, p_value=min(1.0, place.p_value * max(n_tests, 1))) for place in candidates)
@@ -169,7 +165,7 @@ def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
     gained, run = _cut(traces)
     way, turn, stops = (gained[name] for name in ("way_m", "turn_rad", "stops"))
     lines = []
-    for channel, name in ((Channel.ALONG, "along_m"), (Channel.HEADING, "heading_rad")):
+    for channel, name in TRACED_CHANNELS.items():
         on = np.isfinite(gained[name]) & (way > 1e-6)
         turning = on & (np.abs(turn) > MIN_TURN_RAD_PER_M * way)
         questions = []
@@ -185,14 +181,13 @@ def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
 
 def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
     """Return what windows of about a metre gained, by field of a trace, and the number of their run, (n_windows,)."""
-    parts: dict[str, list[FloatArray]] = {"along_m": [], "heading_rad": [], "way_m": [], "turn_rad": [], "stops": []}
-    run: list[str] = []
-    for trace in traces:
-        edges = edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M)
-        for name, windows in parts.items():
-            windows.append(np.diff(getattr(trace, name)[edges]))
-        run += [trace.run_id] * (len(edges) - 1)
-    return {name: np.concatenate(windows) for name, windows in parts.items()}, np.unique(run, return_inverse=True)[1]
+    edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
+    gained = {
+        name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
+        for name in (*TRACED_CHANNELS.values(), "way_m", "turn_rad", "stops")
+    }
+    run = np.repeat([trace.run_id for trace in traces], [len(at) - 1 for at in edges])
+    return gained, np.unique(run, return_inverse=True)[1]
 
 
 def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:

@@ -79,8 +79,7 @@ class _KeptIfFew(Generic[Value]):
         self.make, self.__doc__ = make, make.__doc__
 
     def __get__(self, observations: Observations, _: type) -> Value:
-        name = self.make.__name__
-        known = vars(observations)
+        name, known = self.make.__name__, vars(observations)
         if name in known:
             return cast("Value", known[name])
         value = self.make(observations)
@@ -207,12 +206,13 @@ class Observations:
 
     def part(self, units: slice) -> Observations:
         """Return some observations alone; arrays are views of these. Parts are kept with what is derived from them."""
-        known = self._parts.get((units.start, units.stop))
-        if known is None:
-            known = self._part(units)
-            if len(self.unit) <= KEPT_STEPS:
-                self._parts[units.start, units.stop] = known
-        return known
+        place = (units.start, units.stop)
+        if place in self._parts:
+            return self._parts[place]
+        part = self._part(units)
+        if len(self.unit) <= KEPT_STEPS:
+            self._parts[place] = part
+        return part
 
     @cached_property
     def _parts(self) -> dict[tuple[int, int], Observations]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,11 +22,10 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
     """Return the wheel loads of all runs, each shape (n_runs,), and whether any of them is known."""
     runs, vehicle = campaign.runs, campaign.vehicle
     left, right = runs.number("load_left_N"), runs.number("load_right_N")
-    payload = runs.number("payload_kg")
+    payload, x = runs.number("payload_kg"), runs.number("payload_x_m")
     known = bool(np.isfinite(left).any() and np.isfinite(right).any()) or bool(np.isfinite(payload).any())
-    x, y = runs.number("payload_x_m"), runs.number("payload_y_m")
-    at_x, at_y = np.where(np.isnan(x), vehicle.cog_x_m, x), np.nan_to_num(y)
-    _, by_left, by_right = wheel_loads_N(vehicle, np.nan_to_num(payload), at_x, at_y)
+    at = (np.where(np.isnan(x), vehicle.cog_x_m, x), np.nan_to_num(runs.number("payload_y_m")))
+    _, by_left, by_right = wheel_loads_N(vehicle, np.nan_to_num(payload), *at)
     return np.where(np.isnan(left), by_left, left), np.where(np.isnan(right), by_right, right), known
 
 
@@ -45,13 +44,13 @@ _LABELS = ("run_id", "session", "kind", "direction")
 
 def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -> Observations:
     """Lay observations in the order driven end to end; determine the channels of each, and the replicates."""
-    campaign, model, stands_in = setup.campaign, setup.model, setup.stands_in
-    remarks = list(notes)
-    rolls = _gained(units, "left_rad"), _gained(units, "right_rad")
+    campaign, model, stands_in, remarks = setup.campaign, setup.model, setup.stands_in, list(notes)
+    rolls = _of_steps(units, "left_rad"), _of_steps(units, "right_rad")
     starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
     travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
-    steps = WheelTravel(starts, *travel, model.track_m, _gained(units, "time_s"), _each(units, "from_log"))
-    front, steer, turned = _front(units)
+    steps = WheelTravel(starts, *travel, model.track_m, _of_steps(units, "time_s"), _each(units, "from_log"))
+    front, turned = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad")
+    steer = _of_steps(units, "steer_rad", _middles)
     path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
     guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
@@ -68,9 +67,9 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         starts=steps.starts,
         roll_left_rad=rolls[0],
         roll_right_rad=rolls[1],
-        phase_left_rad=_at_ends(units, "left_rad"),
-        phase_right_rad=_at_ends(units, "right_rad"),
-        time_s=_at_ends(units, "time_s"),
+        phase_left_rad=_of_steps(units, "left_rad", _ends),
+        phase_right_rad=_of_steps(units, "right_rad", _ends),
+        time_s=_of_steps(units, "time_s", _ends),
         duration_s=steps.duration_s,
         front_roll_rad=front,
         steer_rad=steer,
@@ -102,7 +101,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
         by_shaft=stands_in and campaign.odometry.source == "shaft",
-        aside_m=_aside(units),
+        aside_m=None if any(u.aside_m is None for u in units) else _of_steps(units, "aside_m"),
     )
 
 
@@ -110,38 +109,25 @@ def _both_ways(campaign: Campaign) -> bool:
     return bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
 
 
-def _aside(units: Sequence[Observation]) -> FloatArray | None:
-    """Return the step to the side in each step, shape (n_steps,), where every observation has it."""
-    parts = [u.aside_m for u in units if u.aside_m is not None]
-    return _end_to_end([np.diff(part) for part in parts]) if parts and len(parts) == len(units) else None
-
-
 def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
     return np.array([getattr(u, name) for u in units])
 
 
-def _gained(units: Sequence[Observation], name: str) -> FloatArray:
-    return _end_to_end([np.diff(getattr(u, name)) for u in units])
-
-
-def _at_ends(units: Sequence[Observation], name: str) -> FloatArray:
-    return _end_to_end([getattr(u, name)[1:] for u in units])
-
-
-def _end_to_end(steps: Sequence[FloatArray]) -> FloatArray:
-    joined = np.concatenate(steps, out=step_array(sum(map(len, steps))))
+def _of_steps(units: Sequence[Observation], name: str, of: Callable[[FloatArray], FloatArray] = np.diff) -> FloatArray:
+    """Return what a function makes of a field for each step, end to end; NaN where an observation lacks the field."""
+    fields = [(u.n_steps, getattr(u, name)) for u in units]
+    parts = [np.full(n_steps, np.nan) if values is None else of(values) for n_steps, values in fields]
+    joined = np.concatenate(parts, out=step_array(sum(map(len, parts))))
     let_go(joined)
     return joined
 
 
-def _front(units: Sequence[Observation]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    roll, steer, change = [], [], []
-    for u in units:
-        nothing = np.full(u.n_steps, np.nan)
-        roll.append(nothing if u.front_rad is None else np.diff(u.front_rad))
-        steer.append(nothing if u.steer_rad is None else 0.5 * (u.steer_rad[1:] + u.steer_rad[:-1]))
-        change.append(nothing if u.steer_rad is None else np.diff(u.steer_rad))
-    return _end_to_end(roll), _end_to_end(steer), _end_to_end(change)
+def _ends(samples: FloatArray) -> FloatArray:
+    return samples[1:]
+
+
+def _middles(samples: FloatArray) -> FloatArray:
+    return 0.5 * (samples[1:] + samples[:-1])
 
 
 def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
@@ -184,8 +170,7 @@ def _measured(
     # along and lateral are read in the frame of the measured heading; without one, of the wheels' heading
     usable[:, 1:3] &= pose_ok[:, None] & usable[:, 1:2] & usable[:, 2:3]
     usable[:, 0] &= logged | guided | (np.abs(turn) < STRAIGHT_RAD)
-    left_out = int((~pose_ok & np.isfinite(measured[:, 1])).sum())
-    if left_out:
+    if left_out := int((~pose_ok & np.isfinite(measured[:, 1])).sum()):
         remarks.append(f"{left_out} runs have an end pose but no log of a curved path: only their heading counts")
     return measured, usable
 
@@ -210,12 +195,8 @@ def _guided(
             "of one wheel against the other"
         )
         guided = np.zeros_like(guided)
-    sigma, assumed = routes.heading_by_straightness(
-        campaign.runs.number("amplitude_m")[index],
-        campaign.runs.number("wavelength_m")[index],
-        weave_of_log(steps),
-        np.abs(path),
-    )
+    amplitude, wavelength = (campaign.runs.number(name)[index] for name in ("amplitude_m", "wavelength_m"))
+    sigma, assumed = routes.heading_by_straightness(amplitude, wavelength, weave_of_log(steps), np.abs(path))
     if guided.any():
         milli = 1e3 * float(np.median(sigma[guided]))
         how = "assumed" if assumed[guided].all() else "by their weave"
@@ -232,9 +213,8 @@ def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[st
     known = np.isfinite(simulated) & usable
     for channel, missing in zip(Channel, (usable & ~known).sum(axis=0), strict=True):
         if known[:, channel].any() and missing:
-            remarks.append(
-                f"{missing} runs have no sim_ value for {channel.label}: judged against calib's own odometry"
-            )
+            judged = "judged against calib's own odometry"
+            remarks.append(f"{missing} runs have no sim_ value for {channel.label}: {judged}")
     return np.where(known, simulated, np.nan)
 
 
@@ -276,9 +256,8 @@ def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, 
 
 def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
     assumed = {str(key) for key in campaign.extra.get("assumed", ())}
-    laser, pose = bool(usable[:, 0].any()), bool(usable[:, 1:4].any())
-    of_pose = {"reference.sigma_xy_m", "reference.sigma_theta_rad"}
-    return (laser and "rangefinder.sigma_m" in assumed) or (pose and bool(of_pose & assumed))
+    of_pose = {"reference.sigma_xy_m", "reference.sigma_theta_rad"} & assumed
+    return bool(("rangefinder.sigma_m" in assumed and usable[:, 0].any()) or (of_pose and usable[:, 1:4].any()))
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
@@ -286,8 +265,6 @@ def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
 
     An end pose tells: the start heading (1) or the line to the end point (2); without one, the guide line (0).
     """
-    both = usable[:, 0] & usable[:, 1] & usable[:, 2]
-    axis = np.zeros(len(measured))
-    if both.any():
-        axis[both] = 1.0 if looks_ahead(*measured[both, :3].T) else 2.0
-    return axis
+    both = usable[:, :3].all(axis=1)
+    ahead = both.any() and looks_ahead(*measured[both, :3].T)
+    return np.where(both, 1.0 if ahead else 2.0, 0.0)

@@ -60,8 +60,7 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
     A front wheel is kept where it drives the odometry; else it is compared over whole runs only.
     """
-    reference = recorded.reference
-    if reference is None:
+    if (reference := recorded.reference) is None:
         return []
     log = setup.campaign.logs.of(recorded.unit.run)
     edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
@@ -172,15 +171,13 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
         n_cut += bool(windows)
         units.extend(windows or [_with_gyro(_with_log_pose(run, setup), setup)])
     notes = []
-    without_counts = len(campaign.runs) - len(recorded)
-    if without_counts:
+    if without_counts := len(campaign.runs) - len(recorded):
         notes.append(f"{without_counts} runs have no encoder counts and were omitted")
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
     if any(each.course is not None for each in references):
-        notes.append(
-            "the reference measures positions without a heading: headings are taken from the course over ground"
-        )
+        taken = "headings are taken from the course over ground"
+        notes.append(f"the reference measures positions without a heading: {taken}")
     units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
     if not units:
         raise RefusedError(
@@ -195,34 +192,26 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
 
     What varies along it goes into `room`, shape (n_quantities, n_samples).
     """
-    campaign, per_rad = setup.campaign, setup.per_rad
+    campaign, runs, per_rad = setup.campaign, setup.campaign.runs, setup.per_rad
     log = campaign.logs.of(run)
     rows = log_rows(log)
-    runs = campaign.runs
     logged = len(rows) >= 2
-    unit = (
-        observation_from_log(run, log, rows, per_rad)
-        if logged
-        else observation.observation_from_row(run, runs, per_rad)
-    )
+    from_row = observation.observation_from_row
+    unit = observation_from_log(run, log, rows, per_rad) if logged else from_row(run, runs, per_rad)
     if unit is None:
         return None
     placed: dict[str, Any] = {}
     for name, place in zip(observation.ALONG_RUN, room, strict=True):
-        values = getattr(unit, name)
-        if values is not None:
+        if (values := getattr(unit, name)) is not None:
             placed[name] = place[: len(values)]
             placed[name][:] = values
     distance = runs.number("distance_m")[run]
     if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
         distance = log["range_m"][-1]
-    pose = np.array([runs.number(name)[run] for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")])
     # an end pose in a map says nothing without the pose at the start
-    pose = (
-        np.full(3, np.nan)
-        if setup.in_map
-        else observation.poses_of_vehicle(pose[None], campaign.reference, in_map=False)[0]
-    )
+    names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+    read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
+    pose = observation.poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)

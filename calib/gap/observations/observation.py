@@ -16,7 +16,7 @@ import numpy as np
 from calib.campaign.model import Campaign, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, in_frame
 
 #: steps of a thinned log; the arcs between are exact for what the wheels rolled
 MAX_STEPS: Final = 400
@@ -37,10 +37,8 @@ class CountsPerRadian:
     @staticmethod
     def from_encoder(encoder: Encoder) -> CountsPerRadian:
         """Return the scales of an encoder section."""
-        turn = 2 * np.pi
-        return CountsPerRadian(
-            encoder.counts_per_rev_left / turn, encoder.counts_per_rev_right / turn, encoder.front / turn
-        )
+        per_rev = (encoder.counts_per_rev_left, encoder.counts_per_rev_right, encoder.front)
+        return CountsPerRadian(*(counts / (2 * np.pi) for counts in per_rev))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,8 +100,7 @@ def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
     """Return the samples of a log that have a time and both counts, shape (n_samples,); none if a column is missing."""
     if not {"t_s", "counts_left", "counts_right"} <= log.keys():
         return np.zeros(0, dtype=np.int64)
-    good = np.isfinite(log["t_s"]) & np.isfinite(log["counts_left"]) & np.isfinite(log["counts_right"])
-    return np.flatnonzero(good)
+    return np.flatnonzero(np.isfinite(log["t_s"]) & np.isfinite(log["counts_left"]) & np.isfinite(log["counts_right"]))
 
 
 def thinned(rows: IntArray) -> IntArray:
@@ -207,7 +204,7 @@ class CourseOverGround:
         wheels = self._sensor_by_wheels(last) - self._sensor_by_wheels(first)
         chord = float(np.hypot(*moved))
         if chord < 0.3 * self.way_m or np.hypot(*wheels) < 0.3 * self.way_m:
-            return np.array([np.nan, np.nan, np.nan]), float("nan")
+            return _nan(3), float("nan")
         course = np.arctan2(moved[1], moved[0]) - np.arctan2(wheels[1], wheels[0])
         heading = self.by_wheels[number, 2] + (course + np.pi) % (2 * np.pi) - np.pi
         place = self.positions[number] - _turned(self.place_m, heading)
@@ -224,9 +221,7 @@ def _turned(vector: FloatArray, angle: float) -> FloatArray:
 
 def relative_pose(first: FloatArray, last: FloatArray) -> FloatArray:
     """Return a pose (x, y, heading) as seen from another."""
-    dx, dy = last[0] - first[0], last[1] - first[1]
-    c, s = np.cos(first[2]), np.sin(first[2])
-    return np.array([c * dx + s * dy, c * dy - s * dx, last[2] - first[2]])
+    return np.asarray(in_frame((last - first)[:, None], first[2:])[0])
 
 
 def poses_are_in_a_map(campaign: Campaign) -> bool:
@@ -257,8 +252,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     if heading is not None:
         with_heading = there & np.isfinite(heading[all_rows])
         heading, there = (heading, with_heading) if with_heading.sum() >= MIN_POSES else (None, there)
-    rows = all_rows[there]
-    if len(rows) < MIN_POSES:
+    if len(rows := all_rows[there]) < MIN_POSES:
         return None
     # at every sample: between the poses of a slow reference the vehicle turns
     left = log["counts_left"][all_rows] / per_rad.left * model.radius_left_m
@@ -280,8 +274,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         from_first = not (reference.frame == "start" and on_axle)
         poses = np.column_stack([seen, np.full(len(rows), np.nan)])
         return ReferencePoses(rows, poses, travelled, setup.in_map, from_first, course)
-    sensor = np.column_stack([seen, np.unwrap(heading[rows])])
-    poses = poses_of_vehicle(sensor, reference, in_map=setup.in_map)
+    poses = poses_of_vehicle(np.column_stack([seen, np.unwrap(heading[rows])]), reference, in_map=setup.in_map)
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map, course=None)
 
 

@@ -39,8 +39,7 @@ class WheelTravel:
 
     def total(self, steps: FloatArray) -> FloatArray:
         """Sum a step quantity (n_steps,) over each observation, shape (n_obs,)."""
-        summed: FloatArray = np.add.reduceat(steps, self.starts[:-1])
-        return summed
+        return np.asarray(np.add.reduceat(steps, self.starts[:-1]))
 
     @property
     def path_m(self) -> FloatArray:
@@ -55,8 +54,7 @@ class WheelTravel:
     @property
     def rolled_m(self) -> FloatArray:
         """Mean unsigned travel of both wheels in each step, turns on the spot included, shape (n_steps,)."""
-        rolled: FloatArray = 0.5 * (np.abs(self.left_m) + np.abs(self.right_m))
-        return rolled
+        return np.asarray(0.5 * (np.abs(self.left_m) + np.abs(self.right_m)))
 
 
 def levels(values: FloatArray, width: float) -> IntArray:
@@ -78,8 +76,7 @@ def levels(values: FloatArray, width: float) -> IntArray:
     highest = np.repeat(sorted_values[np.append(first[1:], len(level)) - 1], spans)
     n_bins = np.ceil(np.maximum((highest - lowest) / (2.0 * width), 1.0))
     place = np.clip((sorted_values - lowest) / np.maximum(highest - lowest, 1e-300) * n_bins, 0.0, n_bins - 1.0)
-    bins = np.where(n_bins > 1, np.floor(place), 0.0)
-    number[order] = row_numbers([level, bins])
+    number[order] = row_numbers([level, np.where(n_bins > 1, np.floor(place), 0.0)])
     return number
 
 
@@ -111,9 +108,8 @@ def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
             ratio = np.abs(np.log(rolled[unit] / rolled[lead])) / ROUTE_LENGTH_SHARE
             apart = np.abs(shapes[lead] - shapes[unit]) / np.maximum(tolerance[lead], tolerance[unit])[:, :, None]
             distance = np.maximum(ratio, apart.max(axis=(1, 2)))
-            nearest = int(np.argmin(distance))
-            if distance[nearest] <= 1.0:
-                route[unit] = nearest
+            if distance.min() <= 1.0:
+                route[unit] = int(np.argmin(distance))
                 continue
         route[unit] = len(leaders)
         leaders.append(unit)
@@ -238,8 +234,7 @@ def weave_of_log(driven: WheelTravel) -> FloatArray:
 
     def within(steps: FloatArray) -> FloatArray:
         running = np.cumsum(steps)
-        middle: FloatArray = running - 0.5 * steps - np.concatenate(([0.0], running))[starts[:-1]][unit]
-        return middle
+        return np.asarray(running - 0.5 * steps - np.concatenate(([0.0], running))[starts[:-1]][unit])
 
     total, weight = driven.total, np.abs(driven.path_m)
     along, heading = within(weight), within(driven.turn_rad)

@@ -153,22 +153,21 @@ class Signatures:
             same = self.own_calibration[numbers] == calibration
             free = np.arange(3 if calibration else 0, 4)
 
-            def left(beside: IntArray, same: BoolArray = same) -> FloatArray:
-                return np.sqrt(_residual_square(gram, beside, target[same], square[..., same]))
-
-            signal[..., same] = left(free)
+            signal[..., same] = _left(gram, free, target[same], square[..., same])
             for number, first, last in self.forms:
-                absorbed = self.own_calibration[number] and not calibration
-                near = signal[..., same] if absorbed else left(np.concatenate([free, np.arange(first, last)]))
+                near = signal[..., same]
+                if calibration or not self.own_calibration[number]:
+                    beside = np.concatenate([free, np.arange(first, last)])
+                    near = _left(gram, beside, target[same], square[..., same])
                 distances[..., same, number] = np.minimum(distances[..., same, number], near)
         distances[..., np.arange(len(numbers)), numbers] = np.inf
         return signal, distances
 
 
-def _residual_square(gram: FloatArray, index: np.ndarray, target: np.ndarray, square: FloatArray) -> FloatArray:
-    inner = gram[..., index[:, None], index] + np.eye(len(index))
-    cross = gram[..., index[:, None], target]
-    return np.asarray(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=-2), 0.0))
+def _left(gram: FloatArray, beside: IntArray, target: IntArray, square: FloatArray) -> FloatArray:
+    inner = gram[..., beside[:, None], beside] + np.eye(len(beside))
+    cross = gram[..., beside[:, None], target]
+    return np.asarray(np.sqrt(np.maximum(square - (cross * np.linalg.solve(inner, cross)).sum(axis=-2), 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,14 +245,12 @@ def undetectable(
     A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. Known `forms`
     are not built again.
     """
-    limits = _Limits(system.calibration, system.columns)
-
-    def of_effect(effect: Effect) -> Sequence[Form]:
+    limits, found = _Limits(system.calibration, system.columns), []
+    for effect in effects:
         # an effect that is not among them offers none; the calibration's own never are
-        return effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
-
-    each = [limits.of(effect, of_effect(effect)) for effect in effects]
-    return tuple(limit for times, limit in each if times > 1.0)
+        offered = effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
+        found.append(limits.of(effect, offered))
+    return tuple(limit for times, limit in found if times > 1.0)
 
 
 class _Limits:

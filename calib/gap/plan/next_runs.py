@@ -24,18 +24,9 @@ from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
+from calib.gap.plan import planned_runs
 from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, noise_at
-from calib.gap.plan.planned_runs import (
-    DEFAULT_CORRIDOR_M,
-    Measured,
-    PlannedRun,
-    default_candidates,
-    drive,
-    joined,
-    route_of,
-    size_of,
-    usual_temperature_C,
-)
+from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import predict
 from calib.types import FloatArray
 
@@ -88,7 +79,7 @@ def next_runs(
     if not candidates:
         return []
     candidates = [replace(run, count=_count(driven, run)) for run in candidates]
-    reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
+    reference = _corridor_run(driven)
     planned = drive(driven, [reference, *candidates], measured, _corridor_m(driven))
     observations = observations_of(joined(driven, planned))
     path = predict(observations)
@@ -126,7 +117,7 @@ def next_runs(
     if not chosen and not task.done(first) and task.gains(first, then):
         chosen.append(replace(reference, why=task.why(first, then)))
     chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
-    return [replace(run, size=size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
+    return [replace(run, size=planned_runs.size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
@@ -135,11 +126,16 @@ _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
 
 def _candidates(driven: Campaign, measured: Measured) -> list[PlannedRun]:
     tape = not (measured.distance or measured.position)
-    candidates = default_candidates(driven, loops=not (measured.position and measured.heading), tape=tape)
+    loops = not (measured.position and measured.heading)
+    candidates = planned_runs.default_candidates(driven, loops=loops, tape=tape)
     if measured.distance and not (measured.position and measured.beside):
         # a length by other means than the rangefinder's
-        candidates.append(PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven), tape=True))
+        candidates.append(replace(_corridor_run(driven), tape=True))
     return candidates
+
+
+def _corridor_run(driven: Campaign) -> PlannedRun:
+    return PlannedRun("corridor", "out", temperature_C=planned_runs.usual_temperature_C(driven))
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
@@ -157,8 +153,7 @@ def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
     """Return the runs driven and, as their model says, those of `next_runs`, the repeat of a corridor before them."""
     driven = campaign.included()
-    reference = PlannedRun("corridor", "out", temperature_C=usual_temperature_C(driven))
-    planned = [reference, *(run for run in runs for _ in range(run.count))]
+    planned = [_corridor_run(driven), *(run for run in runs for _ in range(run.count))]
     return joined(driven, drive(driven, planned, _measured(driven), _corridor_m(driven)))
 
 
@@ -211,14 +206,13 @@ class _Task:
 def _sizes(
     observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
 ) -> dict[str, tuple[Form, FloatArray]]:
-    sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
-        return sizes
+        return {}
+    sizes: dict[str, tuple[Form, FloatArray]] = {}
     wanted = {*NAMES, *(form.effect for form in fitted.forms)}
     forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        here = matching_form(forms.get(form.effect, []), form.label, form.settings)
-        if here is not None:
+        if here := matching_form(forms.get(form.effect, []), form.label, form.settings):
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
             sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
     for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
@@ -234,6 +228,7 @@ def _measured(campaign: Campaign) -> Measured:
     open_path = runs.label("loop") != CLOSED
     poses, by_laser = ("ref_x_m", "ref_theta_rad"), np.isfinite(runs.number("distance_m"))
     position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
+    beside = "ref_x_m" in logs.columns or not by_laser.any()
     return Measured(
         distance=bool(by_laser.any() or "range_m" in logs.columns),
         position=position,
@@ -241,9 +236,7 @@ def _measured(campaign: Campaign) -> Measured:
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
         gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
-        beside="ref_x_m" in logs.columns
-        or not by_laser.any()
-        or bool(np.isfinite(runs.number("ref_x_m")[by_laser]).any()),
+        beside=beside or bool(np.isfinite(runs.number("ref_x_m")[by_laser]).any()),
     )
 
 
@@ -336,8 +329,7 @@ def read_plan(path: Path) -> Campaign:
     section = document.pop("measured", {})
     measured = _validated(_MeasuredSection, section, path, "measured")
     position, heading = measured.poses or measured.position, measured.poses or measured.heading
-    closed_or_taped = any(run.loop or run.tape for run in runs)
-    if not (measured.distance or position or heading or measured.gyro or closed_or_taped):
+    if not (measured.distance or position or heading or measured.gyro or any(run.loop or run.tape for run in runs)):
         raise _wrong(path, "measured", section, "distance, poses or gyro to be true, else nothing is measured")
     settings = parse_settings(document, str(path), path.stem)
     if settings.odometry.source in _IN_LOG_ONLY and not measured.log:
@@ -354,8 +346,7 @@ def read_candidates(path: Path) -> list[PlannedRun]:
 
 def _load(path: Path) -> dict[str, Any]:
     document = load_toml(path, str(path))
-    stated = document.pop("format", FORMAT)
-    if stated != FORMAT:
+    if (stated := document.pop("format", FORMAT)) != FORMAT:
         raise BadFileError(
             path, column="format", found=repr(stated)[:60], expected=repr(FORMAT), remedy="give a plan of runs"
         )

@@ -207,28 +207,27 @@ def drive(
         name: np.array([float(getattr(run, name)) for run in runs]) for name in CONDITIONS
     }
     # without a payload its place means nothing
-    for name in ("payload_x_m", "payload_y_m"):
-        numbers[name] = np.where(numbers["payload_kg"] > 0, numbers[name], 0.0)
+    laden = numbers["payload_kg"] > 0
+    numbers |= {name: np.where(laden, numbers[name], 0.0) for name in ("payload_x_m", "payload_y_m")}
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
     place = (numbers[name] for name in ("payload_kg", "payload_x_m", "payload_y_m"))
     numbers |= zip(("load_left_N", "load_right_N"), wheel_loads_N(campaign.vehicle, *place)[1:], strict=True)
-    by_length = corridor & np.array([run.tape or measured.distance for run in runs])
-    if by_length.any():
+    if (by_length := corridor & np.array([run.tape or measured.distance for run in runs])).any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
     closed = np.array([run.loop == CLOSED for run in runs])
     # beside an instrument a tape gives the place of the end
     seen = ~corridor | measured.beside
     placed = (np.array([run.tape for run in runs]) & measured.distance) | (seen & (closed | measured.position))
     by_reference = {"ref_x_m": placed, "ref_y_m": placed, "ref_theta_rad": seen & (closed | measured.heading)}
-    for number, (name, known) in enumerate(by_reference.items()):
+    for values, (name, known) in zip(ends.T, by_reference.items(), strict=True):
         if known.any():
-            numbers[name] = np.where(known, ends[:, number], np.nan)
+            numbers[name] = np.where(known, values, np.nan)
     if measured.gyro:
         sigma = campaign.runs.number(GYRO_SIGMA)
         usual = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else campaign.reference.sigma_theta_rad
         numbers |= {GYRO_TURN: ends[:, 2], GYRO_SIGMA: np.full(len(runs), usual)}
-    for name in {name for run in runs for name in run.columns}:
-        numbers[name] = np.array([float(run.columns.get(name, np.nan)) for run in runs])
+    further = {name for run in runs for name in run.columns}
+    numbers |= {name: np.array([float(run.columns.get(name, np.nan)) for run in runs]) for name in further}
     labels = {name: np.array([getattr(run, name) for run in runs]) for name in ("session", "kind", "direction", "loop")}
     labels["run_id"] = np.array([f"next{number:03d}" for number in range(len(runs))])
     table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
@@ -274,25 +273,28 @@ def wheel_counts(
         The front wheel is counted too.
     """
     if not without_rear_wheels(campaign):
-        counts = _rear(campaign, distance_m, heading_rad, loads_N)
+        half_m = 0.5 * campaign.model.track_m * heading_rad
+        sides = _both_sides(campaign.encoder, distance_m, half_m, radii_of_model(campaign.model, *loads_N))
+        counts = dict(zip(WHEEL_COLUMNS["rear"], sides, strict=True))
         model = FrontModel.of(campaign.vehicle)
         return counts | _steered(campaign, distance_m, heading_rad, model, "front") if front else counts
     source = odometry_source(campaign)
     if source in wheels.STEERED:
         model = campaign.model.front or FrontModel.of(campaign.vehicle)
         return _steered(campaign, distance_m, heading_rad, model, source)
-    return _mecanum(campaign, distance_m, heading_rad)
+    mecanum = mecanum_model(campaign)
+    radii_m = (mecanum.radius_m, mecanum.radius_m)
+    sides = _both_sides(campaign.encoder, distance_m, mecanum.arm_m * heading_rad, radii_m)
+    return {name: sides[name.endswith("right")] for name in WHEEL_COLUMNS["wheels"]}
 
 
-def _rear(
-    campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float]
-) -> dict[str, FloatArray]:
-    encoder, (radius_left, radius_right) = campaign.encoder, radii_of_model(campaign.model, *loads_N)
-    half = 0.5 * campaign.model.track_m * heading_rad
-    return {
-        "counts_left": (distance_m - half) / radius_left * encoder.counts_per_rev_left / (2 * np.pi),
-        "counts_right": (distance_m + half) / radius_right * encoder.counts_per_rev_right / (2 * np.pi),
-    }
+def _both_sides(
+    encoder: Encoder, distance_m: FloatArray, half_m: FloatArray, radii_m: Sequence[FloatArray | float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the counts (n,) of a left and of a right wheel, whose ways differ from the middle's by `half_m` (n,)."""
+    left = (distance_m - half_m) / radii_m[0] * encoder.counts_per_rev_left / (2 * np.pi)
+    right = (distance_m + half_m) / radii_m[1] * encoder.counts_per_rev_right / (2 * np.pi)
+    return left, right
 
 
 def _steered(
@@ -310,16 +312,6 @@ def _steered(
         angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
     return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
-
-
-def _mecanum(campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
-    model, encoder = mecanum_model(campaign), campaign.encoder
-    half_m = model.arm_m * heading_rad
-    counts = {
-        "left": (distance_m - half_m) / model.radius_m * encoder.counts_per_rev_left / (2 * np.pi),
-        "right": (distance_m + half_m) / model.radius_m * encoder.counts_per_rev_right / (2 * np.pi),
-    }
-    return {name: counts[name.rsplit("_", 1)[1]] for name in WHEEL_COLUMNS["wheels"]}
 
 
 def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:

@@ -14,17 +14,11 @@ from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import (
-    SIMULATOR_PREFIX,
-    HeldCalibration,
-    SimulatorParameter,
-    as_simulated,
-    with_zero,
-    without_forms,
-)
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
 from calib.gap.effects.steering import SteeringScale, SteeringZero
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
@@ -92,9 +86,9 @@ def diagnose_simulator(
     campaign = on_its_source_alone(campaign)
     measured = observations_of(campaign, whole_runs=True)
     _check_excluded(exclude, measured, settings, campaign)
-    place, run_ids = root.resolve(), [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
+    run_ids = [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
     cache = run_cache(settings, campaign.hashes)
-    runner = SimulatorRunner(settings, place, run_ids, cache, workers, progress)
+    runner = SimulatorRunner(settings, root.resolve(), run_ids, cache, workers, progress)
     stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
     differences = differences_of(runner, np.array([values.min() for values in stated]))
     _refuse_nonsense(settings, measured, differences)
@@ -165,8 +159,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
     simulated[:, :4] = table[differences.rows(measured)]
     # of a heading whole turns do not count
-    turns = np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi))
-    simulated[:, 3] += 2 * np.pi * np.nan_to_num(turns)
+    simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
     variance = (differences.scatter[differences.rows(measured)] ** 2 / differences.repeats).T
@@ -180,7 +173,7 @@ def simulated_observations(measured: Observations, differences: Differences, tab
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
-    return as_simulated(observations)
+    return simulator.as_simulated(observations)
 
 
 def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differences: Differences) -> None:
@@ -192,8 +185,7 @@ def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differ
             f"{settings.path}: found no {COLUMNS[column]} of run {measured.labels['run_id'][row]}; expected a number "
             "in each run where it was measured; write it, or leave the column out"
         )
-    words = written_wrong(table, predict(measured).reading[:, :4], BLUNDER_MISFIT)
-    if words:
+    if words := written_wrong(table, predict(measured).reading[:, :4], BLUNDER_MISFIT):
         wrong, cure = words.split("; ", 1)
         raise BadInputError(
             f"{settings.path}: found that the simulator writes {wrong}; expected ends near those of the logged counts; "
@@ -205,11 +197,9 @@ def _check_excluded(
     exclude: Sequence[str], measured: Observations, settings: SimulatorSettings, campaign: Campaign
 ) -> None:
     own = settings.by_cause
-    unknown = [name for name in exclude if name.startswith(SIMULATOR_PREFIX) and name not in own]
-    if unknown:
+    if unknown := [name for name in exclude if name.startswith(SIMULATOR_PREFIX) and name not in own]:
         raise BadInputError(f"--exclude: found {unknown[0]!r}; expected one of: {', '.join(sorted(own))}")
-    others = [name for name in exclude if name not in own]
-    if others:
+    if others := [name for name in exclude if name not in own]:
         check_excluded(others, measured, campaign.extra.get("effects", ()))
 
 
@@ -239,7 +229,8 @@ def _candidates(
         if isinstance(rival, HeldCalibration) and len(theirs.get("", [])) == 1:
             rivals[number] = HeldCalibration(rival.effect, -theirs[""][0])
         elif rival.id not in spanned and any(theirs.values()):
-            rivals[number] = without_forms(rival, [label for label, ways in theirs.items() if len(ways) == 2])
+            done = [label for label, ways in theirs.items() if len(ways) == 2]
+            rivals[number] = simulator.without_forms(rival, done)
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
@@ -251,7 +242,7 @@ def _candidates(
     others = []
     for rival in rivals:
         zeros = {held[name]: 1.0 / _reach(held[name], nominal)[""] for name in rival.own_shifts if name in spanned}
-        others.append(with_zero(rival, zeros, _reach(rival, nominal) if zeros else {}))
+        others.append(simulator.with_zero(rival, zeros, _reach(rival, nominal) if zeros else {}))
     return [*own, *(rival for rival in others if rival.id not in spanned)], tuple(notes)
 
 

@@ -214,12 +214,11 @@ def _followed(
             break
         else:
             trial = 0.5 * (at + trial)
-    nominal = asked(table, about)
     return SimulatorFix(
         dict(zip(names, map(float, at), strict=True)),
         table,
         dict(zip(names, np.moveaxis(slope, 2, 0), strict=True)),
-        dict(zip(names, map(float, now.sd / nominal.sd), strict=True)),
+        dict(zip(names, map(float, now.sd / asked(table, about).sd), strict=True)),
         dict(zip(names, map(float, np.abs(now.correction)), strict=True)),
         now.off < CONVERGED[2] or now.square < LACKING * int(fitted.path.s.usable.sum()),
         now.square,

@@ -102,12 +102,9 @@ def read_settings(path: Path) -> SimulatorSettings:
         if not any(place in part for part in settings.command):
             expected = f"an argument that holds {place}"
             raise BadFileError(path, f"no {place}", expected, "add it to the command", column="command")
-    names: set[str] = set()
-    for each in settings.parameters:
-        wrong = _wrong(each, names)
-        if wrong is not None:
+    for number, each in enumerate(settings.parameters):
+        if wrong := _wrong(each, {earlier.name for earlier in settings.parameters[:number]}):
             raise BadFileError(path, *wrong, column=f"parameter {each.name}")
-        names.add(each.name)
     return settings
 
 
@@ -167,15 +164,10 @@ def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
         if run_id in by_run:
             raise BadTableError(f"found run {run_id[:60]} twice in its CSV; expected a row a run")
         by_run[run_id] = cells
-    missing = [run_id for run_id in run_ids if run_id not in by_run]
-    if missing:
-        raise BadTableError(
-            f"found no row for {len(missing)} of {len(run_ids)} runs ({missing[0]} first); expected all"
-        )
-    values = np.full((len(run_ids), len(COLUMNS)), np.nan)
-    for name in columns:
-        values[:, COLUMNS.index(name)] = [_number(by_run[run_id][name], name, run_id) for run_id in run_ids]
-    return values
+    if missing := [run_id for run_id in run_ids if run_id not in by_run]:
+        of = f"{len(missing)} of {len(run_ids)} runs ({missing[0]} first)"
+        raise BadTableError(f"found no row for {of}; expected all")
+    return np.array([[_number(by_run[run].get(name, ""), name, run) for run in run_ids] for name in COLUMNS]).T.copy()
 
 
 def _number(text: str, name: str, run_id: str) -> float:
