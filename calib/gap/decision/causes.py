@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.gap.decision.between_sessions import SessionScatter, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
@@ -56,6 +57,7 @@ class _Sized:
     covariance: FloatArray
     columns: FloatArray
     signal: float
+    weights: FloatArray  #: of the estimates, recalibration first, in its parameters: (n_estimates, n_parameters)
 
     @property
     def squares(self) -> tuple[float, float]:
@@ -86,9 +88,10 @@ def causes_of(
     # the covariance beside an unexplained residual holds that residual already
     variance_factor = 1.0 if evidence.search.weighting.name else max(1.0, fitted.chi_square / free)
     every = _sized(evidence)
+    scatter = session_scatter(evidence)
     causes = [
         replace(
-            _cause(evidence, sized, variance_factor, coverage, probabilities.get(sized.form.effect, 0.0)),
+            _cause(evidence, sized, variance_factor, scatter, probabilities.get(sized.form.effect, 0.0)),
             share=share,
             share_ci95=(max(share - half, 0.0), min(share + half, 1.0)),
             forms_open=forms_open.get(sized.form.effect, ()),
@@ -168,26 +171,35 @@ def _shares(
 def _sized(evidence: Evidence) -> list[_Sized]:
     system, fitted, recalibration = evidence.system, evidence.fitted, evidence.recalibration
     nuisance = Nuisance.of(system.calibration)
-    sized, first = [], 4
+    sized, first, own = [], 4, np.eye(4 + len(fitted.parameters))
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         last = first + len(theta)
         columns = system.columns(form) / form.typical
         whitened = (columns @ theta)[:, None]
         signal = float(np.sqrt(nuisance.scalar(whitened, whitened)[0, 0]))
-        sized.append(_Sized(form, theta, fitted.covariance[first:last, first:last], columns, signal))
+        sized.append(_Sized(form, theta, fitted.covariance[first:last, first:last], columns, signal, own[:, first:last]))
         first = last
     for name in evidence.calibration:
         k = NAMES.index(name)
         form = evidence.effects[name].forms(evidence.observations)[0]
         columns = (evidence.per_unit @ DIRECTIONS[k])[:, None]
-        covariance = np.diag(recalibration.sd[[k]] ** 2)
-        sized.append(_Sized(form, recalibration.values[[k]], covariance, columns, float(recalibration.signal[k])))
+        covariance, signal = np.diag(recalibration.sd[[k]] ** 2), float(recalibration.signal[k])
+        along = own[:, : len(DIRECTIONS[k])] @ (CALIBRATION_SD[: len(DIRECTIONS[k])] * DIRECTIONS[k])
+        sized.append(_Sized(form, recalibration.values[[k]], covariance, columns, signal, along[:, None]))
     return sized
 
 
-def _cause(evidence: Evidence, sized: _Sized, variance_factor: float, coverage: float, probability: float) -> Cause:
+def _cause(
+    evidence: Evidence, sized: _Sized, variance_factor: float, scatter: SessionScatter | None, probability: float
+) -> Cause:
+    from scipy.special import stdtrit
+
     form, effect = sized.form, evidence.effects[sized.form.effect]
-    covariance = variance_factor * sized.covariance
+    covariance, dof = variance_factor * sized.covariance, max(evidence.noise.dof, 3.0)
+    coverage = float(stdtrit(dof, 0.975))
+    if scatter is not None:
+        widening = scatter.widening(sized.weights, dof)
+        covariance = covariance * np.outer(widening, widening)
     spread = np.sqrt(np.diag(covariance))
     quantities, times = {}, 0.0
     for parameter, value, sd in zip(form.parameters, sized.theta.tolist(), spread.tolist(), strict=True):

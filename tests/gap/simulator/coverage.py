@@ -1,8 +1,8 @@
 """Whether intervals of a simulator's parameters hold the truth.
 
 ``python -m tests.gap.simulator.coverage [CAMPAIGNS [REPEATS]]``: three changes hidden in the numpy simulator, CAMPAIGNS
-(100) of 8 REPEATS (2) runs each, in three realities: without random walks of distance and heading, with small and with
-larger ones. The simulator repeats itself. Printed are the campaigns whose 95 % interval has the truth, and the root
+(100) of 8 REPEATS (2) runs each, in five realities: without random walks of distance and heading, with small and with
+larger ones, and with radii that step between the two sessions, too. The simulator repeats itself. Printed are the campaigns whose 95 % interval has the truth, and the root
 mean square of the errors over the half widths (0.51 where intervals are exact) with their mean.
 """
 
@@ -27,27 +27,35 @@ from tests.gap.effects.making import campaign
 from tests.gap.simulator.made import NOMINAL, numpy_ends, numpy_settings, on_disk, runs
 from tests.gap.simulator.noisy import CHANGES
 
-#: growth of distance (m) and heading (rad) a root metre
-WALKS = {"no walks": (0.0, 0.0), "small walks": (2e-4, 1.5e-4), "walks": (4e-4, 3e-4)}
+#: growth of distance (m) and heading (rad) a root metre, and the scatter of each radius between sessions
+WALKS = {
+    "no walks": (0.0, 0.0, 0.0),
+    "small walks": (2e-4, 1.5e-4, 0.0),
+    "walks": (4e-4, 3e-4, 0.0),
+    "small walks, steps": (2e-4, 1.5e-4, 3e-5),
+    "small walks, large steps": (2e-4, 1.5e-4, 1e-4),
+}
 WHEELS = ("left", "right")
 RAD_PER_COUNT = 2 * np.pi / 4096
 
 
 def walked(
-    made: Campaign, hidden: Mapping[str, float], walk: tuple[float, float], rng: np.random.Generator
+    made: Campaign, hidden: Mapping[str, float], walk: tuple[float, float, float], rng: np.random.Generator
 ) -> np.ndarray:
     """Return where the runs end, (n_runs, 4), in the example's simulator with hidden parameters and random walks."""
     p, ends = NOMINAL | dict(hidden), []
+    _, session = np.unique(made.runs.labels["session"], return_inverse=True)
+    steps = 1.0 + walk[2] * rng.standard_normal((session.max() + 1, len(WHEELS)))
     for number in range(len(made.runs)):
         rows = slice(made.logs.offsets[number], made.logs.offsets[number + 1])
         angles = np.column_stack([made.logs.columns[f"counts_{side}"][rows] for side in WHEELS]) * RAD_PER_COUNT
         loads_N = np.array([float(made.runs.numbers[f"load_{side}_N"][number]) for side in WHEELS])
         radii = np.array([p[f"wheel_radius_{side}"] for side in WHEELS]) + p["load_slope"] * (loads_N - 300.0)
-        travel = np.diff(angles, axis=0) * radii
+        travel = np.diff(angles, axis=0) * radii * steps[session[number]]
         way, turn = travel.mean(axis=1), (travel[:, 1] - travel[:, 0]) / p["track"]
         root = np.sqrt(np.abs(way))
         way, turn = (
-            one + size * root * rng.standard_normal(len(root)) for one, size in zip((way, turn), walk, strict=True)
+            one + size * root * rng.standard_normal(len(root)) for one, size in zip((way, turn), walk[:2], strict=True)
         )
         heading = np.cumsum(turn) - 0.5 * turn + p["start_yaw"]
         chord = way * np.sinc(0.5 * turn / np.pi)
@@ -56,7 +64,7 @@ def walked(
     return np.array(ends)
 
 
-def error(folder: Path, name: str, walk: tuple[float, float], repeats: int, seed: int) -> float:
+def error(folder: Path, name: str, walk: tuple[float, float, float], repeats: int, seed: int) -> float:
     """Return the error of a hidden change over the half width of its interval; NaN where it is not named."""
     made, hidden = campaign(runs(repeats)), {name: CHANGES[name]}
     on_disk(folder / "campaign", made, walked(made, hidden, walk, np.random.default_rng([seed, 7])), seed)

@@ -1,0 +1,89 @@
+"""How much wider sizes are known where the radii step from session to session, named or not.
+
+Steps too small to be named are a variance component (Searle, Casella, McCulloch, Variance Components, 1992): its
+restricted likelihood gives the scatter of both radii between sessions, Satterthwaite's degrees of freedom say how well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calib.gap.decision.diagnosis import Evidence
+from calib.gap.effects.radii import SessionStep
+from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.types import FloatArray
+
+#: relative step of a radius: the unit of the scatter
+_STEP: Final = 5e-4
+#: prior precision of a step, in its unit: a thousand units, which leaves it to the data
+_STEP_PRECISION: Final = 1e-6
+#: variances searched, in squares of the unit, as logarithms: a step of 1e-6 to one of 1e-2
+_LOG_VARIANCES: Final = (-12.4, 6.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionScatter:
+    """Covariance of the estimates, recalibration first, without and beside steps; `dof` of the steps' variance."""
+
+    without: FloatArray  #: shape (p, p)
+    beside: FloatArray  #: shape (p, p)
+    dof: float
+
+    def widening(self, weights: FloatArray, dof: float) -> FloatArray:
+        """Return by how much intervals of combinations, weights (p, k), are wider, (k,); `dof`: of the noise."""
+        from scipy.special import stdtrit
+
+        run = np.einsum("pk,pq,qk->k", weights, self.without, weights)
+        session = np.maximum(np.einsum("pk,pq,qk->k", weights, self.beside, weights) - run, 0.0)
+        joint = (run + session) ** 2 / (run**2 / dof + session**2 / self.dof)
+        widening: FloatArray = stdtrit(joint, 0.975) / stdtrit(dof, 0.975) * np.sqrt(1.0 + session / run)
+        return np.maximum(widening, 1.0)
+
+
+def session_scatter(evidence: Evidence) -> SessionScatter | None:
+    """Return what steps of the radii add to the sizes; None without sessions or scatter, or with the steps named."""
+    fitted = evidence.fitted
+    fit = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    blocks = fit.weighting.system.blocks
+    labels, session = np.unique(evidence.observations.labels["session"][blocks.unit], return_inverse=True)
+    if len(labels) < 2 or any(form.effect == SessionStep.id for form in fitted.forms):
+        return None
+    radii = whitened_rows(fitted.path, evidence.noise, fitted.path.calibration[:, :, :2])[blocks.order] * _STEP
+    inside = session[:, None] == np.arange(len(labels))
+    steps = (radii[:, :, None] * inside[:, None, :]).reshape(len(radii), -1)
+    columns, p = np.concatenate([fit.columns, steps], axis=1), fit.columns.shape[1]
+
+    def solved(precision: float) -> tuple[FloatArray, FloatArray]:
+        return fit.weighting.solve(columns, np.concatenate([fit.precision, np.full(steps.shape[1], precision)]))
+
+    estimates, covariance = solved(_STEP_PRECISION)
+    variance, dof = variance_component(estimates[p:], covariance[p:, p:])
+    if not variance:
+        return None
+    without = fit.weighting.solve(fit.columns, fit.precision)[1]
+    return SessionScatter(without, solved(1.0 / variance)[1][:p, :p], dof)
+
+
+def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the variance beyond their covariance (m, m) that estimates (m,) of mean zero scatter by, and its dof.
+
+    0.0 where none is more likely. The degrees of freedom are those of the variance's Fisher information.
+    """
+    from scipy.optimize import minimize_scalar
+
+    variances, axes = np.linalg.eigh(covariance)
+    squares = (axes.T @ estimates) ** 2
+
+    def misfit(log_variance: float) -> float:
+        whole = variances + np.exp(log_variance)
+        return float(np.sum(np.log(whole) + squares / whole))
+
+    best = minimize_scalar(misfit, bounds=_LOG_VARIANCES, method="bounded", options={"xatol": 1e-6})
+    if best.fun >= misfit(_LOG_VARIANCES[0]):
+        return 0.0, 0.0
+    variance = float(np.exp(best.x))
+    return variance, float(np.sum((variance / (variances + variance)) ** 2))

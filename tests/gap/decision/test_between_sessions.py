@@ -1,0 +1,54 @@
+"""Sizes are known no better than what steps between sessions leave, also where these are too small to be named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.decision.between_sessions import SessionScatter, variance_component
+
+#: degrees of freedom of the noise, as many as of fifty repeats
+NOISE_DOF = 50.0
+#: the search of a variance ends at a millionth of its logarithm, and its least is 4e-6 of the unit
+SEARCH_ERROR = 1e-4
+#: draws of a campaign, and four standard errors of a share of 95 % of them
+DRAWS, SHARE_ERROR = 400, 0.044
+
+
+def test_sessions_of_one_uncertainty_have_the_variance_of_a_one_way_classification() -> None:
+    """Closed form: the mean square less the variance of one estimate, with its share of the degrees of freedom."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        estimates, own = rng.normal(0.0, 1.5, 6), 0.25
+        expected = np.mean(estimates**2) - own
+        variance, dof = variance_component(estimates, own * np.eye(6))
+        assert variance == pytest.approx(max(expected, 0.0), rel=SEARCH_ERROR)
+        assert dof == pytest.approx(6.0 * (variance / (variance + own)) ** 2)
+
+
+def test_what_the_runs_do_not_tell_of_the_sessions_adds_nothing() -> None:
+    """A step that shifts with the mean, by any amount, has no say in the variance."""
+    estimates, covariance = np.array([0.7, -0.9, 0.4, 300.0]), np.diag([0.1, 0.1, 0.1, 1e6])
+    alone = variance_component(estimates[:3], covariance[:3, :3])
+    assert variance_component(estimates, covariance) == pytest.approx(alone, rel=1e-3)
+    assert variance_component(0.1 * estimates, covariance) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("n_sessions", [2, 4])
+def test_the_interval_of_a_mean_holds_it_in_95_of_100_campaigns(n_sessions: int) -> None:
+    """A radius that steps by up to five times what a session's runs leave, beside another that steps alike."""
+    rng = np.random.default_rng(n_sessions)
+    for step in (0.0, 1.0, 5.0):
+        held = 0
+        for _ in range(DRAWS):
+            left, right = rng.normal(0.0, np.hypot(1.0, step), (2, n_sessions))
+            # the mean of the left radius is free, the right one is known
+            beside = np.eye(2 * n_sessions)
+            beside[:n_sessions, :n_sessions] += 1e6
+            variance, dof = variance_component(np.concatenate([left, right]), beside)
+            half = 2.0086 / np.sqrt(n_sessions)  # Student's t of 50 degrees of freedom
+            if variance:
+                scatter = SessionScatter(np.eye(1) / n_sessions, (1.0 + variance) * np.eye(1) / n_sessions, dof)
+                half *= float(scatter.widening(np.eye(1), NOISE_DOF)[0])
+            held += abs(left.mean()) <= half
+        assert 0.95 - SHARE_ERROR <= held / DRAWS
