@@ -6,14 +6,15 @@ restricted likelihood gives the scatter of both radii between sessions, Satterth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.diagnosis import Evidence
-from calib.gap.effects.radii import SessionStep
-from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
+from calib.gap.decision.diagnosis import Cause, Evidence
+from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
+from calib.gap.inference.fit import whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.types import FloatArray
 
@@ -23,6 +24,7 @@ _STEP: Final = 5e-4
 _STEP_PRECISION: Final = 1e-6
 #: variances searched, in squares of the unit, as logarithms: a step of 1e-6 to one of 1e-2
 _LOG_VARIANCES: Final = (-12.4, 6.0)
+_SIDES: Final = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,3 +89,31 @@ def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[f
         return 0.0, 0.0
     variance = float(np.exp(best.x))
     return variance, float(np.sum((variance / (variances + variance)) ** 2))
+
+
+def beside_named_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
+    """Yield the causes; radii beside steps of the sessions with an interval that holds the scatter of these.
+
+    They are the mean of the sessions driven, and promise no more for others.
+    """
+    steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
+    # of the first session none is stated: the others' are counted from it
+    by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
+    for cause in causes:
+        if steps and cause.effect in SessionStep.shifts:
+            direction = DIRECTIONS[NAMES.index(cause.effect), : len(_SIDES)]
+            more = half_of_mean(direction @ np.array(by_session) / (direction @ direction))
+            (name, size) = next(iter(cause.parameters.items()))
+            half = float(np.hypot(more, 0.5 * (size.ci95[1] - size.ci95[0])))
+            whole = replace(size, ci95=(size.value - half, size.value + half))
+            text = f"the mean of {len(by_session[0])} sessions, and the interval holds their steps"
+            cause = replace(cause, parameters={name: whole}, remark=cause.remark or text)
+        yield cause
+
+
+def half_of_mean(results: FloatArray) -> float:
+    """Return half the 95 % interval of the mean of independent results, shape (n,), by Student's t."""
+    from scipy.special import stdtrit
+
+    n = len(results)
+    return float(stdtrit(n - 1, 0.975) * np.std(results, ddof=1) / np.sqrt(n))

@@ -5,19 +5,19 @@ A cause has one size; an imitation differs between groups of runs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.between_sessions import SessionScatter, session_scatter
+from calib.gap.decision.between_sessions import SessionScatter, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
-from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
 from calib.gap.inference.least_squares import HeldOutFit
@@ -43,7 +43,6 @@ FALSE_REJECTION: Final = 0.05
 LEAST_SQUARE: Final = 4.0
 #: spread of a size over groups that leaves it the same: two sizes a tenth apart leave a hundredth of the squares
 SAME_SIZE_SD: Final = 0.05
-_SIDES: Final = ("left", "right")
 #: prior precision of a size's difference between groups: a hundred times the size, which leaves it to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
@@ -99,36 +98,8 @@ def causes_of(
         for sized, (share, half) in zip(every, _shares(evidence, every, variance_factor, coverage), strict=True)
     ]
     classes = {name: int(np.digitize(probability, PROBABILITY_CLASSES)) for name, probability in certain.items()}
-    causes = list(_beside_steps(causes))
+    causes = list(beside_named_steps(causes))
     return sorted(causes, key=lambda cause: (-classes[cause.effect], -cause.signal))
-
-
-def _beside_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
-    """Yield the causes; radii beside steps of the sessions with an interval that holds the scatter of these.
-
-    They are the mean of the sessions driven, and promise no more for others.
-    """
-    steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
-    # of the first session none is stated: the others' are counted from it
-    by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
-    for cause in causes:
-        if steps and cause.effect in SessionStep.shifts:
-            direction = DIRECTIONS[NAMES.index(cause.effect), : len(_SIDES)]
-            more = half_of_mean(direction @ np.array(by_session) / (direction @ direction))
-            (name, size) = next(iter(cause.parameters.items()))
-            half = float(np.hypot(more, 0.5 * (size.ci95[1] - size.ci95[0])))
-            whole = replace(size, ci95=(size.value - half, size.value + half))
-            text = f"the mean of {len(by_session[0])} sessions, and the interval holds their steps"
-            cause = replace(cause, parameters={name: whole}, remark=cause.remark or text)
-        yield cause
-
-
-def half_of_mean(results: FloatArray) -> float:
-    """Return half the 95 % interval of the mean of independent results, shape (n,), by Student's t."""
-    from scipy.special import stdtrit
-
-    n = len(results)
-    return float(stdtrit(n - 1, 0.975) * np.std(results, ddof=1) / np.sqrt(n))
 
 
 def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[str, ...]:
@@ -177,7 +148,8 @@ def _sized(evidence: Evidence) -> list[_Sized]:
         columns = system.columns(form) / form.typical
         whitened = (columns @ theta)[:, None]
         signal = float(np.sqrt(nuisance.scalar(whitened, whitened)[0, 0]))
-        sized.append(_Sized(form, theta, fitted.covariance[first:last, first:last], columns, signal, own[:, first:last]))
+        covariance = fitted.covariance[first:last, first:last]
+        sized.append(_Sized(form, theta, covariance, columns, signal, own[:, first:last]))
         first = last
     for name in evidence.calibration:
         k = NAMES.index(name)

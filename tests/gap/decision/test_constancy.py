@@ -15,14 +15,8 @@ from scipy import stats
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.seal import Seeds, read_seeds, recipes
-from calib.gap.decision.causes import (
-    SAME_SIZE_SD,
-    SizeDifference,
-    _beside_steps,
-    _difference,
-    half_of_mean,
-    size_differences,
-)
+from calib.gap.decision.between_sessions import beside_named_steps, half_of_mean
+from calib.gap.decision.causes import SAME_SIZE_SD, SizeDifference, _difference, size_differences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
 from calib.gap.diagnose import diagnose_in_full
 
@@ -176,7 +170,7 @@ def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
     for signs, stepping in (((1, 1), "radius_scale"), ((-1, 1), "unequal_radii")):
         sizes = dict(zip(names, np.outer([4e-4, -2e-4], signs).ravel().tolist(), strict=True))
         steps = Cause("session_step", "", "", 0.9, 0.5, 30.0, {n: Quantity(v, (v, v), "1") for n, v in sizes.items()})
-        widened = {one.effect: one for one in _beside_steps([*radii.values(), steps])}
+        widened = {one.effect: one for one in beside_named_steps([*radii.values(), steps])}
         # of left and right against each other by 4e-4 each, the difference is 8e-4
         results = np.array([0.0, 4e-4, -2e-4]) * (1.0 if stepping == "radius_scale" else 2.0)
         half = float(np.hypot(1e-4, half_of_mean(results)))
@@ -186,4 +180,4 @@ def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
                 assert "mean of 3 sessions" in one.remark
             elif name in radii:
                 assert one.parameters["relative"].ci95 == pytest.approx((9e-4, 1.1e-3))
-    assert [one.remark for one in _beside_steps(list(radii.values()))] == ["", "", ""]
+    assert [one.remark for one in beside_named_steps(list(radii.values()))] == ["", "", ""]

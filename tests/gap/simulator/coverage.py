@@ -1,9 +1,10 @@
 """Whether intervals of a simulator's parameters hold the truth.
 
-``python -m tests.gap.simulator.coverage [CAMPAIGNS [REPEATS]]``: three changes hidden in the numpy simulator, CAMPAIGNS
-(100) of 8 REPEATS (2) runs each, in five realities: without random walks of distance and heading, with small and with
-larger ones, and with radii that step between the two sessions, too. The simulator repeats itself. Printed are the campaigns whose 95 % interval has the truth, and the root
-mean square of the errors over the half widths (0.51 where intervals are exact) with their mean.
+``python -m tests.gap.simulator.coverage [CAMPAIGNS [REPEATS]]``: three changes hidden in the numpy simulator,
+CAMPAIGNS (100) of 8 REPEATS (2) runs each, in five realities: without random walks of distance and heading, with
+small and with larger ones, and with radii that step between the two sessions, too. The simulator repeats itself.
+Printed are the campaigns whose 95 % interval has the truth, and the root mean square of the errors over the half
+widths (0.51 where intervals are exact) with their mean.
 """
 
 from __future__ import annotations
