@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import Place, Texts, arg, opt
+from calib.cli.terminal import Place, Text, Texts, arg, opt
 from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY, export_from
@@ -24,7 +24,7 @@ Loads = Annotated[
     Texts, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
 ]
 Controllers = Annotated[
-    list[str] | None,
+    Texts,
     opt("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
 ]
 VelocityFeedback = Annotated[
@@ -35,7 +35,7 @@ OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not fro
 Output = Annotated[
     Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
-Outside = Annotated[str | None, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
+Outside = Annotated[Text, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
 Model = Annotated[Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
 Left = Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
 Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
@@ -49,7 +49,7 @@ def export(
     output: Output = None,
     load: Loads = None,
     outside: Outside = None,
-    date: Annotated[str | None, opt("YYYY-MM-DD", "Date written into the file.")] = None,
+    date: Annotated[Text, opt("YYYY-MM-DD", "Date written into the file.")] = None,
     controller: Controllers = None,
     model: Model = None,
     left: Left = "",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import Number, Place, Texts, arg, opt
+from calib.cli.terminal import Count, Number, Place, Text, Texts, arg, opt
 from calib.documents import plain
 from calib.errors import BadInputError
 
@@ -20,7 +20,7 @@ SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
 
 Routes = Annotated[
-    list[str] | None,
+    Texts,
     arg(
         "[ROUTE]...",
         "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
@@ -76,9 +76,9 @@ def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: l
 
 def route(
     route: Routes = None,
-    real: Annotated[str | None, opt("L,R", "Real radii, m.")] = None,
-    believed: Annotated[str | None, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
-    ratio: Annotated[str | None, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
+    real: Annotated[Text, opt("L,R", "Real radii, m.")] = None,
+    believed: Annotated[Text, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
+    ratio: Annotated[Text, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
     which: Annotated[
         str, opt(None, "Wheel that --ratio sets off: right (the usual), left, both, equal.", "--wheel")
     ] = "",
@@ -141,14 +141,14 @@ def journey(
     load: Annotated[Texts, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
     payload: Annotated[Texts, opt("KG,X,Y", "The same from a payload and its place; again for more.")] = None,
     payload_at: Annotated[
-        list[str] | None,
+        Texts,
         opt(
             "S,KG,X,Y",
             "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
         ),
     ] = None,
     reference: Annotated[
-        str | None,
+        Text,
         opt("L,R", "Loads whose radii the uncorrected odometry uses, N (the law's reference).", "--reference-load"),
     ] = None,
     track: Track = None,
@@ -192,7 +192,7 @@ def study(
     load: Annotated[Texts, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
     route: Annotated[Texts, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
-    draws: Annotated[int | None, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
+    draws: Annotated[Count, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
     seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
@@ -277,7 +277,7 @@ def replay(
 
 
 Folder = Annotated[Path, arg("DIR", "A set made by 'calib challenge make'.")]
-Cases = Annotated[int | None, opt("N", "Only so many cases.", "--cases", min=1)]
+Cases = Annotated[Count, opt("N", "Only so many cases.", "--cases", min=1)]
 Truth = Annotated[Place, opt("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
 
 
@@ -354,7 +354,7 @@ def score(
 
 def own(
     folder: Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml, runs.csv, logs.")],
-    effects: Annotated[str | None, opt("A,B", "Effects to plant; all that the runs can show by default.")] = None,
+    effects: Annotated[Text, opt("A,B", "Effects to plant; all that the runs can show by default.")] = None,
     sizes: Annotated[
         str, opt("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",

@@ -31,8 +31,6 @@ MAP_HEIGHT_CM: Final = 11.5
 MAX_PANELS: Final = 6
 #: covariates of this correlation make one picture
 ALIKE: Final = 0.98
-#: figures of ``calib diagnose --figures``
-GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
-from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
+from calib.reporting.formatting import MISSING, fixed, length, paragraph, plural, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.gap import (
     cause_blocks,
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 
+#: figures of ``calib diagnose --figures``
+GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 #: verdict -> level of its notice, and its title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),
@@ -73,11 +75,7 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
-        Text(
-            "The gap is measured minus simulated motion, run by run. The noise level is the scatter of repeated runs; "
-            "no model gets below it.",
-            small=True,
-        ),
+        Text(paragraph("noise_level"), small=True),
         *map_picture(gap),
         *where_blocks(verdict.where),
         *covariate_picture(gap, verdict),

@@ -11,7 +11,7 @@ from calib.radius.regression import Check
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
-from calib.reporting.formatting import fixed, places, plural, probability, prose, span
+from calib.reporting.formatting import fixed, paragraph, places, plural, probability, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics import law
 from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
@@ -66,10 +66,7 @@ def result_section(source: Source) -> Section:
     laws = [wheel.law for wheel in fit.wheels.values()]
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
     loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
-    holds = Text(
-        f"The law was measured at wheel loads of {loads}. It comes from {len(fit.radii)} runs along a straight "
-        "corridor. The same law, with its covariance, is attached to this PDF as coefficients.json."
-    )
+    holds = Text(paragraph("law_holds", loads=loads, runs=len(fit.radii)))
     assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
 
@@ -197,21 +194,10 @@ def decision_section(source: Source) -> Section:
     """Return by which rule the checks were judged, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
-    rules = (
-        f"A check with a probability p below {NOTE_BELOW:g} is given as a remark: the result stands, but its user has "
-        "to know.",
-        f"A check on which the validity of the law rests has failed where p is below {FAIL_BELOW:g}; the law should "
-        "then not be used as it is. One failed check on one wheel is enough.",
-        f"With the {tests} tests made here, all assumptions being true, the probability of any remark is about "
-        f"{false_alarm:.0f} %, and that of any failure at most {100 * tests * FAIL_BELOW:.2g} %.",
-        "Intervals are two-sided with a coverage of 95 %; uncertainties are rounded to two significant digits, values "
-        "to the same place.",
-    )
-    conformity = (
-        "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is made. Where "
-        "one is made from these results, the expanded uncertainty has to be taken into account."
-    )
-    return Section("Decision rule", (blocks.Items(rules), Text(conformity)))
+    values = {"note": NOTE_BELOW, "fail": FAIL_BELOW, "false_alarm": false_alarm, "failures": 100 * tests * FAIL_BELOW}
+    rules = ("remark", "failure", "chance", "rounding")
+    listed = blocks.Items(tuple(paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
+    return Section("Decision rule", (listed, Text(paragraph("decision_conformity"))))
 
 
 def residuals_picture(fit: Fit) -> Picture:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
-from calib.reporting.formatting import MISSING
+from calib.reporting.formatting import MISSING, paragraph
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
@@ -19,30 +20,30 @@ if TYPE_CHECKING:
 MAX_ROWS = 40
 
 
-def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
-    """Return what the fit of a fleet says; with `pictures`, for a page, without what was read now."""
+def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, ...]:
+    """Return what a task over a fleet says.
+
+    For a page with pictures, and without what was done now: it is the same however often the command was interrupted.
+    """
+    return _of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)
+
+
+def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
     view = fleet.view
-    counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
-    read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
-    # a page is the same however often the command was interrupted
+    facts = (("vehicles", f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"),)
+    read = (("files", f"{fleet.n_read} read now, {fleet.n_kept} kept from before"),)
     doubtful = [f"{one.vehicle}: {'; '.join(one.doubtful)}" for one in fleet.records if one.doubtful]
-    facts = (("vehicles", counts),) if pictures else (("vehicles", counts), ("files", read))
     return (
         Heading("Fleet"),
-        Facts(facts),
+        Facts(facts if page else facts + read),
         *_populations(view.populations),
-        *(_pictures(fleet) if pictures and view.n_fitted else ()),
+        *(_pictures(fleet) if page else ()),
         *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
         *([_drifting(fleet)] if view.drifting else ()),
         *_common([cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
-        Text(
-            "Outlying vehicles are named at a false discovery rate of 1 % "
-            "(Benjamini and Hochberg); those that drift or share a cause at a family-wise error rate of 1 % "
-            "(Holm). Mean and spread are those of the others, the differences between labels removed.",
-            small=True,
-        ),
+        Text(paragraph("fleet_rates"), small=True),
     )
 
 
@@ -78,22 +79,27 @@ def _drifting(fleet: Fleet) -> Table:
     )
 
 
+#: picture of a fleet -> caption, and what it shows in words
+_SHOWN: Final = {
+    "distribution": (
+        "Radius and slope of each vehicle with its 95 % interval, in order of size.",
+        "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size.",
+    ),
+    "drift": (
+        "Drift of each wheel with its 95 % interval, in order of size.",
+        "Dots with bars: drift of every wheel of the fleet in order of size.",
+    ),
+}
+
+
 def _pictures(fleet: Fleet) -> list[Picture]:
-    from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
+    from calib.reporting.figures.challenge import fleet_figures
 
-    caption = "Radius and slope of each vehicle with its 95 % interval, in order of size."
-    alt = "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size."
-    pictures = [Picture("fleet-distribution", caption, alt, lambda: fleet_distribution(fleet))]
-    drift = fleet_drift(fleet)
-    if drift is not None:
-        caption = "Drift of each wheel with its 95 % interval, in order of size."
-        alt = "Dots with bars: drift of every wheel of the fleet in order of size."
-        pictures.append(Picture("fleet-drift", caption, alt, lambda: drift))
-    return pictures
+    figures = fleet_figures(fleet)
+    return [Picture(f"fleet-{name}", *_SHOWN[name], partial(figures.__getitem__, name)) for name in figures]
 
 
-def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
-    """Return what a task over a fleet says; for a page without what was done now."""
+def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
     failed = [record for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
     facts = [("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed")]

@@ -12,7 +12,7 @@ from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
-from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
+from calib.reporting.formatting import MISSING, aligned, fixed, measured, paragraph, places, prose, span, two_digits
 from calib.reporting.source import Source
 
 MM: Final = 1e3
@@ -94,33 +94,22 @@ def naive_text(fit: Fit) -> tuple[Text, ...]:
             low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
             _, half = measured(0.5 * (low + high), 0.5 * (high - low))
             parts.append(f"±{half} µm/N ({name})")
-    text = (
-        f"If every run were independent of the others, U of the slopes would be {' and '.join(parts)}; the table "
-        "accounts for the correlation of runs within a session."
-    )
-    return (Text(text, small=True),) if parts else ()
+    return (Text(paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
 
 
 def regression_section(source: Source) -> Section:
     """Return figure and table of both wheels' laws with the band of the mean and the prediction band."""
     fit = source.fit
     bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
-    blocks: list[Block] = [
-        Text(
-            "The band of the mean holds the law itself: it answers how well the mean radius at a load is known. The "
-            "prediction band holds the radius of one further run, driven in a session of its own: it answers how far "
-            "off the next journey can be. Both have a coverage of 95 % at each load; from two sessions, of "
-            "95 % and more."
-        ),
+    heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
+    caption = "The law at measured loads, with the half widths of both bands."
+    blocks = (
+        Text(paragraph("bands")),
         regressions_picture(fit),
-        table(
-            "The law at measured loads, with the half widths of both bands.",
-            ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands)),
-            aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6),
-        ),
-        Text(" ".join(quality_text(wheel) for wheel in fit.wheels.values())),
-    ]
-    return Section("Regression on load", tuple(blocks))
+        table(caption, heads, aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6)),
+        Text(" ".join(map(quality_text, fit.wheels.values()))),
+    )
+    return Section("Regression on load", blocks)
 
 
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
@@ -160,17 +149,11 @@ def coefficients_section(source: Source) -> Section:
         blocks += [Text(text), Equation("law_uncertainty")]
     ends = "clamps loads outside the valid range to its ends"
     outside = "refuses loads outside the valid range" if source.coefficients.outside == "refuse" else ends
-    wheels = source.coefficients.law.left, source.coefficients.law.right
-    valid = [
-        f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for one, side in zip(wheels, SIDES, strict=True)
-    ]
-    attached = (
-        f"The attached coefficients.json ({source.coefficients.checksum[:19]}…) carries law, covariance and valid "
-        f"range for the vehicle: the loads measured and a margin for the scatter of weighing, {' and '.join(valid)}; "
-        f"by it the vehicle {outside}."
-    )
-    blocks += [Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())), Text(attached)]
-    return Section("Coefficients", tuple(blocks))
+    wheels = {side: getattr(source.coefficients.law, side) for side in SIDES}
+    valid = [f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for side, one in wheels.items()]
+    known = {"checksum": source.coefficients.checksum[:19], "valid": " and ".join(valid), "outside": outside}
+    correlations = Text(" ".join(map(_correlation, fit.wheels.values())))
+    return Section("Coefficients", (*blocks, correlations, Text(paragraph("attached", **known))))
 
 
 def _correlation(wheel: WheelFit) -> str:
@@ -237,16 +220,7 @@ def budget_picture(fit: Fit) -> Picture:
 
 def declared_text(fit: Fit) -> Text:
     """Say which systematic parts are declared, or that none is and what that means for U."""
-    if any(": " in part.name for part in fit.radii.budget):
-        return Text(
-            "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
-            "enter every U and every band, and more runs do not make them smaller."
-        )
-    return Text(
-        "The campaign declares no systematic parts ([uncertainty] of campaign.toml): scale and offset of the "
-        "rangefinder, angle of its beam, scale of the weighing. Every U counts the instruments' errors as random from "
-        "run to run; errors that are the same in every run are not contained in it."
-    )
+    return Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
 
 
 def law_budget(fit: Fit) -> Table:
@@ -274,12 +248,7 @@ def _scatter(fit: Fit) -> tuple[Text, ...]:
     scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
     if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
         return ()
-    text = (
-        f"Runs scatter {scatter[0] / known[0]:.1f} (left) and {scatter[1] / known[1]:.1f} (right) times as "
-        "much as the instruments explain: ground, steering and tyre set the scatter, a better rangefinder would "
-        "not help."
-    )
-    return (Text(text),)
+    return (Text(paragraph("scatter", left=scatter[0] / known[0], right=scatter[1] / known[1])),)
 
 
 def budget_section(source: Source) -> Section:

@@ -16,7 +16,7 @@ from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.effective import RunDeviations
 from calib.radius.result import Fit
 from calib.reporting.blocks import Block, Facts, Heading, Notice, Picture, Section, Table, Text, items, picture, table
-from calib.reporting.formatting import MISSING, fixed, plural, prose, span
+from calib.reporting.formatting import MISSING, fixed, paragraph, plural, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics.law import static_table
 from calib.types import FloatArray
@@ -146,16 +146,6 @@ def deviation_section(source: Source) -> Section:
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     paths = np.array((radii.path_left, radii.path_right))
-    worst = 1e6 * float(np.abs(paths).max())
-    content: list[Block] = [
-        Text(
-            "The rangefinder sees the straight distance, the wheels roll along the path. A weave of amplitude A and "
-            "wavelength λ makes the path longer by about (πA/λ)², a turn makes one wheel's path longer and the other's "
-            f"shorter. The radii of this report are corrected for it; the largest correction of a run is {worst:.0f} "
-            "ppm."
-        ),
-        deviation_picture(source.fit),
-    ]
     rows = []
     for name in dict.fromkeys(radii.path_source.tolist()):
         on = radii.path_source == name
@@ -168,24 +158,20 @@ def deviation_section(source: Source) -> Section:
                 *(fixed(float(value), 0) for value in 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))),
             )
         )
-    content.append(
-        table(
-            "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections.",
-            ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)"),
-            rows,
-        )
-    )
+    caption = "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections."
+    heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
+    text = Text(paragraph("paths", worst=1e6 * float(np.abs(paths).max())))
+    content: list[Block] = [text, deviation_picture(source.fit), table(caption, heads, rows)]
     if known.any():
         off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
         wavelength = _median(radii.wavelength_m[known])
-        allowed = 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength))
-        content.append(
-            Text(
-                f"Without the correction, {plural(off, 'run') if off else 'no run'} would show a radius more than "
-                f"{1e6 * TOLERANCE:.0f} ppm off. A weave of the median wavelength of {wavelength:.1f} m stays within "
-                f"that up to an amplitude of {allowed:.0f} mm."
-            )
-        )
+        values = {
+            "off": plural(off, "run") if off else "no run",
+            "tolerance": 1e6 * TOLERANCE,
+            "wavelength": wavelength,
+            "allowed": 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength)),
+        }
+        content.append(Text(paragraph("uncorrected", **values)))
     return Section("Path deviation", tuple(content))
 
 
