@@ -216,9 +216,9 @@ def _write_one(folder: Path, truth: Truth) -> None:
 def make(
     seeds_file: Path,
     folder: Path,
-    *,
     limit: int | None = None,
     truth_file: Path | None = None,
+    *,
     workers: int = 2,
     force: bool = False,
     progress: Progress = silent,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,6 +33,7 @@ VelocityFeedback = Annotated[
 ]
 OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
+KNOWN = (*FORMATS, *OTHER_FORMATS)
 Output = Annotated[
     Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
@@ -45,7 +47,7 @@ def export(
     source: Annotated[
         Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
     ],
-    to: Annotated[str, opt("FORMAT", f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")],
+    to: Annotated[str, opt("FORMAT", f"{', '.join(KNOWN)}; json is the master.")],
     output: Output = None,
     load: Loads = None,
     outside: Outside = None,
@@ -70,9 +72,8 @@ def export(
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
-    if to not in FORMATS and to not in OTHER_FORMATS:
-        known = (*FORMATS, *OTHER_FORMATS)
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}{terminal.nearest(to, known)}")
+    if to not in KNOWN:
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(KNOWN)}{terminal.nearest(to, KNOWN)}")
     refuse_loads(load, to)
     unused: dict[str, object] = {} if to in PATCHING else {"--into": model, "--left": left, "--right": right}
     if to in OTHER_FORMATS:
@@ -83,15 +84,8 @@ def export(
         artifacts = _of_other_format(source, to, output, accept)
     else:
         coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
-        options = ExportOptions(
-            loads=parse_loads(load or []),
-            controllers=tuple(controller or ()),
-            position_feedback=not velocity_feedback,
-            open_loop=open_loop,
-            model=model,
-            left=left,
-            right=right,
-        )
+        given = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
+        options = replace(given, position_feedback=not velocity_feedback, open_loop=open_loop)
         artifacts = export(coefficients.file, to, options=options)
         notes += coefficients.notes
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
@@ -169,8 +163,7 @@ def report(
         write_text(html, page, force=terminal.forced())
     _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
     terminal.then(_next_step(report, given), c=source)
-    document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
-    terminal.emit_json(document)
+    terminal.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
     return 0 if report.passed else 1
 
 

@@ -54,13 +54,10 @@ def finish(
     from calib.reporting.pages import simulation_trajectories, write_simulation
     from calib.reporting.topics.simulation import simulation_content
 
-    written: list[Path] = []
-    if targets.output is not None:
-        written += write_simulation(simulation, targets.output, force=terminal.forced())
+    force = terminal.forced()
+    written = [] if targets.output is None else write_simulation(simulation, targets.output, force=force)
     if targets.tum is not None:
-        written += simulation_trajectories(
-            simulation, targets.tum, speed_mps=targets.speed_mps, force=terminal.forced()
-        )
+        written += simulation_trajectories(simulation, targets.tum, speed_mps=targets.speed_mps, force=force)
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
     _tell(simulation.to_dict() | {"seed": seed}, simulation_content(simulation), every_note, written)
     terminal.then("simulate --law" if law else "simulate", c=law or "")
@@ -116,14 +113,8 @@ def route(
         raise BadInputError(
             "found no radii; expected --real or --ratio; under a fitted law it is 'calib simulate journey --law PATH'"
         )
-    simulation = simulate(
-        CUSTOM,
-        routes=route or (),
-        cases=cases,
-        track_m=vehicle.track_m if track is None else track,
-        real_track_m=real_track,
-        rng=np.random.default_rng(0),
-    )
+    track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(0)
+    simulation = simulate(CUSTOM, routes=route or (), cases=cases, track_m=track_m, real_track_m=real_track, rng=rng)
     finish(simulation, targets, seed=0)
 
 
@@ -213,9 +204,8 @@ def study(
 
     targets = Targets(output, tum, speed)
     if name not in STUDIES:
-        raise BadInputError(
-            f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + terminal.nearest(name, STUDIES)
-        )
+        near = terminal.nearest(name, STUDIES)
+        raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}{near}")
     loads_N = terminal.pairs(load, "--load")
     if law is None:
         terminal.refuse_options("without --law", {"--load": load, "--draws": draws})
@@ -223,14 +213,10 @@ def study(
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
     vehicle = Vehicle() if source is None else source.vehicle
+    track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(seed)
     with terminal.waiting("simulating"):
-        simulation = simulate(
-            name,
-            routes=route or (),
-            track_m=vehicle.track_m if track is None else track,
-            under=None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws),
-            rng=np.random.default_rng(seed),
-        )
+        under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
+        simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes, law=law)
 
 
@@ -294,17 +280,12 @@ def make(
     """
     from calib.challenge.seal import make
 
+    def told(digest: str) -> None:
+        terminal.say(f"truth sealed, SHA-256 {digest}")
+
+    force = terminal.forced()
     with terminal.progress("making") as tick:
-        sealed_set = make(
-            seeds,
-            into,
-            limit=cases,
-            truth_file=truth,
-            workers=workers,
-            force=terminal.forced(),
-            progress=tick,
-            sealed=lambda digest: terminal.say(f"truth sealed, SHA-256 {digest}"),
-        )
+        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=told)
     terminal.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
     terminal.then("challenge make", c=into)
     terminal.emit_json(plain(sealed_set))
@@ -374,7 +355,7 @@ def own(
     from calib.challenge.own_runs import Asked, challenge_own
     from calib.reporting.topics.fleet import own_content
 
-    names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
+    names = tuple(filter(None, map(str.strip, (effects or "").split(","))))
     if effects is not None and not names:
         raise BadInputError(f"--effects: found {effects!r}; expected effects with commas; 'calib effects' lists them")
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)

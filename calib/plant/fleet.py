@@ -44,15 +44,15 @@ reference_load_N = 300.0
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FleetTruth:
     """What was planted."""
 
     #: normal population of each wheel's radius at 300 N and slope
-    radius_mean_m: float
-    radius_spread_m: float
-    slope_mean_m_per_N: float
-    slope_spread_m_per_N: float
+    radius_mean_m: float = 0.0995
+    radius_spread_m: float = 6e-5
+    slope_mean_m_per_N: float = -1.2e-6
+    slope_spread_m_per_N: float = 6e-8
     #: vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
     #: right wheel's radius seem larger
     outliers: tuple[str, ...]
@@ -133,15 +133,8 @@ def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
     order = rng.permutation(n_vehicles)
     odd, drifting = order[:n_outliers], order[n_outliers : n_outliers + n_drifting]
     in_hall = rng.permutation(n_vehicles)[: size.n_common]
-    truth = FleetTruth(
-        radius_mean_m=0.0995,
-        radius_spread_m=6e-5,
-        slope_mean_m_per_N=-1.2e-6,
-        slope_spread_m_per_N=6e-8,
-        outliers=tuple(sorted(names[k] for k in odd)),
-        drifting=tuple(sorted(names[k] for k in drifting)),
-        common=tuple(sorted(names[k] for k in in_hall)),
-    )
+    outliers, slow, common = (tuple(sorted(names[k] for k in some)) for some in (odd, drifting, in_hall))
+    truth = FleetTruth(outliers=outliers, drifting=slow, common=common)
     radius = rng.normal(truth.radius_mean_m, truth.radius_spread_m, (n_vehicles, 2))
     slope = rng.normal(truth.slope_mean_m_per_N, truth.slope_spread_m_per_N, (n_vehicles, 2))
     wheel = rng.integers(0, 2, n_outliers)
@@ -222,13 +215,9 @@ def make_posed_fleet(
     in_hall = np.sort(rng.permutation(n_vehicles)[:n_common])
     relative = rng.normal(0.0, 5e-4, n_vehicles)
     relative[odd] += rng.choice((-1e-2, 1e-2), n_outliers)
-    truth = PosedTruth(
-        {name: float(value) for name, value in zip(names, model.track_m * (1.0 + relative), strict=True)},
-        model.track_m,
-        5e-4 * model.track_m,
-        tuple(sorted(names[number] for number in odd)),
-        tuple(names[number] for number in in_hall),
-    )
+    track_m = dict(zip(names, (model.track_m * (1.0 + relative)).tolist(), strict=True))
+    outliers, common = (tuple(sorted(names[number] for number in some)) for some in (odd, in_hall))
+    truth = PosedTruth(track_m, model.track_m, 5e-4 * model.track_m, outliers, common)
     zone = Cause("floor_zone", ZONE_SHARE, "heading", {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m})
     for number, name in enumerate(names):
         causes = [Cause("track_width", float(relative[number]), "plain", {}), *([zone] if number in in_hall else ())]

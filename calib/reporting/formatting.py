@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
 from itertools import groupby, zip_longest
 from typing import Final
 
@@ -96,19 +93,6 @@ def capital(sentence: str) -> str:
     """Return a sentence with its first letter in upper case."""
     # a column's or parameter's name stays as it is written
     return sentence if "_" in sentence.partition(" ")[0] else sentence[:1].upper() + sentence[1:]
-
-
-@cache
-def catalogue() -> dict[str, dict[str, str]]:
-    """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
-    text = (files("calib.reporting") / "words.toml").read_text(encoding="utf-8")
-    sentences: dict[str, dict[str, str]] = tomllib.loads(text)
-    return sentences
-
-
-def paragraph(name: str, **values: object) -> str:
-    """Return a paragraph of the report with its places filled in; see `catalogue`."""
-    return catalogue()["report"][name].format(**values)
 
 
 def prose(text: str) -> str:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
 from calib.errors import BadInputError
-from calib.reporting.blocks import Block, Drawings, Section, drawn
-from calib.reporting.formatting import catalogue, to_text
+from calib.reporting.blocks import Block, Drawings, Section, catalogue, drawn
+from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

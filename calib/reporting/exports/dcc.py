@@ -121,7 +121,7 @@ def certificate_of(section: Any, where: str) -> Certificate:
         return Certificate.model_validate(dict(section))
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        places = [(".".join(str(part) for part in fault["loc"]), fault) for fault in faults]
+        places = [(".".join(map(str, fault["loc"])), fault) for fault in faults]
         missing = ", ".join(place for place, fault in places if fault["type"] == "missing")
         if missing:
             raise RefusedError(
@@ -231,20 +231,16 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
     if source.setup.assumed:
         listed = ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items())
         texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
-    untraced = [equipment.name for equipment in stated.equipment if equipment.certificate is None]
-    if untraced:
-        listed = ", ".join(untraced)
-        texts.append(
-            f"No calibration certificate is stated of: {listed}. Traceability to the SI is not shown for these."
-        )
+    if untraced := ", ".join(equipment.name for equipment in stated.equipment if equipment.certificate is None):
+        unknown = f"No calibration certificate is stated of: {untraced}"
+        texts.append(f"{unknown}. Traceability to the SI is not shown for these.")
     return texts
 
 
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
-    loads = _loads(wheel, fit)
-    law = wheel.law
-    columns = (np.array(loads), law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads))
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+    loads, law = np.array(_loads(wheel, fit)), wheel.law
+    columns = np.column_stack((loads, law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads)))
+    return list(map(tuple, columns.tolist()))
 
 
 def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
@@ -253,5 +249,5 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     loads = sorted({round(pair[side], 3) for pair in points.values()})
     # runs that each have their own load are weighing's scatter, no load points
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
-        return [float(load) for load in np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS)]
+        return list(np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS))
     return loads

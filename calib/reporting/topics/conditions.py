@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from calib import __version__
-from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, table
-from calib.reporting.formatting import MISSING, paragraph, plural, prose, span
+from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, paragraph, table
+from calib.reporting.formatting import MISSING, plural, prose, span
 from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics.fit import assumed_text
 

@@ -10,12 +10,25 @@ from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
-from calib.reporting.formatting import fixed, paragraph, places, plural, probability, prose, span
+from calib.reporting.blocks import (
+    Block,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    caption,
+    items,
+    paragraph,
+    picture,
+    table,
+)
+from calib.reporting.formatting import fixed, places, plural, probability, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics import law
 from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
+from calib.types import grouped
 
 #: names of the pictures of a fit, in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -26,7 +39,7 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
     sessions = len(set(fit.radii.session.tolist()))
     return (
         blocks.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
-        *([simulated_notice()] if fit.simulated else []),
+        *([blocks.simulated_notice()] if fit.simulated else []),
         law_table(fit),
         single_run_text(fit),
         Text(" ".join(map(law.quality_text, fit.wheels.values()))),
@@ -149,19 +162,13 @@ def checks_table(fit: Fit) -> Table:
         for name, results in by_name.items()
         for (level, sentence), same in results.items()
     ]
-    return table(
-        "Checks of the fit; p is the probability of a statistic at least as extreme where all assumptions hold.",
-        ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning"),
-        rows,
-        dense=True,
-    )
+    heads = ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning")
+    return table(caption("table-checks"), heads, rows, dense=True)
 
 
 def _statistics(checks: list[Check]) -> str:
-    values: dict[str, list[str]] = {}
-    for check in checks:
-        if check.statistic is not None and check.statistic_name:
-            values.setdefault(check.statistic_name, []).append(f"{check.statistic:.3g}".replace("-", "−"))
+    known = [(one.statistic_name, one.statistic) for one in checks if one.statistic is not None and one.statistic_name]
+    values = grouped((name, f"{value:.3g}".replace("-", "−")) for name, value in known)
     return prose("; ".join(f"{name} = {' / '.join(dict.fromkeys(each))}" for name, each in values.items()))
 
 
@@ -174,11 +181,8 @@ def usable_notice(fit: Fit) -> Notice:
     if fit.failed:
         title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
         return Notice("bad", title, f"FAILED: {'; '.join(fit.failed)}. The checks say what that means and what to do.")
-    remarks: dict[str, list[str]] = {}
-    for name, check in checks:
-        if check.level == "note":
-            remarks.setdefault(prose(check.sentence), []).append(f"{name.capitalize()} wheel: ")
-    if remarks:
+    noted = [(prose(check.sentence), f"{name.capitalize()} wheel: ") for name, check in checks if check.level == "note"]
+    if remarks := grouped(noted):
         said = [text if len(wheels) > 1 else wheels[0] + text for text, wheels in remarks.items()]
         return Notice("note", "The law can be used; its user has to know this", " ".join(said[:MAX_REMARKS]))
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
@@ -202,15 +206,6 @@ def decision_section(source: Source) -> Section:
 
 def residuals_picture(fit: Fit) -> Picture:
     """Return the residuals of both wheels."""
-    return picture(
-        "residuals",
-        "Residuals of both wheels against load, in the order driven, and against a normal distribution; colours are "
-        "sessions as above.",
-        "Residuals of both wheels: "
-        + "; ".join(
-            f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
-            for name, wheel in fit.wheels.items()
-        ),
-        "calibration.residuals",
-        *(fit.left, fit.right, fit.radii.session),
-    )
+    sizes = {name: 1e6 * float(abs(wheel.residual_m).max()) for name, wheel in fit.wheels.items()}
+    alt = "Residuals of both wheels: " + "; ".join(f"{name} wheel within {um:.0f} µm" for name, um in sizes.items())
+    return picture("residuals", alt, "calibration.residuals", fit.left, fit.right, fit.radii.session)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
-from calib.reporting.formatting import MISSING, paragraph
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, paragraph, table
+from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
@@ -69,26 +69,19 @@ def _populations(populations: Mapping[str, Population]) -> list[Table]:
 
 
 def _drifting(fleet: Fleet) -> Table:
-    return table(
-        f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval",
-        ("<vehicle", "<wheel", "drift (nm a day)", "due on day"),
-        [
-            (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
-            for one in fleet.view.drifting[:MAX_ROWS]
-        ],
-    )
+    title = f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval"
+    rows = [
+        (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
+        for one in fleet.view.drifting[:MAX_ROWS]
+    ]
+    return table(title, ("<vehicle", "<wheel", "drift (nm a day)", "due on day"), rows)
 
 
-#: picture of a fleet -> caption, and what it shows in words
+#: picture of a fleet -> what it shows in words
 _SHOWN: Final = {
-    "distribution": (
-        "Radius and slope of each vehicle with its 95 % interval, in order of size.",
-        "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size.",
-    ),
-    "drift": (
-        "Drift of each wheel with its 95 % interval, in order of size.",
-        "Dots with bars: drift of every wheel of the fleet in order of size.",
-    ),
+    "distribution": "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of "
+    "size.",
+    "drift": "Dots with bars: drift of every wheel of the fleet in order of size.",
 }
 
 
@@ -96,7 +89,8 @@ def _pictures(fleet: Fleet) -> list[Picture]:
     from calib.reporting.figures.challenge import fleet_figures
 
     figures = fleet_figures(fleet)
-    return [Picture(f"fleet-{name}", *_SHOWN[name], partial(figures.__getitem__, name)) for name in figures]
+    drawings = {name: partial(figures.__getitem__, name) for name in figures}
+    return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), _SHOWN[name], draw) for name, draw in drawings.items()]
 
 
 def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
@@ -141,14 +135,13 @@ def _board(score: Score) -> Table:
     rows = []
     for name, line in score.board.items():
         rate = MISSING if line.rate is None else f"{line.rate:.1%}"
-        spans = [
-            f"{low:.1%}..{high:.1%}" for low, high in (of(line.hits, line.total) for of in (wilson, clopper_pearson))
-        ]
+        intervals = (of(line.hits, line.total) for of in (wilson, clopper_pearson))
+        spans = [f"{low:.1%}..{high:.1%}" for low, high in intervals]
         target = f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else ""
         rows.append((name, f"{line.hits}/{line.total}", rate, *spans, target, _MET[score.meets(name)]))
-    caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
-    intervals = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
-    return table(caption, ("<Line", "Cases", "Share", *intervals, "Target", "<"), rows)
+    title = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
+    heads = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
+    return table(title, ("<Line", "Cases", "Share", *heads, "Target", "<"), rows)
 
 
 def _parts(score: Score) -> list[Table]:
@@ -156,18 +149,15 @@ def _parts(score: Score) -> list[Table]:
     titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
               "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
     ceilings = ("gated", "hits_over_gated", "own_gated", "hits_over_own_gated")
-    by_signal = tuple(
-        (
-            signal,
-            *(f"{row[word].hits}/{row[word].total}" for word in words),
-            *(MISSING if (v := score.ceilings[signal][key]) is None else f"{v:.2f}" for key in ceilings),
-        )
-        for signal, row in score.by_signal.items()
-    )
-    reliability = tuple(
+    by_signal = []
+    for signal, row in score.by_signal.items():
+        reached = (score.ceilings[signal][key] for key in ceilings)
+        shares = (f"{row[word].hits}/{row[word].total}" for word in words)
+        by_signal.append((signal, *shares, *(MISSING if one is None else f"{one:.2f}" for one in reached)))
+    reliability = [
         (f"{one.low:.1f}..{one.high:.1f}", f"{one.stated:.3f}", f"{one.true.rate:.3f}", f"{one.true.total}")
         for one in score.reliability
-    )
+    ]
     return [
         table("Single effects by signal.", titles, by_signal),
         table("Stated probabilities.", ("Bin", "Stated", "True", "Statements"), reliability),
@@ -175,17 +165,12 @@ def _parts(score: Score) -> list[Table]:
 
 
 def _misses(score: Score) -> Table:
-    rows = tuple(
-        (
-            case.case,
-            case.group,
-            MISSING if case.signal is None else f"{case.signal:g}",
-            (f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth)) or "nothing",
-            case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": "),
-            case.rival,
-        )
-        for case in score.misses
-    )
+    rows = []
+    for case in score.misses:
+        signal = MISSING if case.signal is None else f"{case.signal:g}"
+        truth = f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth) or "nothing"
+        answer = case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": ")
+        rows.append((case.case, case.group, signal, truth, answer, case.rival))
     return table("Misses.", ("<Case", "<Group", "Signal", "*Truth", "*Answer", "*Nearest alternative, sigma"), rows)
 
 

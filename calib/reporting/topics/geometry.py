@@ -163,46 +163,23 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     if not measured:
         return []
     largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
-    return [
-        picture(
-            "geometry-paths",
-            "Paths of the reference's sensor: by the calibrated odometry, coloured by its distance from the reference; "
-            "by the nominal odometry in grey; by the reference, dotted.",
-            f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference",
-            "calibration.draw_paths",
-            measured,
-        )
-    ]
+    alt = f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference"
+    return [picture("geometry-paths", alt, "calibration.draw_paths", measured)]
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     along = [trace for trace in traces if len(trace.seen) > 1]
     ends = [trace for trace in traces if len(trace.seen) < 2]
-    in_time = picture(
-        "geometry-residuals-in-time",
-        "Residuals along the path of the first runs; in grey by the nominal odometry.",
-        f"Residuals along, lateral and in heading against time, of {len(along)} runs",
-        "calibration.residuals_in_time",
-        along,
-    )
-    by_run = picture(
-        "geometry-residuals-by-run",
-        "Residuals at the end of each run, in the order driven.",
-        f"Residuals of {len(traces)} end poses before and after",
-        "calibration.residuals_by_run",
-        ends,
-    )
+    alt = f"Residuals along, lateral and in heading against time, of {len(along)} runs"
+    in_time = picture("geometry-residuals-in-time", alt, "calibration.residuals_in_time", along)
+    alt = f"Residuals of {len(traces)} end poses before and after"
+    by_run = picture("geometry-residuals-by-run", alt, "calibration.residuals_by_run", ends)
     return [*([in_time] if along else []), *([by_run] if ends else [])]
 
 
 def _correlation(geometry: Geometry) -> tuple[Block, ...]:
     names = [estimate.name for estimate in geometry.estimates]
     remark = "Parameters that correlate beyond 0.9, in bold, are known better together than each by itself."
-    shown = picture(
-        "geometry-correlation",
-        "Correlation of the parameters.",
-        f"Correlation of {', '.join(names)}",
-        "calibration.correlations",
-        *(names, geometry.covariance),
-    )
+    alt = f"Correlation of {', '.join(names)}"
+    shown = picture("geometry-correlation", alt, "calibration.correlations", names, geometry.covariance)
     return (Text(remark, small=True), shown)
