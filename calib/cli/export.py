@@ -147,20 +147,19 @@ def report(
     from calib.reporting.source import issue_date, opened
 
     terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
-    issued = issue_date(date)
+    issued, force, drawn = issue_date(date), terminal.forced(), list[Path]()
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
         given = opened(source, progress=tick)
         accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
         report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
-        target = place_of(report.name, into, force=terminal.forced())
-        drawn = (
-            [] if figures is None else write_figures(report.figures(), figures, force=terminal.forced(), progress=tick)
-        )
+        target = place_of(report.name, into, force=force)
+        if figures is not None:
+            drawn = write_figures(report.figures(), figures, force=force, progress=tick)
         page = "" if html is None else _page(report, given, tick)
-        write_bytes(target, to_pdf(report, tick), force=terminal.forced())
+        write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:
-        write_text(html, page, force=terminal.forced())
+        write_text(html, page, force=force)
     _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
     terminal.then(_next_step(report, given), c=source)
     terminal.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})

@@ -63,8 +63,8 @@ class RouteTables:
 def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[FloatArray, float]:
     end_m = float(sum(length for length, _ in segments))
     s = np.arange(0.0, end_m + _TAIL_M, PITCH_M)
-    edges = np.cumsum([0.0, *[length for length, _ in segments]])
-    turn = np.concatenate(([0.0], np.cumsum([length * kappa for length, kappa in segments])))
+    edges = np.cumsum([0.0, *(length for length, _ in segments)])
+    turn = np.cumsum([0.0, *(length * kappa for length, kappa in segments)])
     # the mean of the curvature over +-half the easing length, by differences of the turned angle: keeps the total turn
     half = 0.5 * _EASE_M
     ahead, behind = (np.interp(s + shift, edges, turn) for shift in (half, -half))
@@ -246,9 +246,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     if "lanes" in need:
         route[:half:2] = ["corridor_b"] * len(route[:half:2])
     elif "lengths" in need or rng.random() < 0.5:
-        for number in range(half):
-            if number % 3 == 1:
-                route[number] = "corridor_short"
+        route[1:half:3] = ["corridor_short"] * len(route[1:half:3])
     ways = ["out", "back"]
     payload, side, ahead = deal(payloads), deal(sides), deal([0.15, 0.4, 0.6])
     speed = deal(list(map(float, speeds)))

@@ -112,14 +112,14 @@ def _columns(
     if design.laser and design.corridor.any():
         numbers["distance_m"] = np.where(design.corridor, np.round(laser, 4), np.nan)
     if posed.any():
-        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), end_pose, strict=True):
-            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+        measured = np.where(posed, np.round(end_pose, 5), np.nan)
+        numbers |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), measured, strict=True))
     if design.outside:
-        simulated = simulated_poses(world, record)
-        for column, values in zip(("sim_x_m", "sim_y_m", "sim_theta_rad"), simulated, strict=True):
-            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+        simulated = np.round(simulated_poses(world, record), 5)
+        names = ("sim_x_m", "sim_y_m", "sim_theta_rad")
+        numbers |= dict(zip(names, np.where(posed, simulated, np.nan), strict=True))
         if "distance_m" in numbers:
-            numbers["sim_distance_m"] = np.where(design.corridor, np.round(simulated[0], 5), np.nan)
+            numbers["sim_distance_m"] = np.where(design.corridor, simulated[0], np.nan)
     if world.weave_m.any():
         numbers["amplitude_m"] = np.round(world.weave_m, 4)
         numbers["wavelength_m"] = np.where(world.weave_m > 0, np.round(world.wavelength_m, 3), np.nan)
@@ -174,8 +174,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         read[:, 0] = 0.0
         # the end pose is the trace's own last reading
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
-        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), read, strict=True):
-            columns[column] = np.round(values, 5)
+        columns |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), np.round(read, 5), strict=True))
     kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)
     offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
     return Logs(offsets, {name: np.ascontiguousarray(values.T[kept]) for name, values in columns.items()})
@@ -205,11 +204,9 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
         return list(truth)
     causes = []
     for key, size in truth.items():
-        effect, _, form = key.partition("/")
-        known = find(effect, form)
-        causes.append(
-            Cause(effect, float(known.typical if np.isnan(size) else size), known.form, known.knobs(rng, design))
-        )
+        known = find(*key.split("/"))
+        size = float(known.typical if np.isnan(size) else size)
+        causes.append(Cause(known.effect, size, known.form, known.knobs(rng, design)))
     return causes
 
 

@@ -15,7 +15,7 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section
+from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
@@ -31,16 +31,7 @@ if TYPE_CHECKING:
 
 #: longest campaign name in a page's header; the title has it whole
 SHORT_NAME: Final = 44
-#: facts under the title, if stated, and lines to be signed, by the keys of `STATED`
-HEAD: Final = {
-    "replaces": "Replaces report",
-    "method": "Method",
-    "laboratory": "Laboratory",
-    "customer": "Customer",
-    "item": "Vehicle",
-    "measured": "Dates of measurement",
-    "authorised": "Authorised by",
-}
+#: lines to be signed, by the keys of `STATED`
 SIGNED: Final = {"prepared": "Prepared by", "authorised": "Authorised by"}
 
 
@@ -86,7 +77,7 @@ class Report:
     def head(self) -> tuple[tuple[str, str], ...]:
         """Facts under the title."""
         stated = self.stated or {}
-        named = ((title, stated[key]) for key, title in HEAD.items() if key in stated)
+        named = ((title, stated[key]) for key, title in catalogue()["head"].items() if key in stated)
         return (("Report", self.report_id), ("Date of issue", self.issued), *named, *self.facts)
 
     @property

@@ -310,8 +310,8 @@ def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads) -> list[Path]:
     files = {f"{stem}.json": _bytes(text)}
     if isinstance(fleet, Fleet):
         files["vehicles.csv"] = _bytes(_table(document["vehicles"]))
-        for name, figure in fleet_figures(fleet).items():
-            files |= {f"{name}.{form}": data for form, data in render_all(figure, ("png", "svg")).items()}
+        for name, draw in fleet_figures(fleet).items():
+            files |= {f"{name}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
     return write_files(
         into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=True
     )

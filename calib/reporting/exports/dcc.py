@@ -7,6 +7,7 @@ beside them is the ``[certificate]`` section of ``campaign.toml``.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
@@ -211,13 +212,12 @@ def document(source: Source, stated: Certificate) -> Element:
     return fromstring(_printable(template.render(values)))
 
 
+#: what XML 1.0 cannot hold
+_NO_XML: Final = re.compile("[\x00-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
 def _printable(text: str) -> str:
-    return "".join(
-        sign
-        if sign in "\t\n" or (sign >= " " and not "\ud800" <= sign <= "\udfff" and sign not in "\ufffe\uffff")
-        else f"\\x{ord(sign):x}"
-        for sign in text
-    )
+    return _NO_XML.sub(lambda sign: f"\\x{ord(sign[0]):x}", text)
 
 
 def _limits(source: Source, stated: Certificate) -> list[str]:

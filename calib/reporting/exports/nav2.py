@@ -367,24 +367,16 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
 def parameters_text(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> str:
     """Return the parameter file of a noise; `corrected`: by what the odometry is corrected."""
     held_out = zip(CHANNELS, noise.held_out.ratios, noise.held_out.interval, strict=True)
-    return (
-        templates_of(__package__)
-        .get_template("nav2.yaml.j2")
-        .render(
-            noise=noise,
-            campaign=campaign,
-            corrected=corrected,
-            simulated=simulated,
-            ratios=[f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, (low, high) in held_out],
-            listed=_listed,
-            rounded=lambda value: number(float(f"{value:.4g}")),
-            ascii_line=ascii_line,
-            update_min_d=UPDATE_MIN_D_M,
-            update_min_a=UPDATE_MIN_A_RAD,
-            default_alpha=DEFAULT_ALPHA,
-            speed_mps=SPEED_MPS,
-            rate_Hz=RATE_HZ,
-        )
+    template = templates_of(__package__).get_template("nav2.yaml.j2")
+    constants = {"update_min_d": UPDATE_MIN_D_M, "update_min_a": UPDATE_MIN_A_RAD, "default_alpha": DEFAULT_ALPHA}
+    return template.render(
+        constants | {"noise": noise, "campaign": campaign, "corrected": corrected, "simulated": simulated},
+        ratios=[f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, (low, high) in held_out],
+        listed=_listed,
+        rounded=lambda value: number(float(f"{value:.4g}")),
+        ascii_line=ascii_line,
+        speed_mps=SPEED_MPS,
+        rate_Hz=RATE_HZ,
     )
 
 

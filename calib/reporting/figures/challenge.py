@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ from calib.errors import BadInputError
 from calib.fleet.run import Fleet
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.io import refuse_existing, write_bytes
+from calib.reporting.blocks import Drawings
 from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, canvas, draw_ordered, figure_title, render, styled
 
@@ -152,19 +154,20 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     return write_bytes(path, render(figure, form), force=force)
 
 
-def fleet_figures(fleet: Fleet) -> dict[str, Figure]:
-    """Draw radii and slopes of the vehicles, and the drift of their wheels where journeys have days, in order of size.
+def fleet_figures(fleet: Fleet) -> Drawings:
+    """Return what draws radii and slopes of the vehicles, and the drift of their wheels where journeys have days.
 
-    Each with its 95 % interval, the outliers marked; nothing where no vehicle was fitted.
+    In order of size, each with its 95 % interval, the outliers marked; nothing where no vehicle was fitted.
     """
     fitted = [record for record in fleet.records if record.status == "fitted"]
     if not fitted:
         return {}
-    figures = {"distribution": _distribution(fitted, {outlier.vehicle for outlier in fleet.view.outliers})}
+    odd = {outlier.vehicle for outlier in fleet.view.outliers}
     wheels = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     named = {(one.vehicle, one.wheel) for one in fleet.view.drifting}
     drifts = [(drift, (vehicle, side) in named) for vehicle, side, drift in wheels if drift is not None]
-    return figures | ({"drift": _drift(*zip(*drifts, strict=True))} if drifts else {})
+    figures = {"distribution": partial(_distribution, fitted, odd)}
+    return figures | ({"drift": partial(_drift, *zip(*drifts, strict=True))} if drifts else {})
 
 
 @styled

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from calib import __version__
-from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, paragraph, table
+from calib.reporting.blocks import Equation, Facts, Items, Section, Text, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, plural, prose, span
 from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics.fit import assumed_text
@@ -103,29 +103,13 @@ def conditions_section(source: Source) -> Section:
     return Section("Instruments and conditions", (Facts(tuple(rows)), *texts))
 
 
-_DESIGNS = {
-    "crossed": "The slope comes from differences between loads within the sessions.",
-    "confounded": "Each session has a load of its own, so the slope comes from the session means alone.",
-    "mixed": "The slope combines differences within the sessions with those between their means.",
-    "single": "The runs count as one session.",
-    "constant": "The runs have one load, so a constant radius is given and no slope.",
-}
-
-
-#: drive -> the wheels whose encoders are read
-_COUNTED = {
-    "tricycle": "the free rear wheels",
-    "differential": "the two driven wheels",
-    "skid": "the driven wheels of either side",
-}
-
-
 def method_section(source: Source) -> Section:
     """Return effective radius, regression, and their uncertainty."""
     fit = source.fit
-    designs = dict.fromkeys(_DESIGNS.get(wheel.design, "") for wheel in fit.wheels.values())
+    wheels = catalogue()["wheels"].get(source.setup.vehicle.drive, "the rear wheels")
+    designs = dict.fromkeys(catalogue()["design"].get(wheel.design, "") for wheel in fit.wheels.values())
     blocks = (
-        Text(paragraph("method_radius", wheels=_COUNTED.get(source.setup.vehicle.drive, "the rear wheels"))),
+        Text(paragraph("method_radius", wheels=wheels)),
         Equation("effective_radius"),
         Text(paragraph("method_line")),
         Equation("law"),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, paragraph, table
+from calib.reporting import blocks
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, table
 from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
         *_common([cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
-        Text(paragraph("fleet_rates"), small=True),
+        Text(blocks.paragraph("fleet_rates"), small=True),
     )
 
 
@@ -77,20 +77,11 @@ def _drifting(fleet: Fleet) -> Table:
     return table(title, ("<vehicle", "<wheel", "drift (nm a day)", "due on day"), rows)
 
 
-#: picture of a fleet -> what it shows in words
-_SHOWN: Final = {
-    "distribution": "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of "
-    "size.",
-    "drift": "Dots with bars: drift of every wheel of the fleet in order of size.",
-}
-
-
 def _pictures(fleet: Fleet) -> list[Picture]:
     from calib.reporting.figures.challenge import fleet_figures
 
-    figures = fleet_figures(fleet)
-    drawings = {name: partial(figures.__getitem__, name) for name in figures}
-    return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), _SHOWN[name], draw) for name, draw in drawings.items()]
+    figures, shown = fleet_figures(fleet).items(), blocks.catalogue()["fleet"]
+    return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
 
 
 def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:

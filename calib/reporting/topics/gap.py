@@ -162,28 +162,22 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
         return []
     named = verdict.causes[:MAX_CAUSES]
     doubtful = not all(cause.plausible for cause in named)
-    ranking = table(
-        "Which: the named causes, most probable first; the share is that of the gap above the noise level.",
-        ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else [])),
-        [
-            (
-                cause.title + (f" ({cause.form})" if cause.form else ""),
-                cause.effect,
-                *map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None)))),
-                *(["yes" if cause.plausible else "NO"] if doubtful else []),
-            )
-            for cause in named
-        ],
-    )
+    ranked = []
+    for cause in named:
+        shares = map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None))))
+        plausible = ["yes" if cause.plausible else "NO"] if doubtful else []
+        ranked.append((cause.title + (f" ({cause.form})" if cause.form else ""), cause.effect, *shares, *plausible))
+    title = "Which: the named causes, most probable first; the share is that of the gap above the noise level."
+    heads = ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else []))
+    blocks: list[Block] = [table(title, heads, ranked)]
     rows = [
         (cause.effect, effect_name(name), quantity.unit if quantity.unit != "1" else "", *_interval(quantity))
         for cause in named
         for name, quantity in cause.parameters.items()
     ]
-    blocks: list[Block] = [ranking]
     if rows:
-        heads = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
-        blocks.append(table("Sizes of the causes with 95 % intervals.", heads, rows))
+        columns = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
+        blocks.append(table("Sizes of the causes with 95 % intervals.", columns, rows))
     remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
     remarks += [
         f"{cause.effect}: these runs do not determine the form; {', '.join(cause.forms_open)} fit equally well"

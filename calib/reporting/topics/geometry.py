@@ -36,15 +36,14 @@ def parameter_table(geometry: Geometry) -> Table:
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
     """Return the residuals by route, and those of held-out runs where there are any."""
     caption = "Residuals by route: root mean square of position and heading."
-    tables = [table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)]
-    if geometry.transfer:
-        rows = [
-            (row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}")
-            for row in geometry.transfer
-        ]
-        heads = ("<held out", "n", "before (mm)", "after (mm)")
-        tables.append(table("End position error of held-out runs.", heads, rows, dense=True))
-    return tuple(tables)
+    routes = table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)
+    rows = [
+        (row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}")
+        for row in geometry.transfer
+    ]
+    heads = ("<held out", "n", "before (mm)", "after (mm)")
+    held_out = table("End position error of held-out runs.", heads, rows, dense=True)
+    return (routes, held_out) if rows else (routes,)
 
 
 def _heading(geometry: Geometry) -> str:
@@ -91,10 +90,8 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
     umbmark = geometry.umbmark
     if umbmark.applies:
         driven = f"{umbmark.n_cw} clockwise, {umbmark.n_ccw} counter-clockwise squares of {umbmark.side_m:.3g} m"
-        lines.append(
-            f"UMBmark ({driven}): E_d {umbmark.E_d:.5f}, "
-            f"E_b {umbmark.E_b:.5f}, c_L {umbmark.c_left:.5f}, c_R {umbmark.c_right:.5f}."
-        )
+        factors = {"E_d": umbmark.E_d, "E_b": umbmark.E_b, "c_L": umbmark.c_left, "c_R": umbmark.c_right}
+        lines.append(f"UMBmark ({driven}): {', '.join(f'{name} {value:.5f}' for name, value in factors.items())}.")
     return [*lines, *geometry.notes]
 
 

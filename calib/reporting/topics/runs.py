@@ -113,14 +113,6 @@ def runs_picture(fit: Fit) -> Picture:
 
 #: relative error of a radius that the runs are compared with
 TOLERANCE: Final = 5e-4
-_SOURCES: Final = {
-    "log": "weave in the log",
-    "log+heading": "weave in the log and measured heading at the end",
-    "columns": "measured amplitude and wavelength",
-    "columns+heading": "measured amplitude and wavelength, and heading at the end",
-    "none+heading": "measured heading at the end",
-    "none": "not corrected",
-}
 
 
 def deviation_section(source: Source) -> Section:
@@ -134,7 +126,7 @@ def deviation_section(source: Source) -> Section:
         weave = (1e3 * _median(radii.amplitude_m[on & known]), _median(radii.wavelength_m[on & known]))
         corrected = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
         sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
-        rows.append((_SOURCES.get(name, name), str(int(on.sum())), *sizes))
+        rows.append((blocks.catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
     heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
     text = Text(paragraph("paths", worst=1e6 * float(np.abs(paths).max())))
     content: list[Block] = [text, deviation_picture(source.fit), table(caption("table-corrections"), heads, rows)]

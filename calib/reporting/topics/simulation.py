@@ -10,7 +10,7 @@ from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, caption, table
+from calib.reporting.blocks import Block, Table, Text, caption, catalogue, table
 from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
@@ -119,13 +119,8 @@ def _signed(value: float, decimals: int) -> str:
     return text if text.startswith("−") or float(text) == 0 else f"+{text}"
 
 
-METHODS: Final = {
-    "model": "as the simulator believes",
-    "constant": "law's radii, unladen, kept",
-    "corrected": "law's radii at the load carried",
-}
-#: where a front wheel or four wheels drive the odometry
-METHODS_BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
+#: radii compared where a front wheel or four wheels drive the odometry
+BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
 
 
 def replay_content(replay: Replay) -> tuple[Block, ...]:
@@ -133,7 +128,7 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
     name = replay.campaign + (" (simulated)" if replay.simulated else "")
     rows = [
         (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
-        for key, title in (METHODS_BY_GEOMETRY if replay.by_geometry else METHODS).items()
+        for key, title in (BY_GEOMETRY if replay.by_geometry else catalogue()["radii"]).items()
     ]
     title = f"{name}: end error of {int(replay.in_range.sum())} runs."
     errors = table(title, ("<Radii", "rms (m)", "rms heading (mrad)"), rows)
