@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 Loads = Annotated[
     Texts, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
 ]
-Controllers = Annotated[
-    Texts,
-    opt("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
-]
+_CONTROLLER = "ROS 2 controller, may be given again; without it those of the vehicle's drive."
+Controllers = Annotated[Texts, opt("NAME", _CONTROLLER, "--controller")]
 VelocityFeedback = Annotated[
     bool, opt(None, "ROS 2: the joints report velocities, not positions.", "--velocity-feedback")
 ]
@@ -80,8 +78,12 @@ def export(
         unused |= {"--date": date, "--outside": outside, "--controller": controller}
         unused |= {"--velocity-feedback": velocity_feedback, "--open-loop": open_loop}
     terminal.refuse_options(f"with --to {to}", unused)
+    artifacts: Sequence[Artifact]
+    if to in BINARY and output is None:
+        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
     if to in OTHER_FORMATS:
-        artifacts = _of_other_format(source, to, output, accept)
+        with terminal.progress(to) as tick:
+            artifacts = export_from(source, to, accept=accept, progress=tick)
     else:
         coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
         given = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
@@ -97,13 +99,6 @@ def export(
         # where the files went to standard output, nothing is added to them
         terminal.then(f"export {to}", c=source, file=files[0]["path"])
     terminal.emit_json({**head, "files": files, "notes": notes})
-
-
-def _of_other_format(source: Path, to: str, output: Path | None, accept: str) -> Sequence[Artifact]:
-    if to in BINARY and output is None:
-        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
-    with terminal.progress(to) as tick:
-        return export_from(source, to, accept=accept, progress=tick)
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:

@@ -15,17 +15,15 @@ if TYPE_CHECKING:
     from calib.reporting.blocks import Block
 
 
+_REFERENCE = "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."
+_MODEL = "Coefficient file whose law the fitted one is held against, at that law's reference load."
+
+
 def fit(
     campaign: terminal.CampaignOrRecording,
     into: Annotated[Place, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
-    reference_load: Annotated[
-        Number,
-        opt("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
-    ] = None,
-    model: Annotated[
-        Place,
-        opt("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),
-    ] = None,
+    reference_load: Annotated[Number, opt("N", _REFERENCE)] = None,
+    model: Annotated[Place, opt("FILE", _MODEL)] = None,
     runs: Annotated[bool, opt(None, "List the radius of every run.", "--runs")] = False,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,

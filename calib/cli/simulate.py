@@ -19,13 +19,11 @@ if TYPE_CHECKING:
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
 
-Routes = Annotated[
-    Texts,
-    arg(
-        "[ROUTE]...",
-        "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
-    ),
-]
+_ROUTES = "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file."
+_LAW = "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply."
+_PAYLOAD_AT = "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one."
+_REFERENCE = "Loads whose radii the uncorrected odometry uses, N (the law's reference)."
+Routes = Annotated[Texts, arg("[ROUTE]...", _ROUTES)]
 Law = Annotated[Place, opt("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")]
 Track = Annotated[Number, opt("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
 Draws = Annotated[int, opt(None, "Draws of the Monte Carlo.", "--draws")]
@@ -119,29 +117,12 @@ def route(
 
 
 def journey(
-    law: Annotated[
-        Path,
-        opt(
-            "PATH",
-            "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
-            "--law",
-            "--model",
-        ),
-    ],
+    law: Annotated[Path, opt("PATH", _LAW, "--law", "--model")],
     route: Routes = None,
     load: Annotated[Texts, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
     payload: Annotated[Texts, opt("KG,X,Y", "The same from a payload and its place; again for more.")] = None,
-    payload_at: Annotated[
-        Texts,
-        opt(
-            "S,KG,X,Y",
-            "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
-        ),
-    ] = None,
-    reference: Annotated[
-        Text,
-        opt("L,R", "Loads whose radii the uncorrected odometry uses, N (the law's reference).", "--reference-load"),
-    ] = None,
+    payload_at: Annotated[Texts, opt("S,KG,X,Y", _PAYLOAD_AT)] = None,
+    reference: Annotated[Text, opt("L,R", _REFERENCE, "--reference-load")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,

@@ -318,14 +318,8 @@ CampaignOrRecording = Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml
 Figures = Annotated[Place, opt("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
 Date = Annotated[Text, opt("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")]
 Force = Annotated[bool, opt(None, "Replace existing output files.", "--force")]
-AcceptImplausible = Annotated[
-    str,
-    opt(
-        "REASON",
-        "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
-        "--accept-implausible",
-    ),
-]
+_ACCEPTED = "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file."
+AcceptImplausible = Annotated[str, opt("REASON", _ACCEPTED, "--accept-implausible")]
 Workers = Annotated[int, opt("N", "Processes of this machine.", "--workers", min=1)]
 Seed = Annotated[int, opt("N", "Seed of everything that is drawn.", "--seed")]
 

@@ -294,11 +294,8 @@ def _check(member: Member) -> dict[str, object]:
     from calib.campaign.check import check_campaign
 
     report = check_campaign(_campaign(member, lenient=True))
-    return {
-        "sound": report.sound,
-        "wrong": [note.code for note in report.wrong],
-        "suspicious": [note.code for note in report.suspicious],
-    }
+    codes = {level: [note.code for note in getattr(report, level)] for level in ("wrong", "suspicious")}
+    return {"sound": report.sound, **codes}
 
 
 def _diagnose(member: Member) -> dict[str, object]:

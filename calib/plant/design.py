@@ -14,6 +14,8 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
 PITCH_M: Final = 0.01
+#: at which truth and model agree on a radius
+REFERENCE_LOAD_N: Final = 300.0
 #: length of ``corridor_short`` over that of ``corridor``
 SHORT: Final = 0.6
 _EASE_M: Final = 0.6  # a steered wheel cannot jump

@@ -9,20 +9,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.plant.design import Design
+from calib.plant.design import REFERENCE_LOAD_N, Design
 from calib.plant.drive import Record, drive
 from calib.plant.effects import find
-from calib.plant.world import (
-    REFERENCE_LOAD_N,
-    Cause,
-    Noise,
-    NoiseDraw,
-    World,
-    build_world,
-    draw_noise,
-    random_noise,
-    wheel_loads,
-)
+from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
 from calib.types import FloatArray
 
 _STEER_STEP_RAD = 5e-4

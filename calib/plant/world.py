@@ -119,9 +119,6 @@ def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
     return Noise(**{**drawn, **fixed})
 
 
-REFERENCE_LOAD_N = 300.0
-
-
 @dataclass(slots=True)
 class Moment:
     """All runs at one time step; effects read the upper part and add to the lower."""

@@ -88,9 +88,8 @@ def conditions_section(source: Source) -> Section:
     if any("heading" in text for text in radii.path_source.tolist()):
         milli = 1e3 * setup.reference.sigma_theta_rad
         rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
-    for name, (title, unit, form) in _CONDITIONS.items():
-        if name in setup.conditions:
-            rows.append((title, span(*setup.conditions[name], unit, form)))
+    measured = {name: shown for name, shown in _CONDITIONS.items() if name in setup.conditions}
+    rows += [(title, span(*setup.conditions[name], unit, form)) for name, (title, unit, form) in measured.items()]
     if out + back:
         rows.append(("Direction of driving", f"{plural(out, 'run')} out, {back} back"))
     traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."

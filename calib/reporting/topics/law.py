@@ -190,11 +190,6 @@ def budget_picture(fit: Fit) -> Picture:
     return picture("budget", alt, "calibration.budget_bars", fit.radii.budget)
 
 
-def declared_text(fit: Fit) -> Text:
-    """Say which systematic parts are declared, or that none is and what that means for U."""
-    return Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
-
-
 def law_budget(fit: Fit) -> Table:
     """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
     systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
@@ -223,5 +218,6 @@ def _scatter(fit: Fit) -> tuple[Text, ...]:
 def budget_section(source: Source) -> Section:
     """Return what the uncertainty is made of."""
     fit = source.fit
-    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared_text(fit), *_scatter(fit))
+    declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
+    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
     return Section("Uncertainty budget", blocks)
