@@ -239,10 +239,8 @@ def _of(cases: list[Judged], group: str) -> list[Judged]:
 
 
 def _reliability(statements: list[tuple[float, bool]]) -> tuple[Bin, ...]:
-    bins: dict[int, list[tuple[float, bool]]] = {}
     numbers = np.minimum(np.searchsorted(_EDGES, [p for p, _ in statements], side="right") - 1, _BINS - 1)
-    for number, statement in zip(numbers.tolist(), statements, strict=True):
-        bins.setdefault(number, []).append(statement)
+    bins: dict[int, list[tuple[float, bool]]] = grouped(zip(numbers.tolist(), statements, strict=True))
     return tuple(
         Bin(_EDGES[k], _EDGES[k + 1], float(np.mean([p for p, _ in inside])), share([hit for _, hit in inside]))
         for k, inside in sorted(bins.items())

@@ -15,7 +15,7 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue
+from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, paragraph
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
@@ -243,18 +243,10 @@ def report_without_law(
 
 
 def _limits(campaign: Campaign, geometry: Geometry | None, coefficients: bytes | None) -> Section:
-    sentences = [
-        "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
-        "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
-    ]
+    limits = ["no_law", "no_law_holds"]
     if geometry is not None:
-        sentences = [
-            "No law of the load is stated: the radii hold for the loads of these runs.",
-            "The estimates hold for the vehicle, floor, speeds and reference of these runs.",
-        ]
-        if coefficients is None:
-            sentences.append("No coefficient file is attached, since the geometry is not passed on.")
-    blocks = (Items(tuple(sentences)), assumed_text(assumed_settings(campaign)))
+        limits = ["geometry_law", "geometry_holds", *(["geometry_kept"] if coefficients is None else [])]
+    blocks = (Items(tuple(map(paragraph, limits))), assumed_text(assumed_settings(campaign)))
     return Section("What this report does not cover", blocks)
 
 

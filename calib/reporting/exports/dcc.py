@@ -27,6 +27,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.radius.law import COVERAGE
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
+from calib.reporting.blocks import paragraph
 from calib.reporting.source import Source, opened, source_of
 from calib.types import Progress
 
@@ -224,16 +225,13 @@ def _limits(source: Source, stated: Certificate) -> list[str]:
     fit = source.fit
     texts = []
     if fit.simulated:
-        texts.append("SIMULATED DATA: a program made the measurements of this certificate; they are no measurements.")
-    failed = _failed(fit)
-    if failed:
-        texts.append(f"Accepted although a check failed: {fit.accepted}. Checks that failed: {' '.join(failed)}")
-    if source.setup.assumed:
-        listed = ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items())
-        texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
+        texts.append(paragraph("certificate_simulated"))
+    if failed := " ".join(_failed(fit)):
+        texts.append(paragraph("certificate_failed", accepted=fit.accepted, failed=failed))
+    if assumed := ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items()):
+        texts.append(paragraph("certificate_assumed", listed=assumed))
     if untraced := ", ".join(equipment.name for equipment in stated.equipment if equipment.certificate is None):
-        unknown = f"No calibration certificate is stated of: {untraced}"
-        texts.append(f"{unknown}. Traceability to the SI is not shown for these.")
+        texts.append(paragraph("certificate_untraced", listed=untraced))
     return texts
 
 

@@ -21,6 +21,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path as PredictedPath
+from calib.reporting.blocks import paragraph
 from calib.reporting.exports import diagnosed
 from calib.types import BoolArray, FloatArray, Progress, StrArray
 
@@ -314,17 +315,12 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     notes = [f"the odometry is taken as corrected by: {named}; on the vehicle, correct it likewise"]
     if diagnosis.causes and not diagnosis.recommended:
         notes.append("this correction is not recommended: see calib diagnose")
-    if noise.undetermined:
-        listed = ", ".join(noise.undetermined)
+    if unknown := ", ".join(noise.undetermined):
         notes.append(
-            f"these runs say nothing of {listed}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
+            f"these runs say nothing of {unknown}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
         )
     if noise.beyond_form:
-        notes.append(
-            f"AMCL's model cannot spread as these runs do, observed over predicted is {_listed(noise.form)}: errors "
-            f"stay the same during a run and differ between runs; look for their cause with calib diagnose, or set all "
-            f"alphas {noise.cover:.2f} times as large, so that none of the three is understated"
-        )
+        notes.append(paragraph("amcl_form", listed=_listed(noise.form), cover=noise.cover))
         near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
         if near:
             notes.append(f"alphas of their own meet the runs of {near} alone; the file has them by kind of run")

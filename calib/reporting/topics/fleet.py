@@ -9,7 +9,7 @@ from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, table
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, paragraph, table
 from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
         *_common([cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
-        Text(blocks.paragraph("fleet_rates"), small=True),
+        Text(paragraph("fleet_rates"), small=True),
     )
 
 
@@ -178,8 +178,7 @@ def own_content(own: Own) -> list[Block]:
     sentences = [
         f"False alarms where nothing was planted: {own.raised} of {len(own.empty)} (95 %: {low} to {high}).",
         f"Something else named: {own.wrong} of {own.planted} planted.",
-        f"The noise is what the diagnosis leaves of {own.units} units, {own.units_with_repeats} of them with repeats; "
-        f"the campaign's own verdict was {own.own_verdict}.",
+        paragraph("own_noise", units=own.units, repeated=own.units_with_repeats, verdict=own.own_verdict),
     ]
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")

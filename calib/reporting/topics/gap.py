@@ -12,7 +12,7 @@ from calib.gap.decision.sentences import advice, headline
 from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import POSE
 from calib.reporting import formatting
-from calib.reporting.blocks import Block, Table, Text, caption, items, table
+from calib.reporting.blocks import Block, Table, Text, caption, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, length, percent, probability, prose, readable, three_digits
 from calib.types import grouped
 
@@ -73,12 +73,10 @@ def _place(line: PlaceResult) -> str:
     spread = f"{1e3 * line.ci95[0]:.3g} to {1e3 * line.ci95[1]:.3g}"
     if line.place is None or line.place_ci95 is None:
         return f"It opens at {line.where}: {line.channel.label} {size} {line.what} (95 %: {spread})."
-    (low, high), (first, last) = line.place, line.place_ci95
+    places = dict(zip(("low", "high", "first", "last"), (*line.place, *line.place_ci95), strict=True))
     route = f" on {line.route.replace('_', ' ')}" if line.route else ""
-    return (
-        f"It opens at a {line.where}{route}: {line.channel.label} {size} (95 %: {spread}) between {low:.2f} m "
-        f"({first[0]:.2f} to {first[1]:.2f}) and {high:.2f} m ({last[0]:.2f} to {last[1]:.2f}), {line.coordinate}."
-    )
+    known = {"where": line.where, "route": route, "size": f"{line.channel.label} {size}", "spread": spread}
+    return paragraph("place", **known, **places, coordinate=line.coordinate)
 
 
 def closure_blocks(verdict: Diagnosis) -> list[Block]:

@@ -253,8 +253,7 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
     title = caption("table-weave", distance_m=rows[0]["distance_m"], track_m=track_m)
     excess = table(title, ("A / λ (m)", *heads), cells)
     sentences = (
-        f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude of "
-        f"{1e3 * amplitude:.1f} mm (whole periods)."
+        paragraph("weave", wavelength=wavelength, percent=100 * tolerance, amplitude_mm=1e3 * amplitude)
         for wavelength, amplitude in {row["wavelength_m"]: row["allowed_amplitude_m"] for row in rows}.items()
     )
     return (excess, *map(Text, sentences))
@@ -263,12 +262,7 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
 def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     """Return what wheels of different radii do on a straight line."""
     longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
-    text = (
-        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal drive an arc: where its chord is "
-        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside "
-        f"the line of its first heading; the path is longer than the chord by {longer}."
-    )
-    return (Text(text),)
+    return (Text(paragraph("arc", longer=longer, **arc)),)
 
 
 def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Block, ...]:

@@ -10,7 +10,7 @@ from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, caption, catalogue, table
+from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
 from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
@@ -138,12 +138,11 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
         return (errors, runtime, *left_out)
     low, high = replay.ratio_ci95
     check = replay.runtime
+    law = times(replay.rms_m["model"] / replay.rms_m["corrected"])
+    largest = {"largest_m": check.largest_difference_m, "largest_rad": check.largest_difference_rad}
     sentences = (
-        f"The law makes the end error {times(replay.rms_m['model'] / replay.rms_m['corrected'])} than believed; "
-        f"that radii follow the load makes it {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
-        f"{high:.2f}).",
-        f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays by at "
-        f"most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad.",
+        paragraph("replay", law=law, following=times(replay.ratio), low=low, high=high),
+        paragraph("runtime", runs=check.runs, samples=check.samples, **largest),
         *(f"The runtime refused {count} times: {status}." for status, count in check.faults.items()),
     )
     return (errors, *map(Text, sentences), *left_out)
