@@ -316,9 +316,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     if diagnosis.causes and not diagnosis.recommended:
         notes.append("this correction is not recommended: see calib diagnose")
     if unknown := ", ".join(noise.undetermined):
-        notes.append(
-            f"these runs say nothing of {unknown}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
-        )
+        notes.append(paragraph("amcl_unknown", listed=unknown, default=DEFAULT_ALPHA))
     if noise.beyond_form:
         notes.append(paragraph("amcl_form", listed=_listed(noise.form), cover=noise.cover))
         near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
