@@ -324,11 +324,5 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
         # a window begins in motion: its start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
-    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
-    cos, sin = np.cos(theta_late), np.sin(theta_late)
-    seen_x = x_late + cos * lever_x - sin * lever_y - lever_x
-    seen_y = y_late + sin * lever_x + cos * lever_y - lever_y
-    cos, sin = np.cos(world.ref_yaw_rad), np.sin(world.ref_yaw_rad)
-    return np.stack(
-        [distance, cos * seen_x - sin * seen_y, sin * seen_x + cos * seen_y, theta_late, path_m, theta], axis=1
-    )
+    seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)
+    return np.stack([distance, *seen, theta_late, path_m, theta], axis=1)

@@ -200,13 +200,9 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
     read = demonstration() if campaign is None else read_campaign(campaign)
     declared = read.extra.get("effects", ())
     nominal = predict(observations_of(read))
-    if effect is not None:
-        known = every_effect(nominal.s, declared=declared)
-        if effect not in known:
-            near = terminal.nearest(effect, known)
-            raise BadInputError(
-                f"found the effect {effect!r}; expected one that 'calib effects' lists{near or '; choose one of it'}"
-            )
+    if effect is not None and effect not in (known := every_effect(nominal.s, declared=declared)):
+        near = terminal.nearest(effect, known) or "; choose one of it"
+        raise BadInputError(f"found the effect {effect!r}; expected one that 'calib effects' lists{near}")
     runs = DEMONSTRATION if campaign is None else f"the runs of {read.name}"
     return nominal, catalogue(nominal, declared, () if effect is None else (effect,)), runs
 

@@ -257,9 +257,8 @@ def quantities_of(
         known = usual & np.isfinite(column)
         if found := population(column[known], std[name][known]):
             populations[name] = found
-    middle = {
-        name: populations[name].mean if name in populations else float(np.nanmean(own[name])) for name in compared
-    }
+    means = {name: populations[name].mean for name in compared if name in populations}
+    middle = {name: float(np.nanmean(own[name])) for name in compared if name not in means} | means
     stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
     return Quantities(populations, tuple(stay), common)
 
@@ -336,11 +335,10 @@ def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[Sha
     names = [record.name for record in done]
     findings = _findings(done)
     counted = Counter(what for found in findings for what in found)
-    whole = [
-        SharedCause(what, "", "", count, len(done)) for what, count in counted.most_common() if count >= FEWEST_SHARING
-    ]
+    often = [(what, count) for what, count in counted.most_common() if count >= FEWEST_SHARING]
+    whole = [SharedCause(what, "", "", count, len(done)) for what, count in often]
     by_label: list[SharedCause] = []
-    for what in sorted(cause.what for cause in whole):
+    for what, _ in sorted(often):
         shows = np.array([what in found for found in findings])
         by_label += [_compared(what, *having, shows) for having in _labelled(names, labels)]
     stands = false_discovery(np.array([cause.p_value for cause in by_label]))

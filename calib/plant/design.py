@@ -257,7 +257,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     conditions = []
     for number, kind in enumerate(route):
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
-        condition = _Run(
+        run = _Run(
             kind=kind,
             direction=ways[(number // 2) % 2] if corridor else "",
             payload_kg=payload[number],
@@ -267,7 +267,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
             stops=stops[number],
             flying=flying[number],
         )
-        conditions.append(condition)
+        conditions.append(run)
     return conditions
 
 

@@ -88,25 +88,16 @@ class PlannedFleet:
             session = [f"m{month}-{int(value)}" for value in day]
             load = rng.choice(LOADS_N, (n, 2))
             shift = {label: rng.normal(0.0, 4e-6, 2) for label in sorted(set(session))}
-            true = (
-                self.radius_m[row] + self.slope_m_per_N[row] * (load - 300.0) + np.outer(day, self.rate_m_per_day[row])
-            )
+            lawful = self.radius_m[row] + self.slope_m_per_N[row] * (load - 300.0)
+            true = lawful + np.outer(day, self.rate_m_per_day[row])
             true = true + np.array([shift[label] for label in session]) + rng.normal(0.0, 1.5e-5, (n, 2))
             way = rng.uniform(37.0, 42.0, n)
             counts = np.round(way[:, None] / (2 * np.pi * true) * COUNTS_PER_REV).astype(np.int64)
-            tables.append(
-                {
-                    "run_id": [f"r{int(k):03d}" for k in share],
-                    "session": session,
-                    "kind": ["corridor"] * n,
-                    "load_left_N": load[:, 0],
-                    "load_right_N": load[:, 1],
-                    "distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5),
-                    "counts_left": counts[:, 0],
-                    "counts_right": counts[:, 1],
-                    "day": day.astype(np.float64),
-                }
-            )
+            table: Table = {"run_id": [f"r{int(k):03d}" for k in share], "session": session, "kind": ["corridor"] * n}
+            table |= {"load_left_N": load[:, 0], "load_right_N": load[:, 1]}
+            table |= {"distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5)}
+            table |= {"counts_left": counts[:, 0], "counts_right": counts[:, 1], "day": day.astype(np.float64)}
+            tables.append(table)
         return tables
 
 

@@ -28,12 +28,8 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
     curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
     theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
     x, y = record.x_m - late * np.cos(record.theta_rad), record.y_m - late * np.sin(record.theta_rad)
-    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
-    cos, sin = np.cos(theta), np.sin(theta)
-    x, y = x + cos * lever_x - sin * lever_y - lever_x, y + sin * lever_x + cos * lever_y - lever_y
-    turned = world.ref_yaw_rad + noise.start_heading_rad
-    cos, sin = np.cos(turned), np.sin(turned)
-    return np.stack([cos * x - sin * y, sin * x + cos * y, theta + noise.start_heading_rad])
+    x, y = world.seen_target(x, y, theta, world.ref_yaw_rad + noise.start_heading_rad)
+    return np.stack([x, y, theta + noise.start_heading_rad])
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:

@@ -223,6 +223,16 @@ class World:
         """True weight of vehicle and payload, shape (n_runs,)."""
         return GRAVITY_MPS2 * (self.design.vehicle.mass_kg + self.payload_scale * self.design.payload_kg)
 
+    def seen_target(
+        self, x_m: FloatArray, y_m: FloatArray, theta_rad: FloatArray, turned_rad: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where the pose reference sees its target: carried round by its lever arm, in a turned start frame."""
+        lever_x, lever_y = self.ref_lever_x_m, self.ref_lever_y_m
+        cos, sin = np.cos(theta_rad), np.sin(theta_rad)
+        x, y = x_m + cos * lever_x - sin * lever_y - lever_x, y_m + sin * lever_x + cos * lever_y - lever_y
+        cos, sin = np.cos(turned_rad), np.sin(turned_rad)
+        return cos * x - sin * y, sin * x + cos * y
+
     def settle(self) -> None:
         """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""
         design, payload_kg = self.design, self.payload_scale * self.design.payload_kg

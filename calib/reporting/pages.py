@@ -129,18 +129,11 @@ def to_html(report: Report, panels: str = "") -> str:
     """Return a report as a self-contained page, with linked panels in place of the figures of the diagnosis."""
     sections = report.sections
     if panels:
-        sections = tuple(
-            replace(part, blocks=tuple(each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES))
-            for part in sections
-        )
-    page = {
-        "kind": f"Calibration report {report.report_id}",
-        "title": report.title,
-        "name": report.name,
-        "simulated": report.simulated,
-        "head": report.head,
-        "footer": f"Issued {report.issued}; report {report.report_id}",
-    }
+        kept = [[each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES] for part in sections]
+        sections = tuple(replace(part, blocks=tuple(rest)) for part, rest in zip(sections, kept, strict=True))
+    page = {name: getattr(report, name) for name in ("title", "name", "simulated", "head")}
+    page["kind"] = f"Calibration report {report.report_id}"
+    page["footer"] = f"Issued {report.issued}; report {report.report_id}"
     return _page(page, sections, panels)
 
 
