@@ -179,10 +179,9 @@ def strengths(
         # end poses need no fine log; what the front wheel and its sensor say is summed over it
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
-    blocks = np.zeros((n_causes, n_causes + 1, n_runs))
-    for number in range(n_causes):
-        blocks[number, number + 1] = 1.0
-    apply_causes(world, causes, blocks.reshape(n_causes, -1))
+    # the first block of runs without any cause, the next with the first one alone, and so on
+    blocks = np.repeat(np.eye(n_causes, n_causes + 1, 1), n_runs, axis=1)
+    apply_causes(world, causes, blocks)
     still = quiet(n_runs).tile(n_causes + 1)
     # summed over the log
     logged = None if design.front or design.outside else n_runs

@@ -63,8 +63,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     }
     for picture in stepped(report.pictures, progress, "figures of the PDF"):
         sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
-    for attachment in report.attachments:
-        sources[attachment.name] = attachment.data
+    sources |= {attachment.name: attachment.data for attachment in report.attachments}
     if report.logo is not None:
         sources |= dict([report.logo])
     with TemporaryDirectory(prefix="calib-report-") as folder:
