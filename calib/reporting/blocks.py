@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.documents import plain_fields
@@ -157,7 +157,7 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
     """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
-    text = (files("calib.reporting") / "words.toml").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
     sentences: dict[str, dict[str, str]] = tomllib.loads(text)
     return sentences
 
