@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +20,7 @@ Row = dict[str, str | float | None]
 Progress = Callable[[int, int, str], None]
 
 Item = TypeVar("Item")
+Key = TypeVar("Key")
 
 
 def floats(values: npt.ArrayLike) -> FloatArray:
@@ -37,6 +38,14 @@ def stepped(items: Collection[Item], progress: Progress, stage: str) -> Iterator
         progress(number, len(items), stage)
         yield item
     progress(len(items), len(items), stage)
+
+
+def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
+    """Return the second parts of pairs by the first, in the order in which these first appear."""
+    groups: dict[Key, list[Item]] = {}
+    for key, item in pairs:
+        groups.setdefault(key, []).append(item)
+    return groups
 
 
 def since_start(steps: FloatArray, offsets: IntArray) -> FloatArray:

@@ -19,7 +19,7 @@ from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Cause, Noise, random_noise
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, grouped
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: effects of which only positive sizes have a meaning
@@ -83,10 +83,7 @@ class Truth:
 def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:
     """Return the runs of a case; the same for the same arguments."""
     rng = np.random.default_rng([seed, recipe.number, 0, redraw])
-    needs: set[str] = set()
-    for name in recipe.effects:
-        effect, _, form = name.partition("/")
-        needs |= find(effect, form).needs
+    needs = {need for name in recipe.effects for need in find(*name.split("/")).needs}
     n_runs = int(rng.choice([30, 40, 50, 60, 60, 80, 100]))
     if rng.random() < 0.05:
         n_runs = int(rng.choice([20, 120, 160]))
@@ -109,11 +106,8 @@ def truth_of(recipe: Recipe, seed: int, max_runs: int) -> Truth:
     """Draw the truth of a case: noise, model, causes, and their sizes for the wanted signals."""
     for redraw in range(_TRIES):
         truth = _draw(recipe, seed, max_runs, redraw)
-        hidden = [
-            beside is not None and signal is not None and beside < 0.6 * signal
-            for beside, signal in zip(truth.beside, truth.signals, strict=True)
-        ]
-        if not any(hidden):
+        pairs = zip(truth.beside, truth.signals, strict=True)
+        if not any(beside is not None and signal is not None and beside < 0.6 * signal for beside, signal in pairs):
             break
     return truth
 
@@ -156,20 +150,13 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     )
 
 
-def _ceilings(
-    among: Alternatives, recipe: Recipe, seed: int
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-
-    def rounded(ceiling: Ceiling | None) -> tuple[float, float] | None:
-        return None if ceiling is None else (round(ceiling.free, 3), round(ceiling.gated, 3))
-
-    known, signal = signatures(among), recipe.targets[0]
-    drawn = np.random.default_rng([seed, recipe.number, 3])
-    best = rounded(ceiling_of(known, signal, drawn, one_sign=ONE_SIGN))
-    if is_calibration(among.cause):
-        return best, None
-    drawn = np.random.default_rng([seed, recipe.number, 4])
-    return best, rounded(ceiling_of_truth(known, among.cause.effect, among.left(0), signal, drawn, one_sign=ONE_SIGN))
+def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[tuple[float, float] | None]:
+    known, signal, cause = signatures(among), recipe.targets[0], among.cause
+    drawn, drawn_of_own = (np.random.default_rng([seed, recipe.number, stream]) for stream in (3, 4))
+    best, own = ceiling_of(known, signal, drawn, one_sign=ONE_SIGN), None
+    if not is_calibration(cause):
+        own = ceiling_of_truth(known, cause.effect, among.left(0), signal, drawn_of_own, one_sign=ONE_SIGN)
+    return [None if one is None else (round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
@@ -308,10 +295,8 @@ def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) 
 
 def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray, signal: float) -> FloatArray:
     """Return each effect's log likelihood against noise alone, its direction averaged out, (n, n_effects)."""
-    by_effect: list[list[FloatArray]] = [[] for _ in range(n_effects)]
-    for space in spaces:
-        by_effect[space.effect].append(_log_likelihood(space, readings, signal))
-    return np.stack([_log_mean(np.stack(forms, axis=1)) for forms in by_effect], axis=1)
+    by_effect = grouped((space.effect, _log_likelihood(space, readings, signal)) for space in spaces)
+    return np.stack([_log_mean(np.stack(by_effect[effect], axis=1)) for effect in range(n_effects)], axis=1)
 
 
 def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> FloatArray:

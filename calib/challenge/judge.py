@@ -17,24 +17,12 @@ Compared = tuple[str, float, float, float]  # parameter, truth, low, high
 
 #: effect, in its plain form -> parameter of the verdict that is its size
 _SIZES: Final = {
-    "radius_scale": "relative",
-    "unequal_radii": "relative",
-    "track_width": "relative",
-    "curve_scrub": "widening",
-    "rangefinder_scale": "relative",
-    "rangefinder_offset": "offset",
-    "travel_direction": "relative",
-    "reference_yaw": "yaw",
-    "reference_latency": "latency",
-    "temperature_radius": "alpha",
-    "payload_mass": "share",
-    "floor_undulation": "excess",
-    "steering_zero": "zero",
-    "steering_scale": "relative",
-    "speed_radius": "per_mps",
-    "side_slip": "slip_per_acceleration",
-    "steering_delay": "delay",
-}
+    "radius_scale": "relative", "unequal_radii": "relative", "track_width": "relative", "curve_scrub": "widening",
+    "rangefinder_scale": "relative", "rangefinder_offset": "offset", "travel_direction": "relative",
+    "reference_yaw": "yaw", "reference_latency": "latency", "temperature_radius": "alpha", "payload_mass": "share",
+    "floor_undulation": "excess", "steering_zero": "zero", "steering_scale": "relative", "speed_radius": "per_mps",
+    "side_slip": "slip_per_acceleration", "steering_delay": "delay",
+}  # fmt: skip
 
 
 def _expected(truth: Truth, cause: Cause) -> dict[str, float]:

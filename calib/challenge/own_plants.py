@@ -53,11 +53,6 @@ def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | 
     }
 
 
-def column_act(values: FloatArray) -> SizedAct:
-    """Return a column's pull on both radii, a size for each standard deviation of the column (n_units,)."""
-    return _on_both_radii(_standard(values))
-
-
 def _on_both_radii(share: FloatArray) -> SizedAct:
     return lambda world, size: world.enlarge(size * share)
 
@@ -69,14 +64,8 @@ def _standard(values: FloatArray) -> FloatArray:
 def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
     design, observations = replay.design, replay.observations
     order = np.arange(len(observations), dtype=np.float64)
-    candidates = [
-        observations.number("load_left_N"),
-        design.temperature_C,
-        design.speed_mps,
-        design.minutes_under_load,
-        observations.length_m,
-        order,
-    ]
+    driven = (design.temperature_C, design.speed_mps, design.minutes_under_load)
+    candidates = (observations.number("load_left_N"), *driven, observations.length_m, order)
     varying = [v for v in candidates if np.isfinite(v).all() and np.std(v) > 1e-6 * (1e-3 + np.abs(np.mean(v)))]
     return next((pair for pair in combinations(varying, 2) if abs(float(np.corrcoef(*pair)[0, 1])) < ALIKE), None)
 
@@ -212,7 +201,8 @@ def _candidates(
         elif not effect.forms(diagnosis.observations):
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
         elif effect.id.startswith("covariate:"):
-            act = column_act(replay.observations.number(effect.id.partition(":")[2]))
+            # on both radii, by standard deviations of the column
+            act = _on_both_radii(_standard(replay.observations.number(effect.id.partition(":")[2])))
             candidates.append(_Candidate(effect.id, "plain", "1/sd", 5e-4, False, act))
         elif effect.id not in plant_effects():
             left_out[effect.id] = "an effect of the campaign's own has no form to plant"
@@ -222,9 +212,8 @@ def _candidates(
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             # drawn by name, so that another selection of effects draws the same
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
-            candidates.append(
-                _Candidate(effect.id, form.form, form.unit, form.typical, False, partial(_planted, form, knobs))
-            )
+            act = partial(_planted, form, knobs)
+            candidates.append(_Candidate(effect.id, form.form, form.unit, form.typical, False, act))
     for name, outsider in outsiders(replay, rng).items():
         if isinstance(outsider, str):
             left_out[name] = outsider

@@ -154,8 +154,8 @@ def route_of(observations: Observations) -> Route:
     duration = wide(observations.duration_s)
     speed = _smoothed(wide(observations.speed_mps), duration, lengths)
     change = np.diff(speed, axis=0, prepend=speed[:1])
-    front = FrontModel.of(observations.vehicle) if observations.by_front else FrontModel(0.0, 1.0)
-    front = observations.model.front or front
+    assumed = FrontModel.of(observations.vehicle) if observations.by_front else FrontModel(0.0, 1.0)
+    front = observations.model.front or assumed
     with np.errstate(divide="ignore", invalid="ignore"):
         acceleration = np.where(duration > 0, change / duration, 0.0)
     return Route(
@@ -200,9 +200,9 @@ def design_of(observations: Observations) -> Design:
     names = np.array([f"{'corridor' if s else 'route'}_{k}" for s, k in zip(straight, observations.kind, strict=True)])
     speed = number("speed_mps")
     if not speed.any():
-        speed = np.abs(observations.total(np.abs(observations.path_m)))
         elapsed = observations.total(observations.duration_s)
-        speed = np.where(elapsed > 0, speed / np.where(elapsed > 0, elapsed, 1.0), 0.0)
+        way = observations.total(np.abs(observations.path_m))
+        speed = np.divide(way, elapsed, out=np.zeros_like(way), where=elapsed > 0)
     unstated: dict[str, Any] = {name: np.nan_to_num(observations.number(name)) for name in ZERO_WHERE_UNKNOWN}
     return Design(
         kind=names,
@@ -324,11 +324,5 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
         # a window begins in motion: its start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
-    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
-    cos, sin = np.cos(theta_late), np.sin(theta_late)
-    seen_x = x_late + cos * lever_x - sin * lever_y - lever_x
-    seen_y = y_late + sin * lever_x + cos * lever_y - lever_y
-    cos, sin = np.cos(world.ref_yaw_rad), np.sin(world.ref_yaw_rad)
-    return np.stack(
-        [distance, cos * seen_x - sin * seen_y, sin * seen_x + cos * seen_y, theta_late, path_m, theta], axis=1
-    )
+    seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)
+    return np.stack([distance, *seen, theta_late, path_m, theta], axis=1)

@@ -20,7 +20,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
-from calib.types import FloatArray, Progress, silent
+from calib.types import FloatArray, Progress, grouped, silent
 
 #: verdicts that name no cause
 SILENT: Final = ("no_gap", "undecided", "unknown")
@@ -224,10 +224,8 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
     progress(0, len(jobs), "diagnoses")
     work = partial(_diagnosed, bench, began + asked.seconds)
     answers = each(work, jobs, asked.workers, lambda done: progress(done, len(jobs), "diagnoses"))
-    by_plant: dict[int, list[Answer]] = {}
-    for job, answer in zip(jobs, answers, strict=True):
-        if answer is not None:
-            by_plant.setdefault(job.plant, []).append(answer)
+    answered = ((job.plant, answer) for job, answer in zip(jobs, answers, strict=True) if answer is not None)
+    by_plant = grouped(answered)
     return Own(
         campaign=campaign.name,
         simulated=campaign.simulated,

@@ -116,13 +116,12 @@ def diagnose_and_try(
     return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
 
 
-def run_case(
-    folder: Path, case: str, exclude: tuple[str, ...], seed: int, diagnoser: Diagnoser = diagnose_and_try
-) -> bool:
-    """Diagnose one case and write ``verdicts/<case>.json``; return whether it ended without an error; see `Diagnoser`.
+def run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
+    """Diagnose one case (name, effects to leave out) and write ``verdicts/<case>.json``; see `Diagnoser`.
 
-    An error of the diagnosis is written down: it is a miss of the case.
+    Returns whether it ended without an error. An error of the diagnosis is written down: it is a miss of the case.
     """
+    case, exclude = waiting
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
     again = folder / "fresh" / case
     started = time.perf_counter()
@@ -157,11 +156,7 @@ def run(
     ]
     skipped = len(cases) - len(waiting)
     progress(skipped, len(cases), "cases")
-    work = partial(_job, folder, seed, diagnoser or diagnose_and_try)
+    work = partial(run_case, folder, seed, diagnoser or diagnose_and_try)
     alone = diagnoser is not None or not waiting
     fine = each(work, waiting, 1 if alone else workers, lambda done: progress(skipped + done, len(cases), "cases"))
     return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))
-
-
-def _job(folder: Path, seed: int, diagnoser: Diagnoser, case: tuple[str, tuple[str, ...]]) -> bool:
-    return run_case(folder, *case, seed, diagnoser)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
 from calib.documents import plain_fields
 from calib.errors import BadFileError
 from calib.io import sha256_file
+from calib.types import grouped
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
@@ -237,10 +239,8 @@ def _of(cases: list[Judged], group: str) -> list[Judged]:
 
 
 def _reliability(statements: list[tuple[float, bool]]) -> tuple[Bin, ...]:
-    bins: dict[int, list[tuple[float, bool]]] = {}
     numbers = np.minimum(np.searchsorted(_EDGES, [p for p, _ in statements], side="right") - 1, _BINS - 1)
-    for number, statement in zip(numbers.tolist(), statements, strict=True):
-        bins.setdefault(number, []).append(statement)
+    bins: dict[int, list[tuple[float, bool]]] = grouped(zip(numbers.tolist(), statements, strict=True))
     return tuple(
         Bin(_EDGES[k], _EDGES[k + 1], float(np.mean([p for p, _ in inside])), share([hit for _, hit in inside]))
         for k, inside in sorted(bins.items())
@@ -248,14 +248,10 @@ def _reliability(statements: list[tuple[float, bool]]) -> tuple[Bin, ...]:
 
 
 def _confusion(cases: list[Judged]) -> dict[str, dict[str, int]]:
-    rows: dict[str, dict[str, int]] = {}
-    for case in cases:
-        if case.group in ("pair", "crowded"):
-            continue
-        row = rows.setdefault(("deleted: " if case.deleted else "") + (case.truth[0] if case.truth else "nothing"), {})
-        answer = case.named[0] if case.named else case.verdict
-        row[answer] = row.get(answer, 0) + 1
-    return {truth: dict(sorted(rows[truth].items(), key=lambda item: -item[1])) for truth in sorted(rows)}
+    of_one = [case for case in cases if case.group not in ("pair", "crowded")]
+    truths = [f"{'deleted: ' if case.deleted else ''}{case.truth[0] if case.truth else 'nothing'}" for case in of_one]
+    rows = grouped(zip(truths, ((*case.named, case.verdict)[0] for case in of_one), strict=True))
+    return {truth: dict(Counter(rows[truth]).most_common()) for truth in sorted(rows)}
 
 
 def _summary(cases: list[Judged]) -> dict[str, object]:
@@ -263,9 +259,7 @@ def _summary(cases: list[Judged]) -> dict[str, object]:
         return float(np.median(values)) if values else None
 
     intervals = [interval for case in cases for interval in case.intervals]
-    hits: dict[str, list[bool]] = {}
-    for name, truth, low, high in intervals:
-        hits.setdefault(name, []).append(low <= truth <= high)
+    hits = grouped((name, low <= truth <= high) for name, truth, low, high in intervals)
     both = [(one.predicted, one.achieved) for one in cases if one.predicted is not None and one.achieved is not None]
     explained = [case.predicted for case in cases if case.verdict == "explained" and case.predicted is not None]
     crowded = [statement for case in _of(cases, "crowded") for statement in case.statements]

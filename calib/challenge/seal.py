@@ -74,21 +74,16 @@ def read_seeds(path: Path) -> Seeds:
         seeds = TypeAdapter(Seeds).validate_python({"purpose": "", **data})
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part != "[key]")
-        raise BadFileError(
-            path, column=where, found=f"{first['input']!r:.80}", expected=_EXPECTED, remedy=_REMEDY
-        ) from error
+        where, found = ".".join(str(part) for part in first["loc"] if part != "[key]"), f"{first['input']!r:.80}"
+        raise BadFileError(path, found, _EXPECTED, _REMEDY, column=where) from error
     total = sum(seeds.cases.values())
     refuse_beyond(total, CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
     return seeds
 
 
 def _library() -> list[str]:
-    names = dict.fromkeys(
-        form.effect
-        for form in ALL
-        if not form.effect.startswith("outside:") and form.effect not in (*CALIBRATION, *_GROSS)
-    )
+    known = (form.effect for form in ALL if form.effect not in (*CALIBRATION, *_GROSS))
+    names = dict.fromkeys(name for name in known if not name.startswith("outside:"))
     covariates = [name for name in names if name.startswith("covariate:")]
     return [name for name in names if name not in covariates[1:]]
 
@@ -216,9 +211,9 @@ def _write_one(folder: Path, truth: Truth) -> None:
 def make(
     seeds_file: Path,
     folder: Path,
-    *,
     limit: int | None = None,
     truth_file: Path | None = None,
+    *,
     workers: int = 2,
     force: bool = False,
     progress: Progress = silent,

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import Place, arg, opt
+from calib.cli.terminal import Count, Place, arg, opt
 from calib.errors import BadInputError, refuse_more, refuse_workers
-
-if TYPE_CHECKING:
-    from calib.campaign.ingest.build import Ingested
 
 #: runs cut out of a recording that are listed
 _LISTED_RUNS = 8
@@ -71,14 +68,17 @@ def ingest(
         "assumed": list(ingested.campaign.assumed),
         "sources": dict(ingested.sources),
         "cuts": plain(ingested.cuts),
-        "notes": [{"level": note.level, "where": note.where, "text": note.text} for note in ingested.notes],
+        "notes": [{name: getattr(note, name) for name in ("level", "where", "text")} for note in ingested.notes],
     }
     terminal.emit_json(document)
     if terminal.wants_stdout():
         return
     for note in build.merged_notes(ingested.notes):
         terminal.say(f"{note.where}: {note.text}")
-    _say_cuts(ingested)
+    if cuts := ingested.cuts:
+        shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in cuts[:_LISTED_RUNS])
+        more = f" and {len(cuts) - _LISTED_RUNS} more" if len(cuts) > _LISTED_RUNS else ""
+        terminal.say(f"Cut into runs: {shown}{more}.")
     end = "; nothing was written" if dry_run else ""
     terminal.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
     terminal.then("ingest --dry-run" if dry_run else "ingest", c=ingested.folder)
@@ -94,14 +94,6 @@ def _describe(sources: list[Path]) -> None:
         terminal.emit_text(description.to_toml())
         # standard output is the mapping alone
         terminal.then("ingest --describe", aside=True, sources=sources)
-
-
-def _say_cuts(ingested: Ingested) -> None:
-    if not ingested.cuts:
-        return
-    shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in ingested.cuts[:_LISTED_RUNS])
-    more = f" and {len(ingested.cuts) - _LISTED_RUNS} more" if len(ingested.cuts) > _LISTED_RUNS else ""
-    terminal.say(f"Cut into runs: {shown}{more}.")
 
 
 def check(
@@ -160,29 +152,28 @@ def run(
     refuse_workers(workers)
     from calib.fleet.run import fit_fleet, survey_fleet
     from calib.fleet.store import any_simulated
-    from calib.reporting.pages import Heads, write_fleet, write_survey
+    from calib.reporting.pages import Heads, write_fleet
     from calib.reporting.source import issue_date
-    from calib.reporting.topics.fleet import fleet_content, survey_content
+    from calib.reporting.topics.fleet import fleet_content
 
     issued = issue_date(date)
     terminal.keep(f"what was read so far, in {into}; the same command goes on")
     with terminal.progress("fleet") as tick:
-        if what == "fit":
-            fleet = fit_fleet(folder, into, workers=workers, scheduler=scheduler, progress=tick)
-            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
-            document, blocks, written = fleet.to_dict(), fleet_content(fleet), write_fleet(fleet, into, heads)
-        else:
-            survey = survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
-            heads = Heads(folder.resolve().name, issued, any_simulated(folder))
-            document, blocks, written = survey.to_dict(), survey_content(survey), write_survey(survey, into, heads)
-    terminal.answer(document, blocks)
+        fleet = (
+            fit_fleet(folder, into, workers=workers, scheduler=scheduler, progress=tick)
+            if what == "fit"
+            else survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
+        )
+        document = fleet.to_dict()
+        written = write_fleet(fleet, into, Heads(folder.resolve().name, issued, any_simulated(folder)))
+    terminal.answer(document, fleet_content(fleet))
     terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
     campaigns = [vehicle for vehicle in failed if vehicle.is_dir()]
     posed = any((folder / str(vehicle["id"])).is_dir() for vehicle in document["vehicles"])
-    step = (
-        "fleet vehicle failed" if campaigns else "fleet file failed" if failed else "fleet" if posed else "fleet table"
-    )
+    step = "fleet" if posed else "fleet table"
+    if failed:
+        step = "fleet vehicle failed" if campaigns else "fleet file failed"
     other = "diagnose" if what in {"fit", "geometry"} else "fit"
     terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1], into=into)
     return int(bool(failed))
@@ -199,9 +190,9 @@ def simulate(
     vehicles: Annotated[int, opt(None, "How many vehicles.", min=1)] = 400,
     runs: Annotated[int, opt(None, "Runs a vehicle.", min=6)] = 60,
     months: Annotated[int, opt(None, "Months that they are spread over.", min=1)] = 6,
-    outliers: Annotated[int | None, opt(None, "Vehicles with a wheel of their own (20).", min=0)] = None,
-    drifting: Annotated[int | None, opt(None, "Vehicles whose radius drifts (5).", min=0)] = None,
-    common: Annotated[int | None, opt(None, "Vehicles in hall B, whose floor shows (40).", min=0)] = None,
+    outliers: Annotated[Count, opt(None, "Vehicles with a wheel of their own (20).", min=0)] = None,
+    drifting: Annotated[Count, opt(None, "Vehicles whose radius drifts (5).", min=0)] = None,
+    common: Annotated[Count, opt(None, "Vehicles in hall B, whose floor shows (40).", min=0)] = None,
     poses: Annotated[
         bool, opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses")
     ] = False,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import Place, Texts, arg, opt
+from calib.cli.terminal import Place, Text, Texts, arg, opt
 from calib.errors import BadInputError, RefusedError, refuse_workers
 
 if TYPE_CHECKING:
@@ -50,10 +50,10 @@ def run(
     from calib.gap.diagnose import diagnosed
     from calib.reporting.present import after_diagnosis
     from calib.reporting.source import verdict_document
-    from calib.reporting.topics.diagnosis import diagnosis_full
+    from calib.reporting.topics.diagnosis import GAP_FIGURES, diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
-    terminal.refuse_outputs(apply, html, result, *_pictures(figures))
+    terminal.refuse_outputs(apply, html, result, *terminal.figure_files(figures, GAP_FIGURES))
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
         raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
@@ -73,7 +73,11 @@ def run(
     terminal.say(ran)
     terminal.save(result, document)
     if html is not None:
-        terminal.save(html, _page(diagnosis, read))
+        from calib.reporting.pages import diagnosis_page
+
+        with terminal.waiting("making the page"):
+            page = diagnosis_page(diagnosis, read)
+        terminal.save(html, page)
     if figures is not None:
         from calib.reporting.figures.gap import gap_figures
 
@@ -103,34 +107,18 @@ def _apply(
     if diagnosis.kind is VerdictKind.NO_GAP:
         terminal.say(f"{target} is not written: there is no gap, so the model stays as it is.")
         return ""
+    what, step = ("parameters are", "") if effects is None else ("model is", "diagnose --apply")
     try:
-        made = (
-            parameters_to_set(diagnosis) if effects is None else applied_model(diagnosis, campaign, effects).to_bytes()
-        )
+        known = effects or ()
+        made = parameters_to_set(diagnosis) if effects is None else applied_model(diagnosis, campaign, known).to_bytes()
     except RefusedError as refused:
         terminal.say(f"{target} is not written: {refused}.")
         return None
     terminal.save(target, made)
-    if not diagnosis.recommended:
-        what = "parameters are" if effects is None else "model is"
-        terminal.say(f"The written {what} not recommended: see above what speaks against it.")
-        return ""
-    return "" if effects is None else "diagnose --apply"
-
-
-def _page(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    from calib.reporting.pages import diagnosis_page
-
-    with terminal.waiting("making the page"):
-        return diagnosis_page(diagnosis, campaign)
-
-
-def _pictures(folder: Path | None) -> list[Path]:
-    if folder is None:
-        return []
-    from calib.reporting.figures.gap import GAP_FIGURES
-
-    return terminal.figure_files(folder, GAP_FIGURES)
+    if diagnosis.recommended:
+        return step
+    terminal.say(f"The written {what} not recommended: see above what speaks against it.")
+    return ""
 
 
 def _simulated(
@@ -140,21 +128,20 @@ def _simulated(
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
     from calib.gap.simulator.settings import read_settings
+    from calib.reporting.formatting import plural
 
     refuse_workers(workers)
-    settings, finished = read_settings(simulator), 0
+    settings, finished = read_settings(simulator), {RUNS_STAGE: 0}
 
     def counted(done: int, total: int, stage: str) -> None:
-        nonlocal finished
-        finished = done if stage == RUNS_STAGE else finished
+        finished[stage] = done
         tick(done, total, stage)
 
     try:
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
-        if finished and cache_folder("simulator") is not None:
-            runs = "1 run" if finished == 1 else f"{finished} runs"
-            terminal.keep(f"results of {runs} of the simulator, which will not run again")
+        if (runs := finished[RUNS_STAGE]) and cache_folder("simulator") is not None:
+            terminal.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
         raise
     return done.diagnosis, done.runs.sentence
 
@@ -174,7 +161,7 @@ DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
 
 
 def effects(
-    effect: Annotated[str | None, arg("ID", "An effect, of which all is said; without it a list.")] = None,
+    effect: Annotated[Text, arg("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
         Place, opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too.")
     ] = None,
@@ -213,29 +200,21 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
     read = demonstration() if campaign is None else read_campaign(campaign)
     declared = read.extra.get("effects", ())
     nominal = predict(observations_of(read))
-    if effect is not None:
-        known = every_effect(nominal.s, declared=declared)
-        if effect not in known:
-            near = terminal.nearest(effect, known)
-            raise BadInputError(
-                f"found the effect {effect!r}; expected one that 'calib effects' lists{near or '; choose one of it'}"
-            )
+    if effect is not None and effect not in (known := every_effect(nominal.s, declared=declared)):
+        near = terminal.nearest(effect, known) or "; choose one of it"
+        raise BadInputError(f"found the effect {effect!r}; expected one that 'calib effects' lists{near}")
     runs = DEMONSTRATION if campaign is None else f"the runs of {read.name}"
     return nominal, catalogue(nominal, declared, () if effect is None else (effect,)), runs
 
 
-#: the picture of --figures
-MATRIX = "plan-matrix"
-
-
 def plan(
-    campaign: Annotated[Path | None, arg("[CAMPAIGN]", "Campaign that was driven.")] = None,
+    campaign: Annotated[Place, arg("[CAMPAIGN]", "Campaign that was driven.")] = None,
     source: Annotated[Place, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")] = None,
     candidates: Annotated[Place, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")] = None,
     most: Annotated[int, opt(None, "How many runs to name.", min=1, max=50)] = 5,
     seed: terminal.Seed = 0,
     figures: Annotated[Place, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
-) -> int:
+) -> None:
     """List the runs to drive next, best first, with what each tells apart.
 
     With --from, say which effects a plan could see at which size, and which it could never tell apart. Either way, what
@@ -248,17 +227,17 @@ def plan(
     """
     if (campaign is None) == (source is None):
         raise BadInputError("plan: found both or none; expected a CAMPAIGN or --from PLAN.toml; give one of them")
-    if source is not None:
-        if candidates is not None:
-            raise BadInputError("--candidates: found with --from; expected with a CAMPAIGN; leave one of them out")
-        return _judge(source, figures)
-    assert campaign is not None
-    if figures is not None:
+    if source is not None and candidates is not None:
+        raise BadInputError("--candidates: found with --from; expected with a CAMPAIGN; leave one of them out")
+    if source is None and figures is not None:
         raise BadInputError("--figures: found without --from; expected with it; leave it out")
-    return _next(campaign, candidates, most, seed)
+    if source is not None:
+        _judge(source, figures)
+    elif campaign is not None:
+        _next(campaign, candidates, most, seed)
 
 
-def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
+def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None:
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
@@ -272,16 +251,15 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> int:
     terminal.show(runs_and_promises(plan))
     terminal.then("plan" if plan.runs else "plan nothing", c=campaign)
     terminal.emit_json(plan.to_dict())
-    return 0
 
 
-def _judge(source: Path, figures: Path | None) -> int:
+def _judge(source: Path, figures: Path | None) -> None:
     from calib.api.results import promised
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
-    terminal.refuse_outputs(*terminal.figure_files(figures, [MATRIX]))
+    terminal.refuse_outputs(*terminal.figure_files(figures, ["plan-matrix"]))
     with terminal.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
@@ -291,8 +269,7 @@ def _judge(source: Path, figures: Path | None) -> int:
     if figures is not None:
         from calib.reporting.figures.gap import plan_matrix
 
-        terminal.draw(lambda: {MATRIX: plan_matrix(outlook)}, figures)
+        terminal.draw(lambda: {"plan-matrix": plan_matrix(outlook)}, figures)
     terminal.then("plan --from")
     geometry = promise and promise.to_dict()
     terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})
-    return 0

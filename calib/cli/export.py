@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli import terminal
-from calib.cli.terminal import Place, Texts, arg, opt
+from calib.cli.terminal import Place, Text, Texts, arg, opt
 from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
 from calib.reporting.exports import BINARY, export_from
@@ -23,19 +24,18 @@ if TYPE_CHECKING:
 Loads = Annotated[
     Texts, opt("N", "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv).", "--load")
 ]
-Controllers = Annotated[
-    list[str] | None,
-    opt("NAME", "ROS 2 controller, may be given again; without it those of the vehicle's drive.", "--controller"),
-]
+_CONTROLLER = "ROS 2 controller, may be given again; without it those of the vehicle's drive."
+Controllers = Annotated[Texts, opt("NAME", _CONTROLLER, "--controller")]
 VelocityFeedback = Annotated[
     bool, opt(None, "ROS 2: the joints report velocities, not positions.", "--velocity-feedback")
 ]
 OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
+KNOWN = (*FORMATS, *OTHER_FORMATS)
 Output = Annotated[
     Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
 ]
-Outside = Annotated[str | None, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
+Outside = Annotated[Text, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
 Model = Annotated[Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
 Left = Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
 Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
@@ -45,11 +45,11 @@ def export(
     source: Annotated[
         Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
     ],
-    to: Annotated[str, opt("FORMAT", f"{', '.join((*FORMATS, *OTHER_FORMATS))}; json is the master.")],
+    to: Annotated[str, opt("FORMAT", f"{', '.join(KNOWN)}; json is the master.")],
     output: Output = None,
     load: Loads = None,
     outside: Outside = None,
-    date: Annotated[str | None, opt("YYYY-MM-DD", "Date written into the file.")] = None,
+    date: Annotated[Text, opt("YYYY-MM-DD", "Date written into the file.")] = None,
     controller: Controllers = None,
     model: Model = None,
     left: Left = "",
@@ -70,28 +70,24 @@ def export(
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
-    if to not in FORMATS and to not in OTHER_FORMATS:
-        known = (*FORMATS, *OTHER_FORMATS)
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(known)}{terminal.nearest(to, known)}")
+    if to not in KNOWN:
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(KNOWN)}{terminal.nearest(to, KNOWN)}")
     refuse_loads(load, to)
     unused: dict[str, object] = {} if to in PATCHING else {"--into": model, "--left": left, "--right": right}
     if to in OTHER_FORMATS:
         unused |= {"--date": date, "--outside": outside, "--controller": controller}
         unused |= {"--velocity-feedback": velocity_feedback, "--open-loop": open_loop}
     terminal.refuse_options(f"with --to {to}", unused)
+    artifacts: Sequence[Artifact]
+    if to in BINARY and output is None:
+        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
     if to in OTHER_FORMATS:
-        artifacts = _of_other_format(source, to, output, accept)
+        with terminal.progress(to) as tick:
+            artifacts = export_from(source, to, accept=accept, progress=tick)
     else:
         coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
-        options = ExportOptions(
-            loads=parse_loads(load or []),
-            controllers=tuple(controller or ()),
-            position_feedback=not velocity_feedback,
-            open_loop=open_loop,
-            model=model,
-            left=left,
-            right=right,
-        )
+        given = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
+        options = replace(given, position_feedback=not velocity_feedback, open_loop=open_loop)
         artifacts = export(coefficients.file, to, options=options)
         notes += coefficients.notes
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
@@ -103,13 +99,6 @@ def export(
         # where the files went to standard output, nothing is added to them
         terminal.then(f"export {to}", c=source, file=files[0]["path"])
     terminal.emit_json({**head, "files": files, "notes": notes})
-
-
-def _of_other_format(source: Path, to: str, output: Path | None, accept: str) -> Sequence[Artifact]:
-    if to in BINARY and output is None:
-        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
-    with terminal.progress(to) as tick:
-        return export_from(source, to, accept=accept, progress=tick)
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
@@ -153,24 +142,22 @@ def report(
     from calib.reporting.source import issue_date, opened
 
     terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
-    issued = issue_date(date)
+    issued, force, drawn = issue_date(date), terminal.forced(), list[Path]()
     _refuse_targets(source, into, figures)
     with terminal.progress("report") as tick:
         given = opened(source, progress=tick)
         accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
         report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
-        target = place_of(report.name, into, force=terminal.forced())
-        drawn = (
-            [] if figures is None else write_figures(report.figures(), figures, force=terminal.forced(), progress=tick)
-        )
+        target = place_of(report.name, into, force=force)
+        if figures is not None:
+            drawn = write_figures(report.figures(), figures, force=force, progress=tick)
         page = "" if html is None else _page(report, given, tick)
-        write_bytes(target, to_pdf(report, tick), force=terminal.forced())
+        write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:
-        write_text(html, page, force=terminal.forced())
+        write_text(html, page, force=force)
     _tell(report, target, html, f"{len(drawn)} figure files to {figures}" if drawn else "")
     terminal.then(_next_step(report, given), c=source)
-    document: dict[str, object] = {"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()}
-    terminal.emit_json(document)
+    terminal.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
     return 0 if report.passed else 1
 
 

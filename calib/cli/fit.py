@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import Number, Place, Texts, arg, opt
+from calib.cli.terminal import Count, Number, Numbers, Place, Text, Texts, arg, opt
 from calib.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -15,17 +15,15 @@ if TYPE_CHECKING:
     from calib.reporting.blocks import Block
 
 
+_REFERENCE = "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."
+_MODEL = "Coefficient file whose law the fitted one is held against, at that law's reference load."
+
+
 def fit(
     campaign: terminal.CampaignOrRecording,
     into: Annotated[Place, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
-    reference_load: Annotated[
-        float | None,
-        opt("N", "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        opt("FILE", "Coefficient file whose law the fitted one is held against, at that law's reference load."),
-    ] = None,
+    reference_load: Annotated[Number, opt("N", _REFERENCE)] = None,
+    model: Annotated[Place, opt("FILE", _MODEL)] = None,
     runs: Annotated[bool, opt(None, "List the radius of every run.", "--runs")] = False,
     figures: terminal.Figures = None,
     mapping: terminal.MappingOption = None,
@@ -100,9 +98,9 @@ RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
 
 def geometry(
     campaign: terminal.CampaignOrRecording,
-    using: Annotated[str | None, opt("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
+    using: Annotated[Text, opt("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
     kind: Annotated[Texts, opt("KIND", "Use runs of this kind alone; may be given again.")] = None,
-    leave_out: Annotated[str | None, opt("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
+    leave_out: Annotated[Text, opt("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
     into: Annotated[Place, opt("FOLDER", "Write the result there (geometry.json).")] = None,
     output: Annotated[Place, opt("COEFFICIENTS", "Write a coefficient file.")] = None,
     figures: terminal.Figures = None,
@@ -160,15 +158,11 @@ WAVELENGTHS_M: Final = (40.0, 5.0)
 
 def deviation(
     campaign: Annotated[
-        Path | None, arg("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
+        Place, arg("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
     ] = None,
     tolerance: Annotated[float, opt("SHARE", "Largest relative error of a radius.")] = 0.0005,
-    amplitude: Annotated[
-        list[float] | None, opt("M", "Amplitude of the weave in the table; may be given again.")
-    ] = None,
-    wavelength: Annotated[
-        list[float] | None, opt("M", "Wavelength of the weave in the table; may be given again.")
-    ] = None,
+    amplitude: Annotated[Numbers, opt("M", "Amplitude of the weave in the table; may be given again.")] = None,
+    wavelength: Annotated[Numbers, opt("M", "Wavelength of the weave in the table; may be given again.")] = None,
     distance: Annotated[Number, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
     track: Annotated[Number, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
     radius_ratio: Annotated[Number, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")] = None,
@@ -219,13 +213,11 @@ def loads(
     payload: Annotated[Number, opt("KG", "Mass of the payload (0).")] = None,
     x: Annotated[Number, opt("M", "Its centre of mass ahead of the rear axle (0).")] = None,
     y: Annotated[Number, opt("M", "Its centre of mass left of the centre line (0).")] = None,
-    sweep: Annotated[str | None, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
+    sweep: Annotated[Text, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
     first: Annotated[Number, opt(None, "First value of the sweep.", "--from")] = None,
     last: Annotated[Number, opt(None, "Last value of the sweep.", "--to")] = None,
-    steps: Annotated[int | None, opt(None, "Values of the sweep (21).")] = None,
-    weighed: Annotated[
-        str | None, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")
-    ] = None,
+    steps: Annotated[Count, opt(None, "Values of the sweep (21).")] = None,
+    weighed: Annotated[Text, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")] = None,
     sigma: Annotated[Number, opt("N", "Standard uncertainty of each weighing (0).")] = None,
     vehicle: Annotated[Place, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
     mass: Annotated[Number, opt("KG", "Mass of the vehicle.")] = None,

@@ -96,11 +96,8 @@ def _machine_refused(error: Exception) -> str:
         return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
     if isinstance(error, OSError) and error.errno != errno.ENOMEM:
         # what a library writes on the way has no name here
-        where = (
-            os.fsdecode(error.filename)
-            if isinstance(error.filename, str | bytes)
-            else "standard output, or a temporary file"
-        )
+        named = isinstance(error.filename, str | bytes)
+        where = os.fsdecode(error.filename) if named else "standard output, or a temporary file"
         return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"
     if isinstance(error, MemoryError | OSError):
         return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
@@ -117,10 +114,9 @@ def _usage(error: Exception) -> str:
         return message
     words = context.command_path.split()
     option = getattr(error, "option_name", "")
-    others = [
-        name for name in COMMANDS if len(words) == 3 and name.split()[0] == words[1] and name.split()[1] != words[2]
-    ]
-    takers = [f"'calib {name}'" for name in others if option and option in options_of(name)]
+    own = " ".join(words[1:])
+    beside = [name for name in COMMANDS if len(words) == 3 and name.startswith(f"{words[1]} ") and name != own]
+    takers = [f"'calib {name}'" for name in beside if option and option in options_of(name)]
     message += f"; {' and '.join(takers)} {'has' if len(takers) == 1 else 'have'} it" if takers else ""
     return f"{message} (see '{context.command_path} --help')"
 
@@ -178,9 +174,7 @@ def overflow_noted() -> Iterator[None]:
         yield
     if overflows:
         what = ", ".join(dict.fromkeys(text.partition(" encountered")[0] for text in overflows))
-        sys.stderr.write(
-            f"calib: note: some numbers are too large, too small or missing to compute with ({what:.100})\n"
-        )
+        note(f"some numbers are too large, too small or missing to compute with ({what:.100})")
 
 
 #: where the shell asks for completions, and the words typed so far

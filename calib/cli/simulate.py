@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import Number, Place, Texts, arg, opt
+from calib.cli.terminal import Count, Number, Place, Text, Texts, arg, opt
 from calib.documents import plain
 from calib.errors import BadInputError
 
@@ -19,13 +19,11 @@ if TYPE_CHECKING:
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
 
-Routes = Annotated[
-    list[str] | None,
-    arg(
-        "[ROUTE]...",
-        "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file.",
-    ),
-]
+_ROUTES = "corridor, straight15, paper_route (the default), square_cw, square_ccw, figure8, or a .toml or .tum file."
+_LAW = "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply."
+_PAYLOAD_AT = "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one."
+_REFERENCE = "Loads whose radii the uncorrected odometry uses, N (the law's reference)."
+Routes = Annotated[Texts, arg("[ROUTE]...", _ROUTES)]
 Law = Annotated[Place, opt("PATH", "A campaign, a result of calib fit, or a coefficient file.", "--law", "--model")]
 Track = Annotated[Number, opt("M", "Track that the odometry believes (0.7, or the law's).", "--track")]
 Draws = Annotated[int, opt(None, "Draws of the Monte Carlo.", "--draws")]
@@ -54,13 +52,10 @@ def finish(
     from calib.reporting.pages import simulation_trajectories, write_simulation
     from calib.reporting.topics.simulation import simulation_content
 
-    written: list[Path] = []
-    if targets.output is not None:
-        written += write_simulation(simulation, targets.output, force=terminal.forced())
+    force = terminal.forced()
+    written = [] if targets.output is None else write_simulation(simulation, targets.output, force=force)
     if targets.tum is not None:
-        written += simulation_trajectories(
-            simulation, targets.tum, speed_mps=targets.speed_mps, force=terminal.forced()
-        )
+        written += simulation_trajectories(simulation, targets.tum, speed_mps=targets.speed_mps, force=force)
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
     _tell(simulation.to_dict() | {"seed": seed}, simulation_content(simulation), every_note, written)
     terminal.then("simulate --law" if law else "simulate", c=law or "")
@@ -76,9 +71,9 @@ def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: l
 
 def route(
     route: Routes = None,
-    real: Annotated[str | None, opt("L,R", "Real radii, m.")] = None,
-    believed: Annotated[str | None, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
-    ratio: Annotated[str | None, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
+    real: Annotated[Text, opt("L,R", "Real radii, m.")] = None,
+    believed: Annotated[Text, opt("L,R", "Radii the odometry believes, m (0.1,0.1).")] = None,
+    ratio: Annotated[Text, opt("E,E..", "Ratios of radii, E_r = r_R / r_L.")] = None,
     which: Annotated[
         str, opt(None, "Wheel that --ratio sets off: right (the usual), left, both, equal.", "--wheel")
     ] = "",
@@ -116,41 +111,18 @@ def route(
         raise BadInputError(
             "found no radii; expected --real or --ratio; under a fitted law it is 'calib simulate journey --law PATH'"
         )
-    simulation = simulate(
-        CUSTOM,
-        routes=route or (),
-        cases=cases,
-        track_m=vehicle.track_m if track is None else track,
-        real_track_m=real_track,
-        rng=np.random.default_rng(0),
-    )
+    track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(0)
+    simulation = simulate(CUSTOM, routes=route or (), cases=cases, track_m=track_m, real_track_m=real_track, rng=rng)
     finish(simulation, targets, seed=0)
 
 
 def journey(
-    law: Annotated[
-        Path,
-        opt(
-            "PATH",
-            "Campaign, result folder of calib fit, or coefficient file, also one of calib diagnose --apply.",
-            "--law",
-            "--model",
-        ),
-    ],
+    law: Annotated[Path, opt("PATH", _LAW, "--law", "--model")],
     route: Routes = None,
     load: Annotated[Texts, opt("L,R", "Wheel loads, N; again for more journeys.")] = None,
     payload: Annotated[Texts, opt("KG,X,Y", "The same from a payload and its place; again for more.")] = None,
-    payload_at: Annotated[
-        list[str] | None,
-        opt(
-            "S,KG,X,Y",
-            "Payload from S m along the route on, 0 kg to unload; again for more. Unladen before the first one.",
-        ),
-    ] = None,
-    reference: Annotated[
-        str | None,
-        opt("L,R", "Loads whose radii the uncorrected odometry uses, N (the law's reference).", "--reference-load"),
-    ] = None,
+    payload_at: Annotated[Texts, opt("S,KG,X,Y", _PAYLOAD_AT)] = None,
+    reference: Annotated[Text, opt("L,R", _REFERENCE, "--reference-load")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
     seed: terminal.Seed = 0,
@@ -192,7 +164,7 @@ def study(
     load: Annotated[Texts, opt("L,R", "With --law: wheel loads in place of the study's, N.")] = None,
     route: Annotated[Texts, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
-    draws: Annotated[int | None, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
+    draws: Annotated[Count, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
     seed: terminal.Seed = 0,
     output: Output = None,
     tum: Tum = None,
@@ -213,9 +185,8 @@ def study(
 
     targets = Targets(output, tum, speed)
     if name not in STUDIES:
-        raise BadInputError(
-            f"study: found {name!r}; expected one of {', '.join(STUDIES)}" + terminal.nearest(name, STUDIES)
-        )
+        near = terminal.nearest(name, STUDIES)
+        raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}{near}")
     loads_N = terminal.pairs(load, "--load")
     if law is None:
         terminal.refuse_options("without --law", {"--load": load, "--draws": draws})
@@ -223,14 +194,10 @@ def study(
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
     vehicle = Vehicle() if source is None else source.vehicle
+    track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(seed)
     with terminal.waiting("simulating"):
-        simulation = simulate(
-            name,
-            routes=route or (),
-            track_m=vehicle.track_m if track is None else track,
-            under=None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws),
-            rng=np.random.default_rng(seed),
-        )
+        under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
+        simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
     finish(simulation, targets, seed=seed, notes=() if source is None else source.notes, law=law)
 
 
@@ -277,7 +244,7 @@ def replay(
 
 
 Folder = Annotated[Path, arg("DIR", "A set made by 'calib challenge make'.")]
-Cases = Annotated[int | None, opt("N", "Only so many cases.", "--cases", min=1)]
+Cases = Annotated[Count, opt("N", "Only so many cases.", "--cases", min=1)]
 Truth = Annotated[Place, opt("FILE", "The sealed truth; DIR.truth.json where not given.", "--truth")]
 
 
@@ -294,17 +261,12 @@ def make(
     """
     from calib.challenge.seal import make
 
+    def told(digest: str) -> None:
+        terminal.say(f"truth sealed, SHA-256 {digest}")
+
+    force = terminal.forced()
     with terminal.progress("making") as tick:
-        sealed_set = make(
-            seeds,
-            into,
-            limit=cases,
-            truth_file=truth,
-            workers=workers,
-            force=terminal.forced(),
-            progress=tick,
-            sealed=lambda digest: terminal.say(f"truth sealed, SHA-256 {digest}"),
-        )
+        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=told)
     terminal.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
     terminal.then("challenge make", c=into)
     terminal.emit_json(plain(sealed_set))
@@ -354,7 +316,7 @@ def score(
 
 def own(
     folder: Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml, runs.csv, logs.")],
-    effects: Annotated[str | None, opt("A,B", "Effects to plant; all that the runs can show by default.")] = None,
+    effects: Annotated[Text, opt("A,B", "Effects to plant; all that the runs can show by default.")] = None,
     sizes: Annotated[
         str, opt("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
@@ -374,7 +336,7 @@ def own(
     from calib.challenge.own_runs import Asked, challenge_own
     from calib.reporting.topics.fleet import own_content
 
-    names = tuple(name.strip() for name in (effects or "").split(",") if name.strip())
+    names = tuple(filter(None, map(str.strip, (effects or "").split(","))))
     if effects is not None and not names:
         raise BadInputError(f"--effects: found {effects!r}; expected effects with commas; 'calib effects' lists them")
     asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)

@@ -295,8 +295,11 @@ def drop(stream: Any) -> None:
 
 #: of options that may be left away
 Place = Path | None
-Number = float | None
+Text = str | None
 Texts = list[str] | None
+Count = int | None
+Number = float | None
+Numbers = list[float] | None
 
 
 def opt(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
@@ -309,22 +312,14 @@ def arg(metavar: str | None, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-JsonTarget = Annotated[str | None, opt("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")]
+JsonTarget = Annotated[Text, opt("FILE", "Write the result as JSON to FILE; '-' is standard output.", "--json")]
 MappingOption = Annotated[Place, opt("FILE", "TOML that maps a recording or table, read as if ingested.", "--mapping")]
 CampaignOrRecording = Annotated[Path, arg("CAMPAIGN", "Folder with campaign.toml and runs.csv, or a recording.")]
 Figures = Annotated[Place, opt("FOLDER", "Write the figures there as PNG, SVG and PDF.", "--figures")]
-Date = Annotated[
-    str | None, opt("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")
-]
+Date = Annotated[Text, opt("YYYY-MM-DD", "Date of issue; without it: today. Fixes the bytes of the PDF.", "--date")]
 Force = Annotated[bool, opt(None, "Replace existing output files.", "--force")]
-AcceptImplausible = Annotated[
-    str,
-    opt(
-        "REASON",
-        "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file.",
-        "--accept-implausible",
-    ),
-]
+_ACCEPTED = "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file."
+AcceptImplausible = Annotated[str, opt("REASON", _ACCEPTED, "--accept-implausible")]
 Workers = Annotated[int, opt("N", "Processes of this machine.", "--workers", min=1)]
 Seed = Annotated[int, opt("N", "Seed of everything that is drawn.", "--seed")]
 

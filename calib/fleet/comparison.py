@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 from warnings import catch_warnings
@@ -57,14 +57,8 @@ def population(values: FloatArray, std: FloatArray) -> Population | None:
     mean = float(weight @ values / weight.sum())
     spread_of_mean = float(np.sqrt(weight @ (values - mean) ** 2 / (n - 1) / weight.sum()))
     half = float(stdtrit(n - 1, 1 - tail)) * spread_of_mean
-    return Population(
-        mean=mean,
-        mean_ci95=(mean - half, mean + half),
-        spread=float(np.sqrt(between)),
-        spread_ci95=(float(np.sqrt(low)), float(np.sqrt(high))),
-        within=float(np.sqrt(np.median(variance))),
-        n=n,
-    )
+    within, spread, *spread_ci95 = np.sqrt([np.median(variance), between, low, high]).tolist()
+    return Population(mean, (mean - half, mean + half), spread, (spread_ci95[0], spread_ci95[1]), within, n)
 
 
 def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
@@ -252,8 +246,9 @@ def quantities_of(
     compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
     common = _differences(vehicles, {name: values[name] for name in compared}, labels)
     own = {name: column.copy() for name, column in values.items()}
+    having = {(label, value): inside for label, value, inside in _labelled(vehicles, labels)}
     for cause in reversed(common):
-        inside = _with(vehicles, labels[cause.label], cause.value)
+        inside = having[cause.label, cause.value]
         own[cause.quantity][inside] = values[cause.quantity][inside] - cause.difference.size
     apart = _apart(vehicles, {name: own[name] for name in compared}, values, std)
     usual = ~np.isin(vehicles, [*(outlier.vehicle for outlier in apart), *drifting])
@@ -262,28 +257,28 @@ def quantities_of(
         known = usual & np.isfinite(column)
         if found := population(column[known], std[name][known]):
             populations[name] = found
-    middle = {
-        name: populations[name].mean if name in populations else float(np.nanmean(own[name])) for name in compared
-    }
+    means = {name: populations[name].mean for name in compared if name in populations}
+    middle = {name: float(np.nanmean(own[name])) for name in compared if name not in means} | means
     stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
     return Quantities(populations, tuple(stay), common)
 
 
-def _with(vehicles: Sequence[str], of_vehicle: Mapping[str, str], value: str) -> BoolArray:
-    return np.array([of_vehicle.get(vehicle, "") == value for vehicle in vehicles], dtype=np.bool_)
+def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, str, BoolArray]]:
+    """Yield each label with each of its values, and which vehicles have it."""
+    for label, of_vehicle in sorted(labels.items()):
+        own = np.array([of_vehicle.get(vehicle, "") for vehicle in vehicles], dtype=np.object_)
+        yield from ((label, value, own == value) for value in sorted({*own} - {""}))
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tuple[LabelDifference, ...]:
     candidates = []
-    for label, of_vehicle in sorted(labels.items()):
-        for value in sorted({of_vehicle.get(vehicle, "") for vehicle in vehicles} - {""}):
-            with_label = _with(vehicles, of_vehicle, value)
-            for name, column in values.items():
-                known = np.isfinite(column)
-                inside = with_label[known]
-                if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
-                    difference = difference_of(column[known], inside)
-                    candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
+    for label, value, with_label in _labelled(vehicles, labels):
+        for name, column in values.items():
+            known = np.isfinite(column)
+            inside = with_label[known]
+            if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
+                difference = difference_of(column[known], inside)
+                candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
     stands = any_false(np.array([one.difference.p_value for one in candidates]))
     kept = [one for one, stand in zip(candidates, stands, strict=True) if stand]
     return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
@@ -340,15 +335,12 @@ def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[Sha
     names = [record.name for record in done]
     findings = _findings(done)
     counted = Counter(what for found in findings for what in found)
-    whole = [
-        SharedCause(what, "", "", count, len(done)) for what, count in counted.most_common() if count >= FEWEST_SHARING
-    ]
+    often = [(what, count) for what, count in counted.most_common() if count >= FEWEST_SHARING]
+    whole = [SharedCause(what, "", "", count, len(done)) for what, count in often]
     by_label: list[SharedCause] = []
-    for what in sorted(cause.what for cause in whole):
+    for what, _ in sorted(often):
         shows = np.array([what in found for found in findings])
-        for label, of_vehicle in sorted(labels.items()):
-            values = sorted({of_vehicle.get(name, "") for name in names} - {""})
-            by_label += [_compared(what, label, value, shows, _with(names, of_vehicle, value)) for value in values]
+        by_label += [_compared(what, *having, shows) for having in _labelled(names, labels)]
     stands = false_discovery(np.array([cause.p_value for cause in by_label]))
     special = [cause for cause, stand in zip(by_label, stands, strict=True) if stand]
     return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
@@ -391,7 +383,7 @@ def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
     return places
 
 
-def _compared(what: str, label: str, value: str, shows: BoolArray, inside: BoolArray) -> SharedCause:
+def _compared(what: str, label: str, value: str, inside: BoolArray, shows: BoolArray) -> SharedCause:
     from scipy.stats import fisher_exact
 
     table = [[int((shows & side).sum()), int((~shows & side).sum())] for side in (inside, ~inside)]

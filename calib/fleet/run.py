@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,17 +18,7 @@ from calib.campaign.tables import run_table
 from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet import comparison
-from calib.fleet.comparison import (
-    Labels,
-    Outlier,
-    Population,
-    Quantities,
-    SharedCause,
-    VehicleResult,
-    any_false,
-    quantities_of,
-    shared_causes,
-)
+from calib.fleet.comparison import Labels, Quantities, VehicleResult, quantities_of
 from calib.fleet.store import SUMS, Kept, Keys, Member, Part, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
 from calib.fleet.workers import engine
@@ -174,8 +164,8 @@ class FleetView:
     n_vehicles: int
     n_fitted: int
     n_failed: int
-    populations: dict[str, Population]
-    outliers: tuple[Outlier, ...]
+    populations: Mapping[str, comparison.Population]
+    outliers: tuple[comparison.Outlier, ...]
     drifting: tuple[DriftingVehicle, ...]
     common: tuple[comparison.LabelDifference, ...]
 
@@ -194,23 +184,15 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
     drifting = _drifting(fitted)
     values, std = dict[str, FloatArray](), dict[str, FloatArray]()
     for side in WHEELS:
-        lines = [getattr(record, side) for record in fitted]
-        radius, slope = f"radius_{side}_ref_m", f"slope_{side}_m_per_N"
-        values[radius] = np.array([line.radius_ref_m for line in lines])
-        values[slope] = np.array([line.slope_m_per_N for line in lines])
-        std[radius] = np.array([line.radius_std_m for line in lines])
-        std[slope] = np.array([line.slope_std_m_per_N for line in lines])
+        for what, unit in (("radius", "ref_m"), ("slope", "m_per_N")):
+            name, of_unit = f"{what}_{side}_{unit}", unit.removeprefix("ref_")
+            lines = [getattr(record, side) for record in fitted]
+            values[name] = np.array([getattr(line, f"{what}_{unit}") for line in lines])
+            std[name] = np.array([getattr(line, f"{what}_std_{of_unit}") for line in lines])
     names, drift = [record.vehicle for record in fitted], frozenset(one.vehicle for one in drifting)
     found = quantities_of(names, values, std, labels or {}, drift)
-    return FleetView(
-        n_vehicles=len(records),
-        n_fitted=len(fitted),
-        n_failed=len(records) - len(fitted),
-        populations=dict(found.populations),
-        outliers=found.outliers,
-        drifting=drifting,
-        common=found.common,
-    )
+    n_failed = len(records) - len(fitted)
+    return FleetView(len(records), len(fitted), n_failed, found.populations, found.outliers, drifting, found.common)
 
 
 def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
@@ -220,7 +202,7 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
-    for (record, side, drift), stands in zip(lines, any_false(p), strict=True):
+    for (record, side, drift), stands in zip(lines, comparison.any_false(p), strict=True):
         if not stands:
             continue
         due = drift.last_day + DUE_RELATIVE * getattr(record, side).radius_ref_m / abs(drift.per_day_m)
@@ -240,7 +222,7 @@ class Survey:
 
     what: str
     records: tuple[VehicleResult, ...]
-    shared: tuple[SharedCause, ...]
+    shared: tuple[comparison.SharedCause, ...]
     n_done: int
     n_kept: int
     quantities: Quantities | None = None
@@ -266,7 +248,7 @@ def survey_fleet(
         kept, n_new = renewed(path, members, opened, task, _given_up, progress, "vehicles", lambda _member: WEIGHT)
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
-    shared = shared_causes(records, labels)
+    shared = comparison.shared_causes(records, labels)
     return Survey(what, records, shared, n_new, len(members) - n_new, _quantities(records, labels))
 
 
@@ -312,11 +294,8 @@ def _check(member: Member) -> dict[str, object]:
     from calib.campaign.check import check_campaign
 
     report = check_campaign(_campaign(member, lenient=True))
-    return {
-        "sound": report.sound,
-        "wrong": [note.code for note in report.wrong],
-        "suspicious": [note.code for note in report.suspicious],
-    }
+    codes = {level: [note.code for note in getattr(report, level)] for level in ("wrong", "suspicious")}
+    return {"sound": report.sound, **codes}
 
 
 def _diagnose(member: Member) -> dict[str, object]:

@@ -70,13 +70,12 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
         try:
             if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
                 continue
+            tables = (f"runs{suffix}" for suffix in READERS)
+            table = next((name for name in tables if (path / name).exists()), "runs.csv")
+            part = _part(folder, f"{path.name}/{table}", path)
         except OSError as error:
             part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))
-            members.append(Member(path.name, (part,)))
-            continue
-        tables = (path / f"runs{suffix}" for suffix in READERS)
-        table = next((one for one in tables if one.exists()), path / "runs.csv")
-        members.append(Member(path.name, (_part(folder, f"{path.name}/{table.name}", path),)))
+        members.append(Member(path.name, (part,)))
     return tuple(members)
 
 
@@ -93,14 +92,12 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
     with os.scandir(folder) as entries:
         of_vehicles = [entry for entry in entries if _PARTITION.fullmatch(entry.name) and entry.is_dir()]
     for entry in sorted(of_vehicles, key=lambda entry: entry.name):
-        # a million files: paths are joined as text, and only what may lead elsewhere is resolved one by one
-        parts = tuple(
-            Part(name, top / name, folder, _day_of(partition))
-            if plain
-            else _part(folder, name, folder, _day_of(partition))
-            for name, partition, plain in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink()))
-        )
-        members.append(Member(entry.name.partition("=")[2], parts))
+        parts = []
+        for name, partition, direct in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink())):
+            day = _day_of(partition)
+            # a million files: paths are joined as text, and only what may lead elsewhere is resolved one by one
+            parts.append(Part(name, top / name, folder, day) if direct else _part(folder, name, folder, day))
+        members.append(Member(entry.name.partition("=")[2], tuple(parts)))
     return tuple(members)
 
 

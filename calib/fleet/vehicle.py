@@ -89,14 +89,15 @@ class VehicleRecord:
         values: dict[str, object] = {"id": self.vehicle, "status": self.status, "n_runs": self.n_runs, "why": self.why}
         values["failed_checks"] = list(self.doubtful)
         for side, line in zip(WHEELS, (self.left, self.right), strict=True):
-            if line is None:
-                continue
-            values[f"radius_{side}_m"] = line.radius_ref_m
-            values[f"radius_{side}_ci95_m"] = list(line.radius_ci95_m)
-            values[f"slope_{side}_m_per_N"] = line.slope_m_per_N
-            values[f"slope_{side}_ci95_m_per_N"] = list(line.slope_ci95_m_per_N)
-            values[f"autocorrelation_{side}"] = line.autocorrelation
-            values[f"drift_{side}_m_per_day"] = None if line.drift is None else line.drift.per_day_m
+            if line is not None:
+                values |= {
+                    f"radius_{side}_m": line.radius_ref_m,
+                    f"radius_{side}_ci95_m": list(line.radius_ci95_m),
+                    f"slope_{side}_m_per_N": line.slope_m_per_N,
+                    f"slope_{side}_ci95_m_per_N": list(line.slope_ci95_m_per_N),
+                    f"autocorrelation_{side}": line.autocorrelation,
+                    f"drift_{side}_m_per_day": line.drift and line.drift.per_day_m,
+                }
         return values
 
 
@@ -113,7 +114,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
         wrong = "its files have different reference loads or nominal radii; expected one campaign.toml for all"
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
-    reference, nominal = next(iter(origins))
+    ((reference, nominal),) = origins
     sums = [reduce(WheelSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
     n_runs = int(sums[0].runs.n_runs)
     left, right = (_line(of_side, nominal) for of_side in sums)
@@ -129,20 +130,12 @@ def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
     if estimate is None:
         return None
     estimate, autocorrelation = widened(estimate, sums)
-    radius, slope = (float(value) for value in estimate.coefficients)
-    half_radius, half_slope = (float(value) for value in estimate.half_width(np.eye(2), COVERAGE))
-    std = np.sqrt(np.diag(estimate.covariance))
-    return WheelLine(
-        radius_ref_m=nominal_m + radius,
-        slope_m_per_N=slope,
-        radius_std_m=float(std[0]),
-        slope_std_m_per_N=float(std[1]),
-        radius_ci95_m=(nominal_m + radius - half_radius, nominal_m + radius + half_radius),
-        slope_ci95_m_per_N=(slope - half_slope, slope + half_slope),
-        run_std_m=float(np.sqrt(estimate.run_variance)),
-        autocorrelation=autocorrelation,
-        drift=_drift(sums.runs, slope),
-    )
+    radius, slope = (nominal_m + float(estimate.coefficients[0]), float(estimate.coefficients[1]))
+    half_radius, half_slope = map(float, estimate.half_width(np.eye(2), COVERAGE))
+    ends = ((radius - half_radius, radius + half_radius), (slope - half_slope, slope + half_slope))
+    run_std, drift = float(np.sqrt(estimate.run_variance)), _drift(sums.runs, slope)
+    std = np.sqrt(np.diag(estimate.covariance)).tolist()
+    return WheelLine(radius, slope, std[0], std[1], *ends, run_std, autocorrelation, drift)
 
 
 def _drift(sums: SessionSums, slope: float) -> Drift | None:
@@ -199,9 +192,9 @@ class WheelSums:
     def added(self, other: WheelSums) -> WheelSums:
         """Return the sums of both, sessions of one label joined."""
         runs = self.runs.added(other.runs)
+        index = np.searchsorted(runs.session, np.concatenate([self.runs.session, other.runs.session]))
         order = np.zeros((len(runs.session), N_ORDER))
-        for part in (self, other):
-            np.add.at(order, np.searchsorted(runs.session, part.runs.session), part.order)
+        np.add.at(order, index, np.concatenate([self.order, other.order]))
         return WheelSums(runs, order, self.whole + other.whole)
 
 

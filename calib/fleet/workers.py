@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from multiprocessing import get_all_start_methods, get_context, parent_process
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
@@ -48,11 +48,8 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
 
     Raises RefusedError where the scheduler (``tcp://host:port``) does not answer, at the start or later.
     """
-    opened = DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()
-    try:
+    with closing(DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()) as opened:
         yield opened
-    finally:
-        opened.close()
 
 
 def batches(

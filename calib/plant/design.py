@@ -14,6 +14,8 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
 PITCH_M: Final = 0.01
+#: at which truth and model agree on a radius
+REFERENCE_LOAD_N: Final = 300.0
 #: length of ``corridor_short`` over that of ``corridor``
 SHORT: Final = 0.6
 _EASE_M: Final = 0.6  # a steered wheel cannot jump
@@ -63,8 +65,8 @@ class RouteTables:
 def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[FloatArray, float]:
     end_m = float(sum(length for length, _ in segments))
     s = np.arange(0.0, end_m + _TAIL_M, PITCH_M)
-    edges = np.cumsum([0.0, *[length for length, _ in segments]])
-    turn = np.concatenate(([0.0], np.cumsum([length * kappa for length, kappa in segments])))
+    edges = np.cumsum([0.0, *(length for length, _ in segments)])
+    turn = np.cumsum([0.0, *(length * kappa for length, kappa in segments)])
     # the mean of the curvature over +-half the easing length, by differences of the turned angle: keeps the total turn
     half = 0.5 * _EASE_M
     ahead, behind = (np.interp(s + shift, edges, turn) for shift in (half, -half))
@@ -246,9 +248,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     if "lanes" in need:
         route[:half:2] = ["corridor_b"] * len(route[:half:2])
     elif "lengths" in need or rng.random() < 0.5:
-        for number in range(half):
-            if number % 3 == 1:
-                route[number] = "corridor_short"
+        route[1:half:3] = ["corridor_short"] * len(route[1:half:3])
     ways = ["out", "back"]
     payload, side, ahead = deal(payloads), deal(sides), deal([0.15, 0.4, 0.6])
     speed = deal(list(map(float, speeds)))
@@ -257,7 +257,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     conditions = []
     for number, kind in enumerate(route):
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
-        condition = _Run(
+        run = _Run(
             kind=kind,
             direction=ways[(number // 2) % 2] if corridor else "",
             payload_kg=payload[number],
@@ -267,7 +267,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
             stops=stops[number],
             flying=flying[number],
         )
-        conditions.append(condition)
+        conditions.append(run)
     return conditions
 
 

@@ -124,13 +124,9 @@ class _Runs:
         design, model = world.design, world.model
         n_runs = len(design)
         self.world, self.noise, self.quantise, self.step_s = world, noise, quantise, step_s
-        self.tables = tabulate(
-            [str(kind) for kind in design.kind],
-            length_m=design.length_m,
-            side_m=design.side_m,
-            radius_m=design.radius_m,
-            weaves=[(float(a), float(w)) for a, w in zip(world.weave_m, world.wavelength_m, strict=True)],
-        )
+        weaves = list(zip(world.weave_m.tolist(), world.wavelength_m.tolist(), strict=True))
+        lengths = {name: getattr(design, name) for name in ("length_m", "side_m", "radius_m")}
+        self.tables = tabulate(design.kind.tolist(), weaves=weaves, **lengths)
         self.wheelbase_m, self.track_m = design.vehicle.wheelbase_m, model.track_m * world.track
         #: left and right wheel, shape (2, n_runs): what the vehicle believes, and what is true
         self.believed_m = np.stack([world.believed_left_m, world.believed_right_m])
@@ -216,11 +212,8 @@ class _Runs:
             now.added.fill(0.0)
             for effect in world.during:
                 effect(now)
-            half, radius_m, front = (
-                half * (1.0 + now.track),
-                radius_m * (1.0 + now.added[:2]),
-                front * (1.0 + now.drive),
-            )
+            half, front = half * (1.0 + now.track), front * (1.0 + now.drive)
+            radius_m = radius_m * (1.0 + now.added[:2])
             turned = turned + now.yaw_radps * step_s
         wheels = (way_rolled + _SIDES * half) / radius_m
         if self.textured:

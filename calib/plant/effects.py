@@ -230,13 +230,7 @@ INSTRUMENTS = (
 
 
 # the order is part of a sealed set: what is drawn from a seed follows it
-ALL: Final[tuple[Form, ...]] = (
-    *wheels.FORMS,
-    *wheels.MOVING,
-    *FLOOR,
-    *INSTRUMENTS,
-    *OUTSIDE,
-)
+ALL: Final[tuple[Form, ...]] = (*wheels.FORMS, *wheels.MOVING, *FLOOR, *INSTRUMENTS, *OUTSIDE)
 
 
 def effects() -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
@@ -24,35 +25,18 @@ Table = dict[str, FloatArray | IntArray | list[str]]
 COUNTS_PER_REV: Final = 4096
 FIRST_MONTH: Final = (2025, 1)
 LOADS_N: Final = (300.0, 500.0, 700.0, 900.0, 1100.0)
-SETTINGS: Final = """format = "calib-campaign/1"
-name = "fleet"
-simulated = true
-
-[vehicle]
-track_m = 0.7
-wheelbase_m = 1.0
-wheel_radius_m = 0.1
-
-[encoder]
-counts_per_rev = 4096
-
-[model]
-radius_left_m = 0.1
-radius_right_m = 0.1
-track_m = 0.7
-reference_load_N = 300.0
-"""
+SETTINGS: Final = files("calib.plant") / "fleet.toml"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FleetTruth:
     """What was planted."""
 
     #: normal population of each wheel's radius at 300 N and slope
-    radius_mean_m: float
-    radius_spread_m: float
-    slope_mean_m_per_N: float
-    slope_spread_m_per_N: float
+    radius_mean_m: float = 0.0995
+    radius_spread_m: float = 6e-5
+    slope_mean_m_per_N: float = -1.2e-6
+    slope_spread_m_per_N: float = 6e-8
     #: vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
     #: right wheel's radius seem larger
     outliers: tuple[str, ...]
@@ -104,25 +88,16 @@ class PlannedFleet:
             session = [f"m{month}-{int(value)}" for value in day]
             load = rng.choice(LOADS_N, (n, 2))
             shift = {label: rng.normal(0.0, 4e-6, 2) for label in sorted(set(session))}
-            true = (
-                self.radius_m[row] + self.slope_m_per_N[row] * (load - 300.0) + np.outer(day, self.rate_m_per_day[row])
-            )
+            lawful = self.radius_m[row] + self.slope_m_per_N[row] * (load - 300.0)
+            true = lawful + np.outer(day, self.rate_m_per_day[row])
             true = true + np.array([shift[label] for label in session]) + rng.normal(0.0, 1.5e-5, (n, 2))
             way = rng.uniform(37.0, 42.0, n)
             counts = np.round(way[:, None] / (2 * np.pi * true) * COUNTS_PER_REV).astype(np.int64)
-            tables.append(
-                {
-                    "run_id": [f"r{int(k):03d}" for k in share],
-                    "session": session,
-                    "kind": ["corridor"] * n,
-                    "load_left_N": load[:, 0],
-                    "load_right_N": load[:, 1],
-                    "distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5),
-                    "counts_left": counts[:, 0],
-                    "counts_right": counts[:, 1],
-                    "day": day.astype(np.float64),
-                }
-            )
+            table: Table = {"run_id": [f"r{int(k):03d}" for k in share], "session": session, "kind": ["corridor"] * n}
+            table |= {"load_left_N": load[:, 0], "load_right_N": load[:, 1]}
+            table |= {"distance_m": np.round(way + rng.normal(0.0, 0.0015, n), 5)}
+            table |= {"counts_left": counts[:, 0], "counts_right": counts[:, 1], "day": day.astype(np.float64)}
+            tables.append(table)
         return tables
 
 
@@ -133,15 +108,8 @@ def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
     order = rng.permutation(n_vehicles)
     odd, drifting = order[:n_outliers], order[n_outliers : n_outliers + n_drifting]
     in_hall = rng.permutation(n_vehicles)[: size.n_common]
-    truth = FleetTruth(
-        radius_mean_m=0.0995,
-        radius_spread_m=6e-5,
-        slope_mean_m_per_N=-1.2e-6,
-        slope_spread_m_per_N=6e-8,
-        outliers=tuple(sorted(names[k] for k in odd)),
-        drifting=tuple(sorted(names[k] for k in drifting)),
-        common=tuple(sorted(names[k] for k in in_hall)),
-    )
+    outliers, slow, common = (tuple(sorted(names[k] for k in some)) for some in (odd, drifting, in_hall))
+    truth = FleetTruth(outliers=outliers, drifting=slow, common=common)
     radius = rng.normal(truth.radius_mean_m, truth.radius_spread_m, (n_vehicles, 2))
     slope = rng.normal(truth.slope_mean_m_per_N, truth.slope_spread_m_per_N, (n_vehicles, 2))
     wheel = rng.integers(0, 2, n_outliers)
@@ -176,7 +144,7 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             sink = pa.BufferOutputStream()
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)
-    (folder / "campaign.toml").write_text(SETTINGS, encoding="utf-8")
+    (folder / "campaign.toml").write_bytes(SETTINGS.read_bytes())
     _write_beside(folder, fleet.labels["hall"], fleet.truth)
     return fleet.truth
 
@@ -222,13 +190,9 @@ def make_posed_fleet(
     in_hall = np.sort(rng.permutation(n_vehicles)[:n_common])
     relative = rng.normal(0.0, 5e-4, n_vehicles)
     relative[odd] += rng.choice((-1e-2, 1e-2), n_outliers)
-    truth = PosedTruth(
-        {name: float(value) for name, value in zip(names, model.track_m * (1.0 + relative), strict=True)},
-        model.track_m,
-        5e-4 * model.track_m,
-        tuple(sorted(names[number] for number in odd)),
-        tuple(names[number] for number in in_hall),
-    )
+    track_m = dict(zip(names, (model.track_m * (1.0 + relative)).tolist(), strict=True))
+    outliers, common = (tuple(sorted(names[number] for number in some)) for some in (odd, in_hall))
+    truth = PosedTruth(track_m, model.track_m, 5e-4 * model.track_m, outliers, common)
     zone = Cause("floor_zone", ZONE_SHARE, "heading", {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m})
     for number, name in enumerate(names):
         causes = [Cause("track_width", float(relative[number]), "plain", {}), *([zone] if number in in_hall else ())]

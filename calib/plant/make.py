@@ -9,20 +9,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.plant.design import Design
+from calib.plant.design import REFERENCE_LOAD_N, Design
 from calib.plant.drive import Record, drive
 from calib.plant.effects import find
-from calib.plant.world import (
-    REFERENCE_LOAD_N,
-    Cause,
-    Noise,
-    NoiseDraw,
-    World,
-    build_world,
-    draw_noise,
-    random_noise,
-    wheel_loads,
-)
+from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
 from calib.types import FloatArray
 
 _STEER_STEP_RAD = 5e-4
@@ -38,12 +28,8 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
     curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
     theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
     x, y = record.x_m - late * np.cos(record.theta_rad), record.y_m - late * np.sin(record.theta_rad)
-    lever_x, lever_y = world.ref_lever_x_m, world.ref_lever_y_m
-    cos, sin = np.cos(theta), np.sin(theta)
-    x, y = x + cos * lever_x - sin * lever_y - lever_x, y + sin * lever_x + cos * lever_y - lever_y
-    turned = world.ref_yaw_rad + noise.start_heading_rad
-    cos, sin = np.cos(turned), np.sin(turned)
-    return np.stack([cos * x - sin * y, sin * x + cos * y, theta + noise.start_heading_rad])
+    x, y = world.seen_target(x, y, theta, world.ref_yaw_rad + noise.start_heading_rad)
+    return np.stack([x, y, theta + noise.start_heading_rad])
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
@@ -112,14 +98,14 @@ def _columns(
     if design.laser and design.corridor.any():
         numbers["distance_m"] = np.where(design.corridor, np.round(laser, 4), np.nan)
     if posed.any():
-        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), end_pose, strict=True):
-            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+        measured = np.where(posed, np.round(end_pose, 5), np.nan)
+        numbers |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), measured, strict=True))
     if design.outside:
-        simulated = simulated_poses(world, record)
-        for column, values in zip(("sim_x_m", "sim_y_m", "sim_theta_rad"), simulated, strict=True):
-            numbers[column] = np.where(posed, np.round(values, 5), np.nan)
+        simulated = np.round(simulated_poses(world, record), 5)
+        names = ("sim_x_m", "sim_y_m", "sim_theta_rad")
+        numbers |= dict(zip(names, np.where(posed, simulated, np.nan), strict=True))
         if "distance_m" in numbers:
-            numbers["sim_distance_m"] = np.where(design.corridor, np.round(simulated[0], 5), np.nan)
+            numbers["sim_distance_m"] = np.where(design.corridor, simulated[0], np.nan)
     if world.weave_m.any():
         numbers["amplitude_m"] = np.round(world.weave_m, 4)
         numbers["wavelength_m"] = np.where(world.weave_m > 0, np.round(world.wavelength_m, 3), np.nan)
@@ -174,8 +160,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         read[:, 0] = 0.0
         # the end pose is the trace's own last reading
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
-        for column, values in zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), read, strict=True):
-            columns[column] = np.round(values, 5)
+        columns |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), np.round(read, 5), strict=True))
     kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)
     offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
     return Logs(offsets, {name: np.ascontiguousarray(values.T[kept]) for name, values in columns.items()})
@@ -205,11 +190,9 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
         return list(truth)
     causes = []
     for key, size in truth.items():
-        effect, _, form = key.partition("/")
-        known = find(effect, form)
-        causes.append(
-            Cause(effect, float(known.typical if np.isnan(size) else size), known.form, known.knobs(rng, design))
-        )
+        known = find(*key.split("/"))
+        size = float(known.typical if np.isnan(size) else size)
+        causes.append(Cause(known.effect, size, known.form, known.knobs(rng, design)))
     return causes
 
 

@@ -17,7 +17,7 @@ from calib.plant.drive import Record, drive
 from calib.plant.effects import ALL, find
 from calib.plant.make import apply_causes, reference_poses, simulated_poses, steering_readings
 from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
-from calib.types import FloatArray, floats
+from calib.types import FloatArray, floats, grouped
 
 #: effects that a recalibration absorbs: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
@@ -103,17 +103,10 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     front = np.stack([zero, zero, zero, zero, length, end_theta], axis=1) * noise.front
     for run in (steer, front):
         total += run[:, :, None] * run[:, None, :]
-    alone = np.stack(
-        [
-            one * noise.laser_m**2,
-            one * noise.ref_xy_m**2,
-            one * noise.ref_xy_m**2,
-            one * noise.ref_theta_rad**2,
-            noise.texture_m**2 * length + 1e-8,  # counters come in whole steps
-            (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8,
-        ],
-        axis=1,
-    )
+    instruments = (one * sigma**2 for sigma in (noise.laser_m, noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad))
+    # counters come in whole steps
+    counted = (noise.texture_m**2 * length + 1e-8, (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8)
+    alone = np.stack([*instruments, *counted], axis=1)
     return np.asarray(total + alone[:, :, None] * np.eye(6))
 
 
@@ -186,10 +179,9 @@ def strengths(
         # end poses need no fine log; what the front wheel and its sensor say is summed over it
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
-    blocks = np.zeros((n_causes, n_causes + 1, n_runs))
-    for number in range(n_causes):
-        blocks[number, number + 1] = 1.0
-    apply_causes(world, causes, blocks.reshape(n_causes, -1))
+    # the first block of runs without any cause, the next with the first one alone, and so on
+    blocks = np.repeat(np.eye(n_causes, n_causes + 1, 1), n_runs, axis=1)
+    apply_causes(world, causes, blocks)
     still = quiet(n_runs).tile(n_causes + 1)
     # summed over the log
     logged = None if design.front or design.outside else n_runs
@@ -325,12 +317,9 @@ class Alternatives:
 
     def families(self) -> dict[tuple[str, str], list[int]]:
         """Return the numbers of the variants that add up to one form of one effect; the cause is number 0."""
-        families: dict[tuple[str, str], list[int]] = {}
-        for number, variant in enumerate(self.variants, start=1):
-            # one wheel or the other, never both: alternatives, while the other variants of an effect add up
-            which = str(variant.knobs["right"]) if "right" in variant.knobs else ""
-            families.setdefault((variant.effect, variant.form + which), []).append(number)
-        return families
+        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
+        numbered = enumerate(self.variants, start=1)
+        return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)
 
     def left(self, number: int) -> FloatArray:
         """Return what one leaves, whitened, a recalibration projected out, shape (n_rows,)."""
@@ -364,8 +353,8 @@ def rivals(among: Alternatives) -> list[tuple[str, float]]:
 
 def signatures(among: Alternatives) -> dict[str, list[FloatArray]]:
     """Return what each form of an effect, without calibration, can do: whitened, a recalibration projected out."""
-    by_effect: dict[str, list[FloatArray]] = {}
-    for (effect, _), numbers in among.families().items():
-        if not is_calibration(among.variants[numbers[0] - 1]):
-            by_effect.setdefault(effect, []).append(np.stack([among.left(number) for number in numbers], axis=1))
-    return by_effect
+    return grouped(
+        (effect, np.stack([among.left(number) for number in numbers], axis=1))
+        for (effect, _), numbers in among.families().items()
+        if not is_calibration(among.variants[numbers[0] - 1])
+    )

@@ -4,20 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.plant.design import COLUMNS, Design
-from calib.plant.world import (
-    REFERENCE_LOAD_N,
-    Draw,
-    Form,
-    Knobs,
-    Moment,
-    World,
-    drawn,
-    either_side,
-    scaled,
-    standardised,
-    while_driving,
-)
+from calib.plant.design import COLUMNS, REFERENCE_LOAD_N, Design
+from calib.plant.world import Draw, Form, Knobs, Moment, World, drawn, either_side, scaled, standardised, while_driving
 from calib.types import FloatArray
 
 

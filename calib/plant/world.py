@@ -104,30 +104,19 @@ def quiet(n_runs: int) -> NoiseDraw:
     return NoiseDraw(zero, one, one, np.zeros((3, n_runs)), zero, zero, zero, zero, np.zeros((n_runs, 3)), seed=0)
 
 
+#: smallest and largest scale of each source, in the order drawn
+_SCALES: Final = {
+    "texture_m": (7e-5, 3e-4), "common": (1e-5, 8e-5), "differential": (4e-6, 3e-5), "start_heading_rad": (5e-5, 6e-4),
+    "laser_m": (8e-4, 3e-3), "ref_xy_m": (1e-3, 4e-3), "ref_theta_rad": (3e-4, 1.5e-3), "stated_ratio": (0.6, 1.6),
+    "steer_rad": (3e-4, 2e-3), "front": (1e-4, 5e-4), "reading_rad": (8e-4, 4e-3),
+}  # fmt: skip
+
+
 def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
     """Draw a case's noise: each source's scale over a factor of about four, the tails from t(3.5) to normal."""
-
-    def within(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-    drawn = {
-        "texture_m": within(7e-5, 3e-4),
-        "common": within(1e-5, 8e-5),
-        "differential": within(4e-6, 3e-5),
-        "start_heading_rad": within(5e-5, 6e-4),
-        "laser_m": within(8e-4, 3e-3),
-        "ref_xy_m": within(1e-3, 4e-3),
-        "ref_theta_rad": within(3e-4, 1.5e-3),
-        "stated_ratio": within(0.6, 1.6),
-        "steer_rad": within(3e-4, 2e-3),
-        "front": within(1e-4, 5e-4),
-        "reading_rad": within(8e-4, 4e-3),
-        "tail": float(rng.choice([3.5, 5.0, 8.0, np.inf])),
-    }
+    drawn = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in _SCALES.items()}
+    drawn["tail"] = float(rng.choice([3.5, 5.0, 8.0, np.inf]))
     return Noise(**{**drawn, **fixed})
-
-
-REFERENCE_LOAD_N = 300.0
 
 
 @dataclass(slots=True)
@@ -233,6 +222,16 @@ class World:
     def total_weight_N(self) -> FloatArray:
         """True weight of vehicle and payload, shape (n_runs,)."""
         return GRAVITY_MPS2 * (self.design.vehicle.mass_kg + self.payload_scale * self.design.payload_kg)
+
+    def seen_target(
+        self, x_m: FloatArray, y_m: FloatArray, theta_rad: FloatArray, turned_rad: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where the pose reference sees its target: carried round by its lever arm, in a turned start frame."""
+        lever_x, lever_y = self.ref_lever_x_m, self.ref_lever_y_m
+        cos, sin = np.cos(theta_rad), np.sin(theta_rad)
+        x, y = x_m + cos * lever_x - sin * lever_y - lever_x, y_m + sin * lever_x + cos * lever_y - lever_y
+        cos, sin = np.cos(turned_rad), np.sin(turned_rad)
+        return cos * x - sin * y, sin * x + cos * y
 
     def settle(self) -> None:
         """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""

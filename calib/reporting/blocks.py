@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.documents import plain_fields
@@ -152,9 +154,27 @@ def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, 
     return Table(caption, tuple(map(column, heads)), tuple(map(tuple, rows)), dense)
 
 
-def picture(name: str, caption: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
+@cache
+def catalogue() -> dict[str, dict[str, str]]:
+    """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
+    text = Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+    sentences: dict[str, dict[str, str]] = tomllib.loads(text)
+    return sentences
+
+
+def paragraph(name: str, /, **values: object) -> str:
+    """Return a paragraph of the report with its places filled in; see `catalogue`."""
+    return catalogue()["report"][name].format(**values)
+
+
+def caption(name: str, /, **values: object) -> str:
+    """Return the caption of a picture, or of ``table-NAME``, with its places filled in; see `catalogue`."""
+    return catalogue()["caption"][name].format(**values)
+
+
+def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
     """Return a picture that ``module.function`` of `calib.reporting.figures` draws when it is needed; see `Picture`."""
-    return Picture(name, caption, alt, partial(drawn, figure, *values, **options))
+    return Picture(name, caption(name), alt, partial(drawn, figure, *values, **options))
 
 
 def drawn(figure: str, *values: Any, **options: Any) -> Figure:

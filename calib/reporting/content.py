@@ -15,7 +15,7 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section
+from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, paragraph
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
@@ -31,16 +31,7 @@ if TYPE_CHECKING:
 
 #: longest campaign name in a page's header; the title has it whole
 SHORT_NAME: Final = 44
-#: facts under the title, if stated, and lines to be signed, by the keys of `STATED`
-HEAD: Final = {
-    "replaces": "Replaces report",
-    "method": "Method",
-    "laboratory": "Laboratory",
-    "customer": "Customer",
-    "item": "Vehicle",
-    "measured": "Dates of measurement",
-    "authorised": "Authorised by",
-}
+#: lines to be signed, by the keys of `STATED`
 SIGNED: Final = {"prepared": "Prepared by", "authorised": "Authorised by"}
 
 
@@ -86,7 +77,7 @@ class Report:
     def head(self) -> tuple[tuple[str, str], ...]:
         """Facts under the title."""
         stated = self.stated or {}
-        named = ((title, stated[key]) for key, title in HEAD.items() if key in stated)
+        named = ((title, stated[key]) for key, title in catalogue()["head"].items() if key in stated)
         return (("Report", self.report_id), ("Date of issue", self.issued), *named, *self.facts)
 
     @property
@@ -252,18 +243,10 @@ def report_without_law(
 
 
 def _limits(campaign: Campaign, geometry: Geometry | None, coefficients: bytes | None) -> Section:
-    sentences = [
-        "No radius, slope or uncertainty of a wheel is stated, and no coefficient file is attached.",
-        "The verdict holds for the vehicle, routes, loads and conditions of these runs.",
-    ]
+    limits = ["no_law", "no_law_holds"]
     if geometry is not None:
-        sentences = [
-            "No law of the load is stated: the radii hold for the loads of these runs.",
-            "The estimates hold for the vehicle, floor, speeds and reference of these runs.",
-        ]
-        if coefficients is None:
-            sentences.append("No coefficient file is attached, since the geometry is not passed on.")
-    blocks = (Items(tuple(sentences)), assumed_text(assumed_settings(campaign)))
+        limits = ["geometry_law", "geometry_holds", *(["geometry_kept"] if coefficients is None else [])]
+    blocks = (Items(tuple(map(paragraph, limits))), assumed_text(assumed_settings(campaign)))
     return Section("What this report does not cover", blocks)
 
 

@@ -29,7 +29,7 @@ from calib.odometry.integrate import integrate
 from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
 from calib.odometry.routes import radii_under_load, travel_from_counts
-from calib.odometry.simulation import SHOWN, LawPart, Simulation
+from calib.odometry.simulation import SHOWN, Simulation
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
 from calib.reporting.figures import motion
@@ -63,8 +63,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
     }
     for picture in stepped(report.pictures, progress, "figures of the PDF"):
         sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
-    for attachment in report.attachments:
-        sources[attachment.name] = attachment.data
+    sources |= {attachment.name: attachment.data for attachment in report.attachments}
     if report.logo is not None:
         sources |= dict([report.logo])
     with TemporaryDirectory(prefix="calib-report-") as folder:
@@ -129,18 +128,11 @@ def to_html(report: Report, panels: str = "") -> str:
     """Return a report as a self-contained page, with linked panels in place of the figures of the diagnosis."""
     sections = report.sections
     if panels:
-        sections = tuple(
-            replace(part, blocks=tuple(each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES))
-            for part in sections
-        )
-    page = {
-        "kind": f"Calibration report {report.report_id}",
-        "title": report.title,
-        "name": report.name,
-        "simulated": report.simulated,
-        "head": report.head,
-        "footer": f"Issued {report.issued}; report {report.report_id}",
-    }
+        kept = [[each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES] for part in sections]
+        sections = tuple(replace(part, blocks=tuple(rest)) for part, rest in zip(sections, kept, strict=True))
+    page = {name: getattr(report, name) for name in ("title", "name", "simulated", "head")}
+    page["kind"] = f"Calibration report {report.report_id}"
+    page["footer"] = f"Issued {report.issued}; report {report.report_id}"
     return _page(page, sections, panels)
 
 
@@ -200,37 +192,26 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
 
     Raises BadInputError where a file exists and `force` is False; nothing is then written.
     """
-    figures, tables = _sweep_files(simulation)
-    if simulation.law is not None:
-        of_law = _law_files(simulation.law)
-        figures, tables = figures | of_law[0], tables | of_law[1]
-    document = folder / f"{simulation.study}.json"
-    refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
-    written = write_figures(figures, folder, force=force)
-    written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
-    return [write_json(document, simulation.to_dict(), force=force), *written]
-
-
-def _sweep_files(simulation: Simulation) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
     figures: dict[str, Figure] = {}
     tables: dict[str, Sequence[Mapping[str, Any]]] = {}
     for name, sweep in simulation.sweeps.items():
         figures[name] = motion.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
         figures[f"{name}_errors"] = motion.sweep_errors_figure(sweep, title=simulation.title)
         tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
-    return figures, tables
-
-
-def _law_files(part: LawPart) -> tuple[dict[str, Figure], dict[str, Sequence[Mapping[str, Any]]]]:
-    law, path = part.law, part.path
-    valid = ((law.left.load_min_N, law.left.load_max_N), (law.right.load_min_N, law.right.load_max_N))
-    title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
-    figures = {
-        "fig15": motion.ratio_figure(part.table, valid=valid),
-        "band": motion.law_path_figure(path, title=title),
-        "errors": motion.law_errors_figure(path, title=title),
-    }
-    return figures, {"table1": plain(part.table), "band": path.covariance_rows(), "errors": path.error_rows()}
+    if simulation.law is not None:
+        rows, path = simulation.law.table, simulation.law.path
+        title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
+        figures |= {
+            "fig15": motion.ratio_figure(rows, simulation.law.law.left, simulation.law.law.right),
+            "band": motion.law_path_figure(path, title=title),
+            "errors": motion.law_errors_figure(path, title=title),
+        }
+        tables |= {"table1": plain(rows), "band": path.covariance_rows(), "errors": path.error_rows()}
+    document = folder / f"{simulation.study}.json"
+    refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
+    written = write_figures(figures, folder, force=force)
+    written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
+    return [write_json(document, simulation.to_dict(), force=force), *written]
 
 
 def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
@@ -283,11 +264,7 @@ def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: Coe
 
 
 def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:
-    columns = list(rows[0]) if rows else []
-    return write_text(path, csv_text(columns, ([row[name] for name in columns] for row in rows)), force=force)
-
-
-FORMS = ("png", "svg")
+    return write_text(path, csv_text(list(rows[0]) if rows else [], (row.values() for row in rows)), force=force)
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,60 +276,41 @@ class Heads:
     simulated: bool
 
 
-def write_fleet(fleet: Fleet, into: Path, heads: Heads) -> list[Path]:
-    """Write a fleet's result, all of it or none, in place of an earlier one, with its pages."""
-    from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
+def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads) -> list[Path]:
+    """Write the result of a task over a fleet, all of it or none, in place of an earlier one, with its pages."""
+    from calib.fleet.run import Fleet
+    from calib.reporting.figures.challenge import fleet_figures
     from calib.reporting.topics.fleet import fleet_content
 
-    document = fleet.to_dict()
-    files = {"fleet.json": _bytes(to_json(document)), "vehicles.csv": _bytes(_table(document["vehicles"]))}
-    if fleet.view.n_fitted:
-        figures = {"distribution": fleet_distribution(fleet), "drift": fleet_drift(fleet)}
-        files |= {
-            f"{name}.{form}": data
-            for name, figure in figures.items()
-            if figure is not None
-            for form, data in render_all(figure, FORMS).items()
-        }
-    return write_files(into, files | _paged(fleet_content(fleet, pictures=True), document, "fleet", heads), force=True)
-
-
-def write_survey(survey: Survey, into: Path, heads: Heads) -> list[Path]:
-    """Write the result of a task over a fleet; see `write_fleet`."""
-    from calib.reporting.topics.fleet import survey_content
-
-    document = survey.to_dict()
-    files = {f"{survey.what}.json": _bytes(to_json(document))}
-    pages = _paged(survey_content(survey, page=True), document, survey.what, heads)
-    return write_files(into, files | pages, force=True)
-
-
-def _bytes(text: str) -> bytes:
-    return text.encode("utf-8", "backslashreplace")
-
-
-def _paged(blocks: Sequence[Block], document: Mapping[str, Any], stem: str, heads: Heads) -> dict[str, bytes]:
-    fleet = document["fleet"]
-    failed = int(fleet["n_failed"])
-    view = "Every vehicle and the fleet's view, as a program reads it"
+    document, blocks = fleet.to_dict(), fleet_content(fleet, page=True)
+    view, text = document["fleet"], to_json(document)
+    starts = [number for number, block in enumerate(blocks) if isinstance(block, Heading)]
+    parts = (blocks[first:last] for first, last in pairwise([*starts, len(blocks)]))
+    what = "Every vehicle and the fleet's view, as a program reads it"
     report = Report(
         report_id=number_of("FR", document),
         title="A fleet of vehicles",
         name=heads.name,
         issued=heads.issued,
         simulated=heads.simulated,
-        passed=not failed,
-        sections=_parted(blocks),
-        attachments=(Attachment("fleet.json", to_json(document).encode(), view),),
-        facts=(("Vehicles", f"{fleet['n_vehicles']}, of which {failed} failed"),),
+        passed=not view["n_failed"],
+        sections=tuple(Section(head.text, tuple(inner)) for head, *inner in parts if isinstance(head, Heading)),
+        attachments=(Attachment("fleet.json", text.encode(), what),),
+        facts=(("Vehicles", f"{view['n_vehicles']}, of which {view['n_failed']} failed"),),
     )
-    return {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}
+    stem = "fleet" if isinstance(fleet, Fleet) else fleet.what
+    files = {f"{stem}.json": _bytes(text)}
+    if isinstance(fleet, Fleet):
+        files["vehicles.csv"] = _bytes(_table(document["vehicles"]))
+        for name, draw in fleet_figures(fleet).items():
+            files |= {f"{name}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
+    return write_files(
+        into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=True
+    )
 
 
-def _parted(blocks: Sequence[Block]) -> tuple[Section, ...]:
-    starts = [number for number, block in enumerate(blocks) if isinstance(block, Heading)]
-    parts = (blocks[first:last] for first, last in pairwise([*starts, len(blocks)]))
-    return tuple(Section(head.text, tuple(inner)) for head, *inner in parts if isinstance(head, Heading))
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "backslashreplace")
 
 
 def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
 from calib.errors import BadInputError
-from calib.reporting.blocks import Block, Drawings, Section, drawn
+from calib.reporting.blocks import Block, Drawings, Section, catalogue, drawn
 from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
@@ -115,83 +115,6 @@ _FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
 
 #: failed checks of a fit that further runs alone mend
 _OF_MISSING_RUNS: Final = frozenset({"design", "order"})
-_AGAIN: Final = "'calib diagnose {runs} --simulator SIM.toml' for what is left."
-_SIMULATOR: Final = "run your simulator with it, then " + _AGAIN
-#: command and outcome -> what follows; ``c``: its campaign or source, ``file``: what was written
-STEPS: Final = {
-    "init": "fill in campaign.toml, and runs.csv with a row a run, then 'calib check {c}'.",
-    "ingest --describe": "save the mapping above as mapping.toml, correct it, then "
-    "'calib ingest {sources} --mapping mapping.toml --into campaign'.",
-    "ingest": "'calib check {c}'.",
-    "ingest --dry-run": "the same without --dry-run, then 'calib check {c}'.",
-    "check wrong": "correct what is wrong above, then 'calib check {c}'.",
-    "check": "'calib fit {c}' for the law of the load, 'calib geometry {c}' for the track.",
-    "check lengths": "'calib fit {c}' for the law of the load.",
-    "check lacks days": "'calib plan {c}' names runs for another day; 'calib fit {c}' gives the law of this one.",
-    "check lacks runs": "drive the runs that are missing, see above, then 'calib check {c}'.",
-    "check without distances": "'calib geometry {c}' for radii and lengths, 'calib diagnose {c}' for the gap.",
-    "fit": "'calib report {c}' to sign it, 'calib export {c} --to json --output coefficients.json' to use it.",
-    "fit failed": "correct in runs.csv, or exclude there, what failed above, then 'calib fit {c}'.",
-    "fit lacks runs": "'calib plan {c}' names the runs that are missing; drive them, then fit again.",
-    "geometry": "'calib geometry {c} --output coefficients.json' to use it.",
-    "geometry failed": "correct what is named above, then 'calib geometry {c}'.",
-    "geometry lengths": "'calib fit {c}' for the law of the load; measure headings or closed loops for the track.",
-    "geometry --output": "'calib export {file} --to ros2 --output params'; "
-    "'calib diagnose {c} --model {file}' for what is left.",
-    "diagnose": "'calib plan {c}' names the runs that settle it; drive them, then diagnose again.",
-    "diagnose --apply": "'calib diagnose {c} --model {file}' for what is left.",
-    "diagnose no_gap": "nothing to correct; 'calib diagnose {c}' again once tyres, floor or loads change.",
-    "diagnose recommended": "'calib diagnose {c} --apply corrected.json' writes the corrected model.",
-    "diagnose simulator": "'calib diagnose {c} --simulator {sim} --apply parameters.json' writes what to set; "
-    "make it the nominal values of {sim}, then diagnose again.",
-    "diagnose simulator lacks": "give your simulator, and {sim}, a parameter for what is named, then "
-    "'calib diagnose {c} --simulator {sim}'.",
-    "diagnose simulator group": "'calib diagnose {c} --simulator {sim} --exclude EFFECT' for what to set, where EFFECT "
-    "of the library is not at work.",
-    "diagnose unknown": "add columns of suspected quantities to runs.csv (temperature_C, tyre pressure, floor), then "
-    "'calib diagnose {c}'.",
-    "diagnose wrong": "correct what is named above, see 'calib check {c}', then 'calib diagnose {c}'.",
-    "diagnose counters": "correct or exclude {runs_named} by 'calib check {c}', then 'calib diagnose {c}'.",
-    "plan": "drive them, add them to runs.csv of the campaign, then 'calib diagnose {c}'.",
-    "plan nothing": "no run tells more: repeat those driven, on other days if you can, then 'calib diagnose {c}'.",
-    "plan --from": "drive the plan, add its runs to runs.csv, then 'calib diagnose CAMPAIGN'.",
-    "report": "'calib export {c} --to dcc --output certificate.xml' for the certificate.",
-    "report unstated": "'calib export {c} --to json --output coefficients.json' to use it.",
-    "report failed": "correct what failed, or drive what 'calib plan {c}' names, then fit again.",
-    "export json": "'calib diagnose {runs} --model {file}' for what is left.",
-    "export ros2": "pass it after the controllers' own parameter file (--params-file {file}).",
-    "export c": "cc -fsyntax-only -x c {file} checks it with your compiler; then include it.",
-    "export c_effects": "include it in your simulator's loop, then " + _AGAIN,
-    "export csv": "'calib export {c} --to json --output coefficients.json' has the law itself.",
-    "export mjcf": _SIMULATOR,
-    "export urdf": _SIMULATOR,
-    "export sdf": _SIMULATOR,
-    "export dcc": "'calib report {c}' has the same for people; sign both.",
-    "export mcap": "open {file} in Foxglove.",
-    "export nav2": "pass it after the navigation's own parameter file (--params-file {file}).",
-    "deviation": "'calib deviation CAMPAIGN' judges the paths of runs driven.",
-    "deviation CAMPAIGN": "'calib fit {c}' corrects every radius for its path.",
-    "deviation unknown": "add what tells the path, as said above, then 'calib deviation {c}'; 'calib fit {c}' takes "
-    "such runs for straight.",
-    "loads": "write them into runs.csv as load_left_N and load_right_N, then 'calib check CAMPAIGN'.",
-    "loads --weighed": "write mass and place into runs.csv as payload_kg, payload_x_m and payload_y_m, then "
-    "'calib check CAMPAIGN'.",
-    "simulate": "'calib simulate journey --law CAMPAIGN' drives under a law that was measured.",
-    "simulate --law": "'calib export {c} --to json --output coefficients.json' for the vehicle.",
-    "simulate replay": "'calib diagnose {c}' for the causes of the errors that remain.",
-    "effects": "'calib effects EFFECT' for one of them in full.",
-    "effects EFFECT": "'calib diagnose {c}' says whether the runs show it.",
-    "fleet": "'calib fleet run {c} --what {other} --into fleet-{other}'.",
-    "fleet table": "'calib fleet run FOLDER --what diagnose' takes a campaign folder a vehicle, with logs.",
-    "fleet vehicle failed": "'calib check {first}', then 'calib fleet run {c} --what {what} --into {into}' again.",
-    "fleet file failed": "correct the files named above, then 'calib fleet run {c} --what {what} --into {into}' again.",
-    "fleet simulate": "'calib fleet run {c} --into fleet'.",
-    "fleet simulate --poses": "'calib fleet run {c} --what geometry --into fleet'.",
-    "challenge make": "'calib challenge run {c}'.",
-    "challenge run": "'calib challenge score {c}'.",
-    "challenge score": "'calib challenge own CAMPAIGN' for what your own runs would show.",
-    "challenge own": "'calib diagnose {c}' for the campaign itself.",
-}
 
 
 def _quoted(word: str) -> str:
@@ -200,12 +123,12 @@ def _quoted(word: str) -> str:
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of `STEPS`; ``runs`` is the campaign `c`, where that has runs to diagnose."""
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose."""
     campaign = Path(str(names.get("c", "")))
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
     words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}
     quoted = {name: " ".join(map(_quoted, map(str, several))) for name, several in words.items()}
-    return "Next: " + STEPS[step].format(**quoted)
+    return "Next: " + catalogue()["next"][step].format(**quoted)
 
 
 #: what a check found -> its step, where the law of the load lacks runs
@@ -247,4 +170,4 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
     kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if wrong else kind
     step = f"diagnose {kind}"
-    return step if step in STEPS else "diagnose"
+    return step if step in catalogue()["next"] else "diagnose"

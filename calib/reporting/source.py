@@ -15,6 +15,7 @@ from calib.campaign.model import Campaign
 from calib.documents import to_json
 from calib.errors import BadFileError, RefusedError, refuse_other_than_date
 from calib.io import inside
+from calib.reporting.blocks import catalogue
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
@@ -158,25 +159,7 @@ def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
 
 
 #: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
-STATED: Final[Mapping[str, str]] = {
-    "laboratory": "name and address of the laboratory",
-    "customer": "name and contact of the customer",
-    "item": "description of the vehicle",
-    "item_id": "serial number of the vehicle",
-    "item_condition": "condition of the wheels",
-    "place": "where the runs were driven",
-    "floor": "floor of the corridor",
-    "received": "date of receipt of the vehicle",
-    "measured": "dates of the measurement",
-    "instruments": "instruments and their calibration certificates",
-    "deviations": "deviations from the method",
-    "prepared": "who prepared the report",
-    "authorised": "who authorises the report",
-    "method": "identifier of the method",
-    "replaces": "report that this one replaces",
-    "logo": "picture of the laboratory, a file of the campaign",
-    "remarks": "remarks",
-}
+STATED: Final[Mapping[str, str]] = catalogue()["stated"]
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
 #: pictures that a page can carry, by suffix

@@ -49,7 +49,7 @@ def _texts() -> list[Path]:
         files = [ROOT / line for line in listed.splitlines()]
     except (OSError, subprocess.CalledProcessError):
         files = [one for folder in ("calib", "tests", "docs") for one in (ROOT / folder).rglob("*")]
-    suffixes = {".py", ".md", ".typ", ".h", ".cff", ".html", ".j2"}
+    suffixes = {".py", ".md", ".typ", ".h", ".cff", ".html", ".j2", ".toml"}
     return [one for one in files if one.suffix in suffixes and one.is_file()]
 
 

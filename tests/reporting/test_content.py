@@ -15,7 +15,7 @@ from calib.campaign.read import read_campaign
 from calib.errors import BadFileError, CalibError
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, write_result
-from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text
+from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text, catalogue
 from calib.reporting.content import Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics import PAGES
@@ -270,3 +270,11 @@ def test_page_one_agrees_with_the_diagnosis_of_radii_that_follow_the_temperature
     assert notice.level == "bad"
     assert notice.title == "The law is doubtful"
     assert "temperature" in notice.text
+
+
+def test_every_sentence_of_the_catalogue_is_used(project_root: Path) -> None:
+    """What no page, certificate or line of the terminal names is dead text; rules and pictures are named by parts."""
+    code = "".join(path.read_text(encoding="utf-8") for path in (project_root / "calib").rglob("*.py"))
+    for section in ("report", "caption"):
+        parts = {name: name.removeprefix("decision_").removeprefix("fleet-") for name in catalogue()[section]}
+        assert {name for name, part in parts.items() if f'"{name}"' not in code and f'"{part}"' not in code} == set()

@@ -7,6 +7,7 @@ beside them is the ``[certificate]`` section of ``campaign.toml``.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
@@ -26,6 +27,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.radius.law import COVERAGE
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
+from calib.reporting.blocks import paragraph
 from calib.reporting.source import Source, opened, source_of
 from calib.types import Progress
 
@@ -121,7 +123,7 @@ def certificate_of(section: Any, where: str) -> Certificate:
         return Certificate.model_validate(dict(section))
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        places = [(".".join(str(part) for part in fault["loc"]), fault) for fault in faults]
+        places = [(".".join(map(str, fault["loc"])), fault) for fault in faults]
         missing = ", ".join(place for place, fault in places if fault["type"] == "missing")
         if missing:
             raise RefusedError(
@@ -211,40 +213,32 @@ def document(source: Source, stated: Certificate) -> Element:
     return fromstring(_printable(template.render(values)))
 
 
+#: what XML 1.0 cannot hold
+_NO_XML: Final = re.compile("[\x00-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
 def _printable(text: str) -> str:
-    return "".join(
-        sign
-        if sign in "\t\n" or (sign >= " " and not "\ud800" <= sign <= "\udfff" and sign not in "\ufffe\uffff")
-        else f"\\x{ord(sign):x}"
-        for sign in text
-    )
+    return _NO_XML.sub(lambda sign: f"\\x{ord(sign[0]):x}", text)
 
 
 def _limits(source: Source, stated: Certificate) -> list[str]:
     fit = source.fit
     texts = []
     if fit.simulated:
-        texts.append("SIMULATED DATA: a program made the measurements of this certificate; they are no measurements.")
-    failed = _failed(fit)
-    if failed:
-        texts.append(f"Accepted although a check failed: {fit.accepted}. Checks that failed: {' '.join(failed)}")
-    if source.setup.assumed:
-        listed = ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items())
-        texts.append(f"Assumed, not stated by the campaign: {listed}. What depends on these is not measured.")
-    untraced = [equipment.name for equipment in stated.equipment if equipment.certificate is None]
-    if untraced:
-        listed = ", ".join(untraced)
-        texts.append(
-            f"No calibration certificate is stated of: {listed}. Traceability to the SI is not shown for these."
-        )
+        texts.append(paragraph("certificate_simulated"))
+    if failed := " ".join(_failed(fit)):
+        texts.append(paragraph("certificate_failed", accepted=fit.accepted, failed=failed))
+    if assumed := ", ".join(f"{key} {value}" for key, value in source.setup.assumed.items()):
+        texts.append(paragraph("certificate_assumed", listed=assumed))
+    if untraced := ", ".join(equipment.name for equipment in stated.equipment if equipment.certificate is None):
+        texts.append(paragraph("certificate_untraced", listed=untraced))
     return texts
 
 
 def _radii(wheel: WheelFit, fit: Fit) -> list[tuple[float, ...]]:
-    loads = _loads(wheel, fit)
-    law = wheel.law
-    columns = (np.array(loads), law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads))
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+    loads, law = np.array(_loads(wheel, fit)), wheel.law
+    columns = np.column_stack((loads, law.radius_m(loads), law.half_width_m(loads), law.mean_std_m(loads)))
+    return list(map(tuple, columns.tolist()))
 
 
 def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
@@ -253,5 +247,5 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     loads = sorted({round(pair[side], 3) for pair in points.values()})
     # runs that each have their own load are weighing's scatter, no load points
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
-        return [float(load) for load in np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS)]
+        return list(np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS))
     return loads

@@ -148,9 +148,7 @@ class _Sink:
     def show(self, run: ShownRun, begin_s: float) -> None:
         log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
         messages = [(begin_s, "/run", LOG_TYPE, log)]
-        for name in PATHS:
-            if name not in run.paths:
-                continue
+        for name in (name for name in PATHS if name in run.paths):
             track = run.paths[name].thinned()
             times = [begin_s + float(t) for t in track.time_s]
             poses = [self._pose(t, *pose) for t, pose in zip(times, track.poses.tolist(), strict=True)]

@@ -21,6 +21,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path as PredictedPath
+from calib.reporting.blocks import paragraph
 from calib.reporting.exports import diagnosed
 from calib.types import BoolArray, FloatArray, Progress, StrArray
 
@@ -314,17 +315,10 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     notes = [f"the odometry is taken as corrected by: {named}; on the vehicle, correct it likewise"]
     if diagnosis.causes and not diagnosis.recommended:
         notes.append("this correction is not recommended: see calib diagnose")
-    if noise.undetermined:
-        listed = ", ".join(noise.undetermined)
-        notes.append(
-            f"these runs say nothing of {listed}: the default of {DEFAULT_ALPHA:g} stands; drive turns and ways"
-        )
+    if unknown := ", ".join(noise.undetermined):
+        notes.append(paragraph("amcl_unknown", listed=unknown, default=DEFAULT_ALPHA))
     if noise.beyond_form:
-        notes.append(
-            f"AMCL's model cannot spread as these runs do, observed over predicted is {_listed(noise.form)}: errors "
-            f"stay the same during a run and differ between runs; look for their cause with calib diagnose, or set all "
-            f"alphas {noise.cover:.2f} times as large, so that none of the three is understated"
-        )
+        notes.append(paragraph("amcl_form", listed=_listed(noise.form), cover=noise.cover))
         near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
         if near:
             notes.append(f"alphas of their own meet the runs of {near} alone; the file has them by kind of run")
@@ -367,24 +361,16 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
 def parameters_text(noise: MotionNoise, campaign: str, corrected: str, *, simulated: bool) -> str:
     """Return the parameter file of a noise; `corrected`: by what the odometry is corrected."""
     held_out = zip(CHANNELS, noise.held_out.ratios, noise.held_out.interval, strict=True)
-    return (
-        templates_of(__package__)
-        .get_template("nav2.yaml.j2")
-        .render(
-            noise=noise,
-            campaign=campaign,
-            corrected=corrected,
-            simulated=simulated,
-            ratios=[f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, (low, high) in held_out],
-            listed=_listed,
-            rounded=lambda value: number(float(f"{value:.4g}")),
-            ascii_line=ascii_line,
-            update_min_d=UPDATE_MIN_D_M,
-            update_min_a=UPDATE_MIN_A_RAD,
-            default_alpha=DEFAULT_ALPHA,
-            speed_mps=SPEED_MPS,
-            rate_Hz=RATE_HZ,
-        )
+    template = templates_of(__package__).get_template("nav2.yaml.j2")
+    constants = {"update_min_d": UPDATE_MIN_D_M, "update_min_a": UPDATE_MIN_A_RAD, "default_alpha": DEFAULT_ALPHA}
+    return template.render(
+        constants | {"noise": noise, "campaign": campaign, "corrected": corrected, "simulated": simulated},
+        ratios=[f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, (low, high) in held_out],
+        listed=_listed,
+        rounded=lambda value: number(float(f"{value:.4g}")),
+        ascii_line=ascii_line,
+        speed_mps=SPEED_MPS,
+        rate_Hz=RATE_HZ,
     )
 
 

@@ -21,19 +21,7 @@ from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
 from calib.reporting.figures import style
-from calib.reporting.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    LEGEND_LIMIT,
-    MANY,
-    ORANGE,
-    Groups,
-    axes_grid,
-    canvas,
-    shared_legend,
-    styled,
-)
+from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled
 from calib.types import FloatArray, StrArray, evenly
 
 MM: Final = 1e3
@@ -290,7 +278,7 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
         axes.set_axis_off()
     if colours is not None:
         figure.colorbar(colours, ax=list(grid), label="odometry after: distance from the reference (mm)", shrink=0.8)
-    shared_legend(figure, list(handles.values()), list(handles))
+    style.shared_legend(figure, list(handles.values()), list(handles))
     if simulated:
         figure.text(0.99, 0.01, "SIMULATED DATA", ha="right", color=GREY)
     return figure
@@ -341,7 +329,7 @@ def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
         name = trace.run_id
         row[0].set_ylabel(name if len(name) <= NAME_LENGTH else f"…{name[1 - NAME_LENGTH :]}", fontsize=6)
     handles = [grid[0, 0].lines[1], grid[0, 0].lines[0]]
-    shared_legend(figure, handles, ["after", "before, cut off where it is larger"])
+    style.shared_legend(figure, handles, ["after", "before, cut off where it is larger"])
     return figure
 
 
@@ -371,7 +359,7 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
             axes.set_title(f"{word}: {title} ({unit})")
     for axes in grid[1]:
         style.over_runs(axes)
-    shared_legend(figure, *grid[0, 0].get_legend_handles_labels())
+    style.shared_legend(figure, *grid[0, 0].get_legend_handles_labels())
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ from calib.errors import BadInputError
 from calib.fleet.run import Fleet
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.io import refuse_existing, write_bytes
+from calib.reporting.blocks import Drawings
 from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, canvas, draw_ordered, figure_title, render, styled
 
@@ -152,37 +154,39 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     return write_bytes(path, render(figure, form), force=force)
 
 
-@styled
-def fleet_distribution(fleet: Fleet) -> Figure:
-    """Draw each vehicle's radius and slope with its 95 % interval, in order of size, outliers marked."""
+def fleet_figures(fleet: Fleet) -> Drawings:
+    """Return what draws radii and slopes of the vehicles, and the drift of their wheels where journeys have days.
+
+    In order of size, each with its 95 % interval, the outliers marked; nothing where no vehicle was fitted.
+    """
     fitted = [record for record in fleet.records if record.status == "fitted"]
+    if not fitted:
+        return {}
     odd = {outlier.vehicle for outlier in fleet.view.outliers}
-    figure = canvas(10.0)
-    grid = style.axes_grid(figure, 2, 2)
-    for column, side in enumerate(WHEELS):
-        _ordered(grid[0, column], fitted, side, "radius_ref_m", 1e3, odd)
-        grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load, mm")
-        _ordered(grid[1, column], fitted, side, "slope_m_per_N", 1e9, odd)
-        grid[1, column].set(ylabel="slope, nm/N", xlabel="vehicles in order of size (orange: stands apart)")
-    return figure
-
-
-def _ordered(axes: Axes, fitted: list[VehicleRecord], side: str, kind: str, scale: float, odd: set[str]) -> None:
-    lines = [getattr(record, side) for record in fitted]
-    values = scale * np.array([getattr(line, kind) for line in lines])
-    ends = "radius_ci95_m" if kind == "radius_ref_m" else "slope_ci95_m_per_N"
-    marked = np.array([record.vehicle in odd for record in fitted])
-    draw_ordered(axes, values, scale * np.array([getattr(line, ends) for line in lines]), marked)
-    axes.axhline(float(np.median(values[~marked] if (~marked).any() else values)), color=BLUE, linewidth=0.8)
-
-
-def fleet_drift(fleet: Fleet) -> Figure | None:
-    """Draw each wheel's drift with its 95 % interval, in order of size; None where no vehicle's journeys have days."""
-    fitted = [record for record in fleet.records if record.status == "fitted"]
     wheels = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     named = {(one.vehicle, one.wheel) for one in fleet.view.drifting}
     drifts = [(drift, (vehicle, side) in named) for vehicle, side, drift in wheels if drift is not None]
-    return _drift(*zip(*drifts, strict=True)) if drifts else None
+    figures = {"distribution": partial(_distribution, fitted, odd)}
+    return figures | ({"drift": partial(_drift, *zip(*drifts, strict=True))} if drifts else {})
+
+
+@styled
+def _distribution(fitted: Sequence[VehicleRecord], odd: set[str]) -> Figure:
+    figure = canvas(10.0)
+    grid = style.axes_grid(figure, 2, 2)
+    marked = np.array([record.vehicle in odd for record in fitted])
+    for column, side in enumerate(WHEELS):
+        lines = [getattr(record, side) for record in fitted]
+        for axes, value, ends, scale in (
+            (grid[0, column], "radius_ref_m", "radius_ci95_m", 1e3),
+            (grid[1, column], "slope_m_per_N", "slope_ci95_m_per_N", 1e9),
+        ):
+            values, intervals = (scale * np.array([getattr(line, key) for line in lines]) for key in (value, ends))
+            draw_ordered(axes, values, intervals, marked)
+            axes.axhline(float(np.median(values[~marked] if (~marked).any() else values)), color=BLUE, linewidth=0.8)
+        grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load, mm")
+        grid[1, column].set(ylabel="slope, nm/N", xlabel="vehicles in order of size (orange: stands apart)")
+    return figure
 
 
 @styled

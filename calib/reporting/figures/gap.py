@@ -31,8 +31,6 @@ MAP_HEIGHT_CM: Final = 11.5
 MAX_PANELS: Final = 6
 #: covariates of this correlation make one picture
 ALIKE: Final = 0.98
-#: figures of ``calib diagnose --figures``
-GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +66,7 @@ class GapArrays:
         _, along, lateral, *_ = np.where(usable, measured_gap(nominal, nominal), np.nan).T
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
-        known = bool(np.isfinite(offset).any())
+        known, columns = bool(np.isfinite(offset).any()), covariate_values(observations).items()
         before, after, noise_level = (
             np.where(usable, part, np.nan) for part in (held_out.before, held_out.after, held_out.floor)
         )
@@ -78,11 +76,7 @@ class GapArrays:
             before=before,
             after=after,
             noise_level=noise_level,
-            covariates={
-                name: values.astype(np.float64)
-                for name, values in covariate_values(observations).items()
-                if values.dtype.kind == "f"
-            },
+            covariates={name: column.astype(np.float64) for name, column in columns if column.dtype.kind == "f"},
             paths_m=tuple(trace[:, :2] for trace in nominal.traces()) if known else (),
             offset_m=offset if known else None,
         )

@@ -17,6 +17,7 @@ from calib.odometry.law_path import LawPath
 from calib.odometry.poses import COMPONENTS, ellipses
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import Sweep
+from calib.radius.law import WheelLaw
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
 
 Dash = Literal["-", "--", ":"]
@@ -99,19 +100,19 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
 
 
 @styled
-def ratio_figure(rows: Sequence[TableRow], *, valid: tuple[tuple[float, float], tuple[float, float]]) -> Figure:
+def ratio_figure(rows: Sequence[TableRow], left: WheelLaw, right: WheelLaw) -> Figure:
     """Return the ratio of the 95 % bands' limits to the mean radius over load, with the valid ranges (Fig. 15)."""
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])
     first, second = figure.subplots(1, 2, sharey=True)
-    for axes, side, loads_valid in zip((first, second), ("left", "right"), valid, strict=True):
+    for axes, side, law in ((first, "left", left), (second, "right", right)):
         radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
         for band, tint in (("prediction", SKY), ("mean", BLUE)):
             half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
             name = "of a single run" if band == "prediction" else "of the mean"
             axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
             axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)
-        axes.axvspan(*loads_valid, color=INK, alpha=0.05, label="valid loads")
+        axes.axvspan(law.load_min_N, law.load_max_N, color=INK, alpha=0.05, label="valid loads")
         axes.set(xlabel="wheel load (N)", title=f"{side.capitalize()} wheel")
         axes.tick_params(labelleft=True)
     first.set_ylabel("radius over the law's mean radius")

@@ -81,15 +81,8 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
         lengths = [len(text) + LEGEND_GAP for text in labels]
         # one row, else columns as wide as the longest
         columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
-        figure.legend(
-            handles,
-            labels,
-            loc="outside lower center" if below else "outside upper center",
-            ncols=columns,
-            handlelength=1.2,
-            handletextpad=0.5,
-            columnspacing=1.4,
-        )
+        look: Any = {"loc": "outside lower center" if below else "outside upper center", "ncols": columns}
+        figure.legend(handles, labels, handlelength=1.2, handletextpad=0.5, columnspacing=1.4, **look)
 
 
 def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool = False) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from calib import __version__
-from calib.reporting.blocks import Equation, Facts, Items, Section, Text, items, table
+from calib.reporting.blocks import Equation, Facts, Items, Section, Text, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, plural, prose, span
 from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics.fit import assumed_text
@@ -28,12 +28,8 @@ def item_section(source: Source) -> Section:
         ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
         ("Wheel encoders", f"{counts} counts a revolution{wrap}"),
     ]
-    remark = Text(
-        "What the campaign states of laboratory, customer, vehicle, instruments and dates is carried over as given; "
-        "geometry and counts a revolution are taken from it and were not measured here.",
-        small=True,
-    )
-    return Section("Item", (Facts(tuple((name, value or MISSING) for name, value in rows)), remark))
+    facts = Facts(tuple((name, value or MISSING) for name, value in rows))
+    return Section("Item", (facts, Text(paragraph("item"), small=True)))
 
 
 def missing_section(source: Source) -> Section | None:
@@ -43,7 +39,7 @@ def missing_section(source: Source) -> Section | None:
 
 def missing_of(stated: Mapping[str, str]) -> Section | None:
     """Return what is missing of the keys of `STATED` that a reader must be told, as a list to be filled in."""
-    rows = tuple((what.capitalize(), key, "") for key, what in STATED.items() if key not in {*stated, *OPTIONAL})
+    rows = [(what.capitalize(), key, "") for key, what in STATED.items() if key not in {*stated, *OPTIONAL}]
     if not rows:
         return None
     caption = "Not stated by the campaign: to be filled in, here or under [report] of campaign.toml."
@@ -92,9 +88,8 @@ def conditions_section(source: Source) -> Section:
     if any("heading" in text for text in radii.path_source.tolist()):
         milli = 1e3 * setup.reference.sigma_theta_rad
         rows.append(("Heading reference", f"standard uncertainty of a heading {milli:.2g} mrad"))
-    for name, (title, unit, form) in _CONDITIONS.items():
-        if name in setup.conditions:
-            rows.append((title, span(*setup.conditions[name], unit, form)))
+    measured = {name: shown for name, shown in _CONDITIONS.items() if name in setup.conditions}
+    rows += [(title, span(*setup.conditions[name], unit, form)) for name, (title, unit, form) in measured.items()]
     if out + back:
         rows.append(("Direction of driving", f"{plural(out, 'run')} out, {back} back"))
     traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."
@@ -107,58 +102,27 @@ def conditions_section(source: Source) -> Section:
     return Section("Instruments and conditions", (Facts(tuple(rows)), *texts))
 
 
-_DESIGNS = {
-    "crossed": "The slope comes from differences between loads within the sessions.",
-    "confounded": "Each session has a load of its own, so the slope comes from the session means alone.",
-    "mixed": "The slope combines differences within the sessions with those between their means.",
-    "single": "The runs count as one session.",
-    "constant": "The runs have one load, so a constant radius is given and no slope.",
-}
-
-
 def method_section(source: Source) -> Section:
     """Return effective radius, regression, and their uncertainty."""
     fit = source.fit
-    designs = dict.fromkeys(_DESIGNS.get(wheel.design, "") for wheel in fit.wheels.values())
-    blocks: list[Text | Equation] = [
-        Text(
-            "The vehicle drives along a straight corridor. A laser rangefinder measures the distance Sₒ of each run, "
-            f"the encoders of {_counted_wheels(source)} count their revolutions n. The effective radius of a wheel in "
-            "a run is"
-        ),
+    wheels = catalogue()["wheels"].get(source.setup.vehicle.drive, "the rear wheels")
+    designs = dict.fromkeys(catalogue()["design"].get(wheel.design, "") for wheel in fit.wheels.values())
+    blocks = (
+        Text(paragraph("method_radius", wheels=wheels)),
         Equation("effective_radius"),
-        Text(
-            "where the path correction e accounts for weaving and turning about the straight line. For each wheel a "
-            "line is fitted by least squares to the radii of all runs,"
-        ),
+        Text(paragraph("method_line")),
         Equation("law"),
-        Text(
-            "with F the wheel load and F₀ the reference load. Runs of one session share temperature, mounting and wear "
-            "and are not independent: scatter between sessions and between runs are estimated separately, and both "
-            "enter the "
-            "uncertainty. " + " ".join(text for text in designs if text)
-        ),
-        Text(
-            "Uncertainties follow the Guide to the expression of uncertainty in measurement (GUM). Expanded "
-            "uncertainties use Student's t at the effective degrees of freedom for a coverage of 95 %."
-        ),
+        Text(paragraph("method_sessions", designs=" ".join(filter(None, designs)))),
+        Text(paragraph("method_uncertainty")),
         Text(f"Deviations from the method: {source.stated.get('deviations', 'none stated')}."),
-    ]
+    )
     return Section("Method", (*blocks, *items(map(prose, fit.notes))))
-
-
-def _counted_wheels(source: Source) -> str:
-    return {
-        "tricycle": "the free rear wheels",
-        "differential": "the two driven wheels",
-        "skid": "the driven wheels of either side",
-    }.get(source.setup.vehicle.drive, "the rear wheels")
 
 
 def limits_section(source: Source) -> Section:
     """Return the limits of the result."""
     fit = source.fit
-    lines = ["The results relate only to the vehicle and wheels named above, in their condition during these runs."]
+    lines = [paragraph("limits_item")]
     for name, wheel in fit.wheels.items():
         low, high = wheel.law.load_min_N, wheel.law.load_max_N
         limit = "only one load was measured; how the radius changes with load is not known."
@@ -166,25 +130,15 @@ def limits_section(source: Source) -> Section:
             limit = f"loads below {low:.0f} N and above {high:.0f} N were not measured."
         lines.append(f"{name.capitalize()} wheel: {limit}")
     if any(wheel.design == "confounded" for wheel in fit.wheels.values()):
-        lines.append(
-            "Each session had a load of its own: a change from session to session is confounded with an effect of load."
-        )
+        lines.append(paragraph("limits_sessions"))
     conditions = source.setup.conditions
     speeds = f" ({span(*conditions['speed_mps'], 'm/s', '.2g')})" if "speed_mps" in conditions else ""
     halls = ", as none were recorded"
     if "temperature_C" in conditions:
         halls = f" than {span(*conditions['temperature_C'], '°C', '.1f')}"
-    lines += [
-        f"Other speeds than those driven{speeds} and curves: the law comes from straight runs at constant speed; scrub "
-        "and load transfer in curves are not contained in it.",
-        f"Other temperatures{halls}, later wear, other wheels and other floors.",
-        "The track, and with it heading: straight runs do not determine it.",
-    ]
-    closing = (
-        "This report may be passed on in full only. It is not a certificate, and makes no claim about the competence "
-        "of the laboratory beyond what the laboratory states itself."
-    )
-    return Section("What this report does not cover", (Items(tuple(lines)), Text(closing)))
+    lines += [paragraph("limits_speeds", speeds=speeds), paragraph("limits_halls", halls=halls)]
+    closing = Text(paragraph("limits_closing"))
+    return Section("What this report does not cover", (Items((*lines, paragraph("limits_track"))), closing))
 
 
 #: beyond this many files their logs are given as one hash

@@ -4,32 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.design import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
+from calib.reporting.blocks import (
+    Block,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    caption,
+    items,
+    paragraph,
+    picture,
+    table,
+)
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
-from calib.reporting.topics.gap import (
-    cause_blocks,
-    closure_blocks,
-    confounded_blocks,
-    effect_name,
-    limit_blocks,
-    where_blocks,
-)
+from calib.reporting.topics import gap as findings
+from calib.reporting.topics.gap import effect_name
 from calib.types import FloatArray, floats
 
 if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 
+#: figures of ``calib diagnose --figures``
+GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
 #: verdict -> level of its notice, and its title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),
@@ -64,7 +74,7 @@ def page_one_notice(verdict: Diagnosis) -> Notice:
 
 def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
     """Return what the terminal prints of a diagnosis, under the name of its campaign."""
-    mark = (simulated_notice(),) if verdict.simulated else ()
+    mark = (blocks.simulated_notice(),) if verdict.simulated else ()
     return (blocks.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
 
@@ -73,19 +83,15 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
-        Text(
-            "The gap is measured minus simulated motion, run by run. The noise level is the scatter of repeated runs; "
-            "no model gets below it.",
-            small=True,
-        ),
+        Text(paragraph("noise_level"), small=True),
         *map_picture(gap),
-        *where_blocks(verdict.where),
+        *findings.where_blocks(verdict.where),
         *covariate_picture(gap, verdict),
-        *cause_blocks(verdict),
-        *confounded_blocks(verdict),
-        *closure_blocks(verdict),
+        *findings.cause_blocks(verdict),
+        *findings.confounded_blocks(verdict),
+        *findings.closure_blocks(verdict),
         *before_after_picture(gap),
-        *limit_blocks(verdict),
+        *findings.limit_blocks(verdict),
         *next_runs,
         *items(map(prose, verdict.notes)),
     )
@@ -104,16 +110,9 @@ def map_picture(gap: GapArrays | None) -> list[Picture]:
     """Return the gap on the floor plan."""
     if gap is None or gap.offset_m is None:
         return []
-    largest = float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0))
-    return [
-        picture(
-            "gap-map",
-            "The gap on the floor plan: paths driven, and arrows from the simulated to the measured end of each run.",
-            f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {length(largest)}",
-            "gap.gap_map",
-            *(gap.paths_m, gap.offset_m, gap.labels["kind"]),
-        )
-    ]
+    largest = length(float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0)))
+    alt = f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {largest}"
+    return [picture("gap-map", alt, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"])]
 
 
 def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture]:
@@ -143,18 +142,10 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     shown = list(distinct(varied).items())[:MAX_PANELS]
     alike = [f"{', '.join(map(with_unit, others))} like {with_unit(name)}" for name, others in shown if others]
     aside = f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""
-    return [
-        picture(
-            "gap-by-covariate",
-            f"The {title} gap against what varied between the runs; squares are means with their 95 % intervals, the "
-            f"grey band is the noise level.{aside}",
-            f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}",
-            "gap.gap_by_covariate",
-            *(gap.before[:, worst], title, unit, varied),
-            noise_level=levels[worst],
-            group=gap.labels["kind"],
-        )
-    ]
+    alt = f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}"
+    gaps = (gap.before[:, worst], title, unit, varied)
+    draw = partial(blocks.drawn, "gap.gap_by_covariate", *gaps, noise_level=levels[worst], group=gap.labels["kind"])
+    return [Picture("gap-by-covariate", caption("gap-by-covariate", title=title, aside=aside), alt, draw)]
 
 
 def before_after_picture(gap: GapArrays | None) -> list[Picture]:
@@ -169,16 +160,8 @@ def before_after_picture(gap: GapArrays | None) -> list[Picture]:
         for (name, unit), before, after in zip(channels, gap.before.T, gap.after.T, strict=True)
         if np.isfinite(before).any()
     ]
-    return [
-        picture(
-            "gap-before-after",
-            "The gap of every run before and after the correction, channel by channel, on held-out runs; bars "
-            "are mean and standard deviation, numbers root mean squares, the grey band is the noise level.",
-            "Gap before and after by channel: " + "; ".join(sizes),
-            "gap.before_after",
-            *(channels, gap.before, gap.after, gap.noise_level),
-        )
-    ]
+    alt = f"Gap before and after by channel: {'; '.join(sizes)}"
+    return [picture("gap-before-after", alt, "gap.before_after", channels, gap.before, gap.after, gap.noise_level)]
 
 
 def _known(values: FloatArray) -> FloatArray:
@@ -239,21 +222,19 @@ def promise_table(now: Promise | None, then: Promise) -> Table:
         rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
     walk = 1e3 * float(np.sqrt(then.scales[2]))
     left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
-    return table(
-        f"Half widths of the 95 % intervals that 'calib geometry' {'will give' if now is None else 'gives'}, where the "
-        f"heading wanders by {walk:.2g} mrad a root metre.{left}",
-        ("<Parameter", *([] if now is None else ["Runs driven"]), "These" if now is None else "With the next"),
-        rows,
-    )
+    gives, heads = ("will give", ["These"]) if now is None else ("gives", ["Runs driven", "With the next"])
+    return table(caption("table-promise", gives=gives, walk=walk, left=left), ("<Parameter", *heads), rows)
+
+
+#: key of a run to drive -> what is said of it
+_REMARKS: Final = {
+    "size": "{}", "stops": "{} stops", "loop": "closed loop", "tape": "by tape", "count": "{} times",
+    "read_rolling": "read while rolling",
+}  # fmt: skip
 
 
 def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
-    extra = [str(run["size"])] if run.get("size") else []
-    extra += [f"{run['stops']} stops"] if run.get("stops") else []
-    extra += ["closed loop"] if run.get("loop") else []
-    extra += ["by tape"] if run.get("tape") else []
-    extra += [f"{run['count']} times"] if run.get("count") else []
-    extra += ["read while rolling"] if run.get("read_rolling") else []
+    extra = [words.format(run[key]) for key, words in _REMARKS.items() if run.get(key)]
     what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
 
     def shown(key: str) -> str:
@@ -348,17 +329,11 @@ def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ..
     told_apart = set(document["told_apart"])
     rows = []
     for number, effect in enumerate(outlook.effects):
-        others = document["confused"].get(effect, [])
-        words = ", ".join(others[:MAX_NAMED]) or "not seen at its typical size"
-        if len(others) > MAX_NAMED:
-            words += f" and {len(others) - MAX_NAMED} more"
-        words = "yes" if effect in told_apart else words
+        others = listed(document["confused"].get(effect, []), MAX_NAMED) or "not seen at its typical size"
+        words = "yes" if effect in told_apart else others
         rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
-    told = table(
-        f"{name}, {n_runs} runs: {len(told_apart)} of {len(outlook.effects) + len(outlook.absent)} effects told apart. "
-        "The signal is that at the effect's typical size, in standard deviations.",
-        ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with"),
-        rows,
-    )
+    known = {"told": len(told_apart), "effects": len(outlook.effects) + len(outlook.absent)}
+    heads = ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with")
+    told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
     absent = (f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
     return (told, *items(absent))

@@ -10,12 +10,25 @@ from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, simulated_notice, table
+from calib.reporting.blocks import (
+    Block,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    caption,
+    items,
+    paragraph,
+    picture,
+    table,
+)
 from calib.reporting.formatting import fixed, places, plural, probability, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics import law
 from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
+from calib.types import grouped
 
 #: names of the pictures of a fit, in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -26,7 +39,7 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
     sessions = len(set(fit.radii.session.tolist()))
     return (
         blocks.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
-        *([simulated_notice()] if fit.simulated else []),
+        *([blocks.simulated_notice()] if fit.simulated else []),
         law_table(fit),
         single_run_text(fit),
         Text(" ".join(map(law.quality_text, fit.wheels.values()))),
@@ -66,10 +79,7 @@ def result_section(source: Source) -> Section:
     laws = [wheel.law for wheel in fit.wheels.values()]
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
     loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
-    holds = Text(
-        f"The law was measured at wheel loads of {loads}. It comes from {len(fit.radii)} runs along a straight "
-        "corridor. The same law, with its covariance, is attached to this PDF as coefficients.json."
-    )
+    holds = Text(paragraph("law_holds", loads=loads, runs=len(fit.radii)))
     assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
 
@@ -152,19 +162,13 @@ def checks_table(fit: Fit) -> Table:
         for name, results in by_name.items()
         for (level, sentence), same in results.items()
     ]
-    return table(
-        "Checks of the fit; p is the probability of a statistic at least as extreme where all assumptions hold.",
-        ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning"),
-        rows,
-        dense=True,
-    )
+    heads = ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning")
+    return table(caption("table-checks"), heads, rows, dense=True)
 
 
 def _statistics(checks: list[Check]) -> str:
-    values: dict[str, list[str]] = {}
-    for check in checks:
-        if check.statistic is not None and check.statistic_name:
-            values.setdefault(check.statistic_name, []).append(f"{check.statistic:.3g}".replace("-", "−"))
+    known = [(one.statistic_name, one.statistic) for one in checks if one.statistic is not None and one.statistic_name]
+    values = grouped((name, f"{value:.3g}".replace("-", "−")) for name, value in known)
     return prose("; ".join(f"{name} = {' / '.join(dict.fromkeys(each))}" for name, each in values.items()))
 
 
@@ -177,11 +181,8 @@ def usable_notice(fit: Fit) -> Notice:
     if fit.failed:
         title = "The law should not be used as it is" if fit.implausible else "The law is doubtful"
         return Notice("bad", title, f"FAILED: {'; '.join(fit.failed)}. The checks say what that means and what to do.")
-    remarks: dict[str, list[str]] = {}
-    for name, check in checks:
-        if check.level == "note":
-            remarks.setdefault(prose(check.sentence), []).append(f"{name.capitalize()} wheel: ")
-    if remarks:
+    noted = [(prose(check.sentence), f"{name.capitalize()} wheel: ") for name, check in checks if check.level == "note"]
+    if remarks := grouped(noted):
         said = [text if len(wheels) > 1 else wheels[0] + text for text, wheels in remarks.items()]
         return Notice("note", "The law can be used; its user has to know this", " ".join(said[:MAX_REMARKS]))
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
@@ -197,34 +198,14 @@ def decision_section(source: Source) -> Section:
     """Return by which rule the checks were judged, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
-    rules = (
-        f"A check with a probability p below {NOTE_BELOW:g} is given as a remark: the result stands, but its user has "
-        "to know.",
-        f"A check on which the validity of the law rests has failed where p is below {FAIL_BELOW:g}; the law should "
-        "then not be used as it is. One failed check on one wheel is enough.",
-        f"With the {tests} tests made here, all assumptions being true, the probability of any remark is about "
-        f"{false_alarm:.0f} %, and that of any failure at most {100 * tests * FAIL_BELOW:.2g} %.",
-        "Intervals are two-sided with a coverage of 95 %; uncertainties are rounded to two significant digits, values "
-        "to the same place.",
-    )
-    conformity = (
-        "No tolerance on radius or slope was agreed, so no statement of conformity with a specification is made. Where "
-        "one is made from these results, the expanded uncertainty has to be taken into account."
-    )
-    return Section("Decision rule", (blocks.Items(rules), Text(conformity)))
+    values = {"note": NOTE_BELOW, "fail": FAIL_BELOW, "false_alarm": false_alarm, "failures": 100 * tests * FAIL_BELOW}
+    rules = ("remark", "failure", "chance", "rounding")
+    listed = blocks.Items(tuple(paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
+    return Section("Decision rule", (listed, Text(paragraph("decision_conformity"))))
 
 
 def residuals_picture(fit: Fit) -> Picture:
     """Return the residuals of both wheels."""
-    return picture(
-        "residuals",
-        "Residuals of both wheels against load, in the order driven, and against a normal distribution; colours are "
-        "sessions as above.",
-        "Residuals of both wheels: "
-        + "; ".join(
-            f"{name} wheel within {1e6 * float(abs(wheel.residual_m).max()):.0f} µm"
-            for name, wheel in fit.wheels.items()
-        ),
-        "calibration.residuals",
-        *(fit.left, fit.right, fit.radii.session),
-    )
+    sizes = {name: 1e6 * float(abs(wheel.residual_m).max()) for name, wheel in fit.wheels.items()}
+    alt = "Residuals of both wheels: " + "; ".join(f"{name} wheel within {um:.0f} µm" for name, um in sizes.items())
+    return picture("residuals", alt, "calibration.residuals", fit.left, fit.right, fit.radii.session)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
+from calib.reporting import blocks
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, paragraph, table
 from calib.reporting.formatting import MISSING
 
 if TYPE_CHECKING:
@@ -19,30 +20,30 @@ if TYPE_CHECKING:
 MAX_ROWS = 40
 
 
-def fleet_content(fleet: Fleet, *, pictures: bool = False) -> tuple[Block, ...]:
-    """Return what the fit of a fleet says; with `pictures`, for a page, without what was read now."""
+def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, ...]:
+    """Return what a task over a fleet says.
+
+    For a page with pictures, and without what was done now: it is the same however often the command was interrupted.
+    """
+    return _of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)
+
+
+def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
     view = fleet.view
-    counts = f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"
-    read = f"{fleet.n_read} read now, {fleet.n_kept} kept from before"
-    # a page is the same however often the command was interrupted
+    facts = (("vehicles", f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"),)
+    read = (("files", f"{fleet.n_read} read now, {fleet.n_kept} kept from before"),)
     doubtful = [f"{one.vehicle}: {'; '.join(one.doubtful)}" for one in fleet.records if one.doubtful]
-    facts = (("vehicles", counts),) if pictures else (("vehicles", counts), ("files", read))
     return (
         Heading("Fleet"),
-        Facts(facts),
+        Facts(facts if page else facts + read),
         *_populations(view.populations),
-        *(_pictures(fleet) if pictures and view.n_fitted else ()),
+        *(_pictures(fleet) if page else ()),
         *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
         *([_drifting(fleet)] if view.drifting else ()),
         *_common([cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
-        Text(
-            "Outlying vehicles are named at a false discovery rate of 1 % "
-            "(Benjamini and Hochberg); those that drift or share a cause at a family-wise error rate of 1 % "
-            "(Holm). Mean and spread are those of the others, the differences between labels removed.",
-            small=True,
-        ),
+        Text(paragraph("fleet_rates"), small=True),
     )
 
 
@@ -68,32 +69,22 @@ def _populations(populations: Mapping[str, Population]) -> list[Table]:
 
 
 def _drifting(fleet: Fleet) -> Table:
-    return table(
-        f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval",
-        ("<vehicle", "<wheel", "drift (nm a day)", "due on day"),
-        [
-            (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
-            for one in fleet.view.drifting[:MAX_ROWS]
-        ],
-    )
+    title = f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval"
+    rows = [
+        (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
+        for one in fleet.view.drifting[:MAX_ROWS]
+    ]
+    return table(title, ("<vehicle", "<wheel", "drift (nm a day)", "due on day"), rows)
 
 
 def _pictures(fleet: Fleet) -> list[Picture]:
-    from calib.reporting.figures.challenge import fleet_distribution, fleet_drift
+    from calib.reporting.figures.challenge import fleet_figures
 
-    caption = "Radius and slope of each vehicle with its 95 % interval, in order of size."
-    alt = "Four panels of dots with bars: radius and slope of the left and right wheel, vehicles in order of size."
-    pictures = [Picture("fleet-distribution", caption, alt, lambda: fleet_distribution(fleet))]
-    drift = fleet_drift(fleet)
-    if drift is not None:
-        caption = "Drift of each wheel with its 95 % interval, in order of size."
-        alt = "Dots with bars: drift of every wheel of the fleet in order of size."
-        pictures.append(Picture("fleet-drift", caption, alt, lambda: drift))
-    return pictures
+    figures, shown = fleet_figures(fleet).items(), blocks.catalogue()["fleet"]
+    return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
 
 
-def survey_content(survey: Survey, *, page: bool = False) -> tuple[Block, ...]:
-    """Return what a task over a fleet says; for a page without what was done now."""
+def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
     failed = [record for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
     facts = [("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed")]
@@ -135,14 +126,13 @@ def _board(score: Score) -> Table:
     rows = []
     for name, line in score.board.items():
         rate = MISSING if line.rate is None else f"{line.rate:.1%}"
-        spans = [
-            f"{low:.1%}..{high:.1%}" for low, high in (of(line.hits, line.total) for of in (wilson, clopper_pearson))
-        ]
+        intervals = (of(line.hits, line.total) for of in (wilson, clopper_pearson))
+        spans = [f"{low:.1%}..{high:.1%}" for low, high in intervals]
         target = f"{TARGETS[name][1]} {TARGETS[name][0]:.0%}" if name in TARGETS else ""
         rows.append((name, f"{line.hits}/{line.total}", rate, *spans, target, _MET[score.meets(name)]))
-    caption = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
-    intervals = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
-    return table(caption, ("<Line", "Cases", "Share", *intervals, "Target", "<"), rows)
+    title = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
+    heads = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
+    return table(title, ("<Line", "Cases", "Share", *heads, "Target", "<"), rows)
 
 
 def _parts(score: Score) -> list[Table]:
@@ -150,18 +140,15 @@ def _parts(score: Score) -> list[Table]:
     titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
               "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
     ceilings = ("gated", "hits_over_gated", "own_gated", "hits_over_own_gated")
-    by_signal = tuple(
-        (
-            signal,
-            *(f"{row[word].hits}/{row[word].total}" for word in words),
-            *(MISSING if (v := score.ceilings[signal][key]) is None else f"{v:.2f}" for key in ceilings),
-        )
-        for signal, row in score.by_signal.items()
-    )
-    reliability = tuple(
+    by_signal = []
+    for signal, row in score.by_signal.items():
+        reached = (score.ceilings[signal][key] for key in ceilings)
+        shares = (f"{row[word].hits}/{row[word].total}" for word in words)
+        by_signal.append((signal, *shares, *(MISSING if one is None else f"{one:.2f}" for one in reached)))
+    reliability = [
         (f"{one.low:.1f}..{one.high:.1f}", f"{one.stated:.3f}", f"{one.true.rate:.3f}", f"{one.true.total}")
         for one in score.reliability
-    )
+    ]
     return [
         table("Single effects by signal.", titles, by_signal),
         table("Stated probabilities.", ("Bin", "Stated", "True", "Statements"), reliability),
@@ -169,17 +156,12 @@ def _parts(score: Score) -> list[Table]:
 
 
 def _misses(score: Score) -> Table:
-    rows = tuple(
-        (
-            case.case,
-            case.group,
-            MISSING if case.signal is None else f"{case.signal:g}",
-            (f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth)) or "nothing",
-            case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": "),
-            case.rival,
-        )
-        for case in score.misses
-    )
+    rows = []
+    for case in score.misses:
+        signal = MISSING if case.signal is None else f"{case.signal:g}"
+        truth = f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth) or "nothing"
+        answer = case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": ")
+        rows.append((case.case, case.group, signal, truth, answer, case.rival))
     return table("Misses.", ("<Case", "<Group", "Signal", "*Truth", "*Answer", "*Nearest alternative, sigma"), rows)
 
 
@@ -196,8 +178,7 @@ def own_content(own: Own) -> list[Block]:
     sentences = [
         f"False alarms where nothing was planted: {own.raised} of {len(own.empty)} (95 %: {low} to {high}).",
         f"Something else named: {own.wrong} of {own.planted} planted.",
-        f"The noise is what the diagnosis leaves of {own.units} units, {own.units_with_repeats} of them with repeats; "
-        f"the campaign's own verdict was {own.own_verdict}.",
+        paragraph("own_noise", units=own.units, repeated=own.units_with_repeats, verdict=own.own_verdict),
     ]
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")

@@ -12,8 +12,9 @@ from calib.gap.decision.sentences import advice, headline
 from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import POSE
 from calib.reporting import formatting
-from calib.reporting.blocks import Block, Table, Text, items, table
+from calib.reporting.blocks import Block, Table, Text, caption, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, length, percent, probability, prose, readable, three_digits
+from calib.types import grouped
 
 #: most covariates, runs and places shown; the JSON has them all
 MAX_LINES: Final = 12
@@ -41,8 +42,8 @@ def where_blocks(where: GapLocation) -> list[Block]:
 
 def _channels(where: GapLocation) -> Table:
     rows = [(c.channel.label, *_sizes(c.channel.unit, c.rms, c.floor), fixed(c.ratio, 1)) for c in where.channels]
-    caption = "Where: the gap by channel, root mean square, against its noise level."
-    return table(caption, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
+    title = "Where: the gap by channel, root mean square, against its noise level."
+    return table(title, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
 
 
 def _sizes(unit: str, *sizes: float) -> tuple[str, ...]:
@@ -55,12 +56,7 @@ def _covariates(where: GapLocation) -> Table:
     for line in where.significant[:MAX_LINES]:
         shares = [fixed(value, 2) for value in (line.share, *(line.ci95 or (None, None)))]
         rows.append((formatting.in_words(line.name), line.channel_label, *shares, probability(line.p_value)))
-    return table(
-        "Correlations of the gap: share of its variance above the noise, and p corrected for the number of tests (the "
-        "chance of any false line is 5 %).",
-        ("<Correlates with", "<Channel", "Share", *INTERVAL, "p"),
-        rows,
-    )
+    return table(caption("table-covariates"), ("<Correlates with", "<Channel", "Share", *INTERVAL, "p"), rows)
 
 
 def _run(run: str, lines: Sequence[RunDeviation]) -> str:
@@ -77,12 +73,10 @@ def _place(line: PlaceResult) -> str:
     spread = f"{1e3 * line.ci95[0]:.3g} to {1e3 * line.ci95[1]:.3g}"
     if line.place is None or line.place_ci95 is None:
         return f"It opens at {line.where}: {line.channel.label} {size} {line.what} (95 %: {spread})."
-    (low, high), (first, last) = line.place, line.place_ci95
+    places = dict(zip(("low", "high", "first", "last"), (*line.place, *line.place_ci95), strict=True))
     route = f" on {line.route.replace('_', ' ')}" if line.route else ""
-    return (
-        f"It opens at a {line.where}{route}: {line.channel.label} {size} (95 %: {spread}) between {low:.2f} m "
-        f"({first[0]:.2f} to {first[1]:.2f}) and {high:.2f} m ({last[0]:.2f} to {last[1]:.2f}), {line.coordinate}."
-    )
+    known = {"where": line.where, "route": route, "size": f"{line.channel.label} {size}", "spread": spread}
+    return paragraph("place", **known, **places, coordinate=line.coordinate)
 
 
 def closure_blocks(verdict: Diagnosis) -> list[Block]:
@@ -125,12 +119,8 @@ def _by_channel(verdict: Diagnosis) -> Table:
     if closure.before_rms_m is not None and any(line.channel in POSE for line in closure.channels):
         ends = _sizes("m", closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
         rows.append(("end position", *ends, MISSING))
-    return table(
-        f"How far: the gap by channel {_on_which_runs(closure)}, and of the noise. Closed: share of error variance "
-        "above noise removed.",
-        ("<Channel", "<Unit", "Before", "After", "Noise", "Closed"),
-        formatting.aligned(rows, 2, 3, 4),
-    )
+    heads = ("<Channel", "<Unit", "Before", "After", "Noise", "Closed")
+    return table(caption("table-closure", on=_on_which_runs(closure)), heads, formatting.aligned(rows, 2, 3, 4))
 
 
 def _sentence(verdict: Diagnosis) -> str:
@@ -143,17 +133,14 @@ def _sentence(verdict: Diagnosis) -> str:
 
 
 def _transfer(verdict: Diagnosis) -> Table:
-    rerun = verdict.closure.held_out == RERUN
-    where = "where your simulator ran again with it" if rerun else "on conditions that it was not fitted on"
-    return table(
-        f"Effect of the correction on the end position (else the distance), root mean square, {where}"
-        f"{'' if rerun else ', each held out in turn'}.",
-        ("<On runs of" if rerun else "<Held out", "<Which", "Before", "After"),
-        [
-            (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
-            for trial in verdict.fix.transfer
-        ],
-    )
+    where, head = "on conditions that it was not fitted on, each held out in turn", "<Held out"
+    if verdict.closure.held_out == RERUN:
+        where, head = "where your simulator ran again with it", "<On runs of"
+    rows = [
+        (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
+        for trial in verdict.fix.transfer
+    ]
+    return table(caption("table-transfer", where=where), (head, "<Which", "Before", "After"), rows)
 
 
 #: rows of a table of causes at most; the JSON has them all
@@ -173,28 +160,22 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
         return []
     named = verdict.causes[:MAX_CAUSES]
     doubtful = not all(cause.plausible for cause in named)
-    ranking = table(
-        "Which: the named causes, most probable first; the share is that of the gap above the noise level.",
-        ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else [])),
-        [
-            (
-                cause.title + (f" ({cause.form})" if cause.form else ""),
-                cause.effect,
-                *map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None)))),
-                *(["yes" if cause.plausible else "NO"] if doubtful else []),
-            )
-            for cause in named
-        ],
-    )
+    ranked = []
+    for cause in named:
+        shares = map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None))))
+        plausible = ["yes" if cause.plausible else "NO"] if doubtful else []
+        ranked.append((cause.title + (f" ({cause.form})" if cause.form else ""), cause.effect, *shares, *plausible))
+    title = "Which: the named causes, most probable first; the share is that of the gap above the noise level."
+    heads = ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else []))
+    blocks: list[Block] = [table(title, heads, ranked)]
     rows = [
         (cause.effect, effect_name(name), quantity.unit if quantity.unit != "1" else "", *_interval(quantity))
         for cause in named
         for name, quantity in cause.parameters.items()
     ]
-    blocks: list[Block] = [ranking]
     if rows:
-        heads = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
-        blocks.append(table("Sizes of the causes with 95 % intervals.", heads, rows))
+        columns = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
+        blocks.append(table("Sizes of the causes with 95 % intervals.", columns, rows))
     remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
     remarks += [
         f"{cause.effect}: these runs do not determine the form; {', '.join(cause.forms_open)} fit equally well"
@@ -222,13 +203,9 @@ def limit_blocks(verdict: Diagnosis) -> list[Block]:
     blocks: list[Block] = []
     unseen = [(limit.effect, prose(limit.smallest)) for limit in verdict.undetectable if not limit.never]
     if unseen:
-        caption = "Detection limits above the typical size: the smallest size that these runs would show."
-        blocks.append(table(caption, ("<Effect", "*Smallest size that would show"), unseen[:MAX_CAUSES]))
-    never: dict[str, list[str]] = {}
-    for limit in verdict.undetectable:
-        if limit.never:
-            never.setdefault(limit.smallest, []).append(limit.effect)
-    if never:
+        title = "Detection limits above the typical size: the smallest size that these runs would show."
+        blocks.append(table(title, ("<Effect", "*Smallest size that would show"), unseen[:MAX_CAUSES]))
+    if never := grouped((limit.smallest, limit.effect) for limit in verdict.undetectable if limit.never):
         effects = items(f"{', '.join(names)}: {prose(why)}" for why, names in never.items())
         blocks += [Text("Not excited by these runs, at any size:"), *effects]
     return blocks

@@ -36,15 +36,14 @@ def parameter_table(geometry: Geometry) -> Table:
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
     """Return the residuals by route, and those of held-out runs where there are any."""
     caption = "Residuals by route: root mean square of position and heading."
-    tables = [table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)]
-    if geometry.transfer:
-        rows = [
-            (row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}")
-            for row in geometry.transfer
-        ]
-        heads = ("<held out", "n", "before (mm)", "after (mm)")
-        tables.append(table("End position error of held-out runs.", heads, rows, dense=True))
-    return tuple(tables)
+    routes = table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)
+    rows = [
+        (row.left_out, str(row.n), f"{1e3 * row.before_rms_m:.1f}", f"{1e3 * row.after_rms_m:.1f}")
+        for row in geometry.transfer
+    ]
+    heads = ("<held out", "n", "before (mm)", "after (mm)")
+    held_out = table("End position error of held-out runs.", heads, rows, dense=True)
+    return (routes, held_out) if rows else (routes,)
 
 
 def _heading(geometry: Geometry) -> str:
@@ -91,10 +90,8 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
     umbmark = geometry.umbmark
     if umbmark.applies:
         driven = f"{umbmark.n_cw} clockwise, {umbmark.n_ccw} counter-clockwise squares of {umbmark.side_m:.3g} m"
-        lines.append(
-            f"UMBmark ({driven}): E_d {umbmark.E_d:.5f}, "
-            f"E_b {umbmark.E_b:.5f}, c_L {umbmark.c_left:.5f}, c_R {umbmark.c_right:.5f}."
-        )
+        factors = {"E_d": umbmark.E_d, "E_b": umbmark.E_b, "c_L": umbmark.c_left, "c_R": umbmark.c_right}
+        lines.append(f"UMBmark ({driven}): {', '.join(f'{name} {value:.5f}' for name, value in factors.items())}.")
     return [*lines, *geometry.notes]
 
 
@@ -163,46 +160,23 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     if not measured:
         return []
     largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
-    return [
-        picture(
-            "geometry-paths",
-            "Paths of the reference's sensor: by the calibrated odometry, coloured by its distance from the reference; "
-            "by the nominal odometry in grey; by the reference, dotted.",
-            f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference",
-            "calibration.draw_paths",
-            measured,
-        )
-    ]
+    alt = f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference"
+    return [picture("geometry-paths", alt, "calibration.draw_paths", measured)]
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     along = [trace for trace in traces if len(trace.seen) > 1]
     ends = [trace for trace in traces if len(trace.seen) < 2]
-    in_time = picture(
-        "geometry-residuals-in-time",
-        "Residuals along the path of the first runs; in grey by the nominal odometry.",
-        f"Residuals along, lateral and in heading against time, of {len(along)} runs",
-        "calibration.residuals_in_time",
-        along,
-    )
-    by_run = picture(
-        "geometry-residuals-by-run",
-        "Residuals at the end of each run, in the order driven.",
-        f"Residuals of {len(traces)} end poses before and after",
-        "calibration.residuals_by_run",
-        ends,
-    )
+    alt = f"Residuals along, lateral and in heading against time, of {len(along)} runs"
+    in_time = picture("geometry-residuals-in-time", alt, "calibration.residuals_in_time", along)
+    alt = f"Residuals of {len(traces)} end poses before and after"
+    by_run = picture("geometry-residuals-by-run", alt, "calibration.residuals_by_run", ends)
     return [*([in_time] if along else []), *([by_run] if ends else [])]
 
 
 def _correlation(geometry: Geometry) -> tuple[Block, ...]:
     names = [estimate.name for estimate in geometry.estimates]
     remark = "Parameters that correlate beyond 0.9, in bold, are known better together than each by itself."
-    shown = picture(
-        "geometry-correlation",
-        "Correlation of the parameters.",
-        f"Correlation of {', '.join(names)}",
-        "calibration.correlations",
-        *(names, geometry.covariance),
-    )
+    alt = f"Correlation of {', '.join(names)}"
+    shown = picture("geometry-correlation", alt, "calibration.correlations", names, geometry.covariance)
     return (Text(remark, small=True), shown)

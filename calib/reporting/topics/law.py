@@ -11,7 +11,7 @@ from calib.campaign.checks.design import SIDES
 from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, picture, table
+from calib.reporting.blocks import Block, Equation, Picture, Section, Table, Text, caption, paragraph, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, prose, span, two_digits
 from calib.reporting.source import Source
 
@@ -23,11 +23,7 @@ def law_table(fit: Fit) -> Table:
     """Return both wheels' laws with expanded uncertainties."""
     left, right = fit.left.law.reference_load_N, fit.right.law.reference_load_N
     zero = f"F₀ = {left:.4g} N" + ("" if left == right else f" (left), {right:.4g} N (right)")
-    return _table(
-        f"Radius law of each wheel, r(F) = r(F₀) + s (F − F₀) with {zero}; U = k u is the half width of the 95 % "
-        "interval, k from Student's t.",
-        fit.wheels,
-    )
+    return _table(caption("table-law", zero=zero), fit.wheels)
 
 
 def static_table(fit: Fit) -> Table:
@@ -35,11 +31,11 @@ def static_table(fit: Fit) -> Table:
     return _table("Static radius against load, the same regression on the standing wheel; U as above.", fit.static)
 
 
-def _table(caption: str, wheels: Mapping[str, WheelFit]) -> Table:
+def _table(title: str, wheels: Mapping[str, WheelFit]) -> Table:
     radius = tuple(f"Radius at F₀ | {head}" for head in ("r(F₀) (mm)", "U (mm)", "k"))
     slope = tuple(f"Slope | {head}" for head in ("s (µm/N)", "U (µm/N)", "k"))
     rows = [(name, *_row(wheel)) for name, wheel in wheels.items()]
-    return table(caption, ("<Wheel", "Runs", "^Loads (N)", *radius, *slope), rows)
+    return table(title, ("<Wheel", "Runs", "^Loads (N)", *radius, *slope), rows)
 
 
 def _coefficients(fit: WheelFit) -> list[tuple[str, str, float, float, float]]:
@@ -94,33 +90,18 @@ def naive_text(fit: Fit) -> tuple[Text, ...]:
             low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
             _, half = measured(0.5 * (low + high), 0.5 * (high - low))
             parts.append(f"±{half} µm/N ({name})")
-    text = (
-        f"If every run were independent of the others, U of the slopes would be {' and '.join(parts)}; the table "
-        "accounts for the correlation of runs within a session."
-    )
-    return (Text(text, small=True),) if parts else ()
+    return (Text(paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
 
 
 def regression_section(source: Source) -> Section:
     """Return figure and table of both wheels' laws with the band of the mean and the prediction band."""
     fit = source.fit
     bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
-    blocks: list[Block] = [
-        Text(
-            "The band of the mean holds the law itself: it answers how well the mean radius at a load is known. The "
-            "prediction band holds the radius of one further run, driven in a session of its own: it answers how far "
-            "off the next journey can be. Both have a coverage of 95 % at each load; from two sessions, of "
-            "95 % and more."
-        ),
-        regressions_picture(fit),
-        table(
-            "The law at measured loads, with the half widths of both bands.",
-            ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands)),
-            aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6),
-        ),
-        Text(" ".join(quality_text(wheel) for wheel in fit.wheels.values())),
-    ]
-    return Section("Regression on load", tuple(blocks))
+    heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
+    title = "The law at measured loads, with the half widths of both bands."
+    shown = table(title, heads, aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6))
+    quality = Text(" ".join(map(quality_text, fit.wheels.values())))
+    return Section("Regression on load", (Text(paragraph("bands")), regressions_picture(fit), shown, quality))
 
 
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
@@ -147,30 +128,18 @@ def coefficients_section(source: Source) -> Section:
             # two digits of u fix the value's last place, too
             numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
             rows.append(("" if number else wheel.wheel, title, unit, *numbers))
-    blocks: list[Block] = [
-        table(
-            "Coefficients: value, standard uncertainty u, degrees of freedom ν, coverage factor k (Student's t), "
-            "expanded uncertainty U = k u for a coverage of 95 %.",
-            ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U"),
-            aligned(rows, 3, 4, 7),
-        )
-    ]
+    heads = ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U")
+    blocks: list[Block] = [table(caption("table-coefficients"), heads, aligned(rows, 3, 4, 7))]
     if any(wheel.model == "line" for wheel in fit.wheels.values()):
         text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
         blocks += [Text(text), Equation("law_uncertainty")]
     ends = "clamps loads outside the valid range to its ends"
     outside = "refuses loads outside the valid range" if source.coefficients.outside == "refuse" else ends
-    wheels = source.coefficients.law.left, source.coefficients.law.right
-    valid = [
-        f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for one, side in zip(wheels, SIDES, strict=True)
-    ]
-    attached = (
-        f"The attached coefficients.json ({source.coefficients.checksum[:19]}…) carries law, covariance and valid "
-        f"range for the vehicle: the loads measured and a margin for the scatter of weighing, {' and '.join(valid)}; "
-        f"by it the vehicle {outside}."
-    )
-    blocks += [Text(" ".join(_correlation(wheel) for wheel in fit.wheels.values())), Text(attached)]
-    return Section("Coefficients", tuple(blocks))
+    wheels = {side: getattr(source.coefficients.law, side) for side in SIDES}
+    valid = [f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for side, one in wheels.items()]
+    known = {"checksum": source.coefficients.checksum[:19], "valid": " and ".join(valid), "outside": outside}
+    correlations = Text(" ".join(map(_correlation, fit.wheels.values())))
+    return Section("Coefficients", (*blocks, correlations, Text(paragraph("attached", **known))))
 
 
 def _correlation(wheel: WheelFit) -> str:
@@ -185,13 +154,8 @@ def _correlation(wheel: WheelFit) -> str:
 
 def regressions_picture(fit: Fit) -> Picture:
     """Return both wheels' laws with the band of the mean and the prediction band."""
-    return picture(
-        "regressions",
-        "Effective radius against wheel load with the law and both bands; below, the same as deviation from the law.",
-        "Regression of the radius on the load: " + "; ".join(_law_in_words(wheel) for wheel in fit.wheels.values()),
-        "calibration.regressions",
-        *(fit.left, fit.right, fit.radii.session),
-    )
+    alt = f"Regression of the radius on the load: {'; '.join(map(_law_in_words, fit.wheels.values()))}"
+    return picture("regressions", alt, "calibration.regressions", fit.left, fit.right, fit.radii.session)
 
 
 def _law_in_words(wheel: WheelFit) -> str:
@@ -215,38 +179,15 @@ def radius_budget(fit: Fit) -> Table:
     total = np.linalg.norm([(part.std_left_m, part.std_right_m) for part in fit.radii.budget], axis=0)
     combined = (two_digits(1e6 * float(std_m)) for std_m in total)
     rows.append(("combined", "one run in a session of its own", "", "", "", *combined))
-    return table(
-        "Uncertainty budget of a single effective radius, for a typical run: contributions to its standard uncertainty "
-        "u (k = 1). Type A is evaluated from repeats, type B from other knowledge (GUM).",
-        ("<Contribution", "*Quantity", "^Type", "<Distribution", "~ν", "u | left (µm)", "u | right (µm)"),
-        aligned(rows, 5, 6),
-    )
+    heads = ("<Contribution", "*Quantity", "^Type", "<Distribution", "~ν", "u | left (µm)", "u | right (µm)")
+    return table(caption("table-radius-budget"), heads, aligned(rows, 5, 6))
 
 
 def budget_picture(fit: Fit) -> Picture:
     """Return the budget of a single radius as bars."""
     largest = max(fit.radii.budget, key=lambda part: part.std_left_m + part.std_right_m)
-    return picture(
-        "budget",
-        "Contributions to the standard uncertainty of a single effective radius, and all of them combined.",
-        f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}",
-        "calibration.budget_bars",
-        fit.radii.budget,
-    )
-
-
-def declared_text(fit: Fit) -> Text:
-    """Say which systematic parts are declared, or that none is and what that means for U."""
-    if any(": " in part.name for part in fit.radii.budget):
-        return Text(
-            "Parts that are the same in every run are declared by the campaign ([uncertainty] of campaign.toml); they "
-            "enter every U and every band, and more runs do not make them smaller."
-        )
-    return Text(
-        "The campaign declares no systematic parts ([uncertainty] of campaign.toml): scale and offset of the "
-        "rangefinder, angle of its beam, scale of the weighing. Every U counts the instruments' errors as random from "
-        "run to run; errors that are the same in every run are not contained in it."
-    )
+    alt = f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}"
+    return picture("budget", alt, "calibration.budget_bars", fit.radii.budget)
 
 
 def law_budget(fit: Fit) -> Table:
@@ -260,13 +201,10 @@ def law_budget(fit: Fit) -> Table:
         rows.append((name, "radius at F₀", "µm", *(two_digits(1e6 * float(value)) for value in std[:, 0])))
         if wheel.model == "line":
             rows.append(("", "slope", "nm/N", *(two_digits(1e9 * float(value)) for value in std[:, 1])))
-    heads = ("<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions")
-    return table(
-        "Budget of the law: contributions to the standard uncertainties u (k = 1) of its coefficients."
-        + (" Systematic parts do not become smaller with more runs." if systematic else ""),
-        (*heads, *(["Systematic"] if systematic else []), "Combined"),
-        aligned(rows, *range(3, 7 if systematic else 6)),
-    )
+    heads = ["<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions"]
+    heads += ["Systematic", "Combined"] if systematic else ["Combined"]
+    remark = " Systematic parts do not become smaller with more runs." if systematic else ""
+    return table(caption("table-law-budget", systematic=remark), heads, aligned(rows, *range(3, len(heads))))
 
 
 def _scatter(fit: Fit) -> tuple[Text, ...]:
@@ -274,16 +212,12 @@ def _scatter(fit: Fit) -> tuple[Text, ...]:
     scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
     if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
         return ()
-    text = (
-        f"Runs scatter {scatter[0] / known[0]:.1f} (left) and {scatter[1] / known[1]:.1f} (right) times as "
-        "much as the instruments explain: ground, steering and tyre set the scatter, a better rangefinder would "
-        "not help."
-    )
-    return (Text(text),)
+    return (Text(paragraph("scatter", left=scatter[0] / known[0], right=scatter[1] / known[1])),)
 
 
 def budget_section(source: Source) -> Section:
     """Return what the uncertainty is made of."""
     fit = source.fit
-    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared_text(fit), *_scatter(fit))
+    declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
+    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
     return Section("Uncertainty budget", blocks)

@@ -9,17 +9,29 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import CheckReport
-from calib.campaign.checks.design import listed
+from calib.campaign.checks.design import SIDES, listed
 from calib.campaign.model import Note
-from calib.campaign.settings import Encoder
 from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.effective import RunDeviations
 from calib.radius.result import Fit
-from calib.reporting.blocks import Block, Facts, Heading, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting import blocks
+from calib.reporting.blocks import (
+    Block,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    caption,
+    items,
+    paragraph,
+    picture,
+    table,
+)
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics.law import static_table
-from calib.types import FloatArray
+from calib.types import FloatArray, grouped
 
 #: more runs make the report's table one of sessions
 MOST_ROWS: Final = 200
@@ -29,9 +41,7 @@ MOST_NAMED: Final = 12
 
 def left_out_table(fit: Fit) -> Table:
     """Return one row a reason, with a dozen runs named of hundreds that are not used; the fit's JSON names them all."""
-    by_reason: dict[str, list[str]] = {}
-    for run in fit.radii.left_out:
-        by_reason.setdefault(run.reason, []).append(run.run_id)
+    by_reason = grouped((run.reason, run.run_id) for run in fit.radii.left_out)
     rows = [(reason, str(len(names)), listed(names, MOST_NAMED)) for reason, names in by_reason.items()]
     return table("Runs that were not used.", ("*Reason", "Number", "*Runs"), rows[:MOST_ROWS], dense=True)
 
@@ -41,8 +51,11 @@ def runs_table(fit: Fit) -> Table:
     radii = fit.radii
     # head -> values, factor of its unit, decimals
     numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
-    if fit.setup is not None:
-        numbers |= {f"~Counts | {side}": (counts, 1.0, 0) for side, counts in _counts(fit, fit.setup.encoder).items()}
+    encoder = None if fit.setup is None else fit.setup.encoder
+    for side in SIDES if encoder is not None else ():
+        path, radius_m = getattr(radii, f"path_{side}"), getattr(radii, f"radius_{side}_m")
+        per_rev = getattr(encoder, f"counts_per_rev_{side}")
+        numbers[f"~Counts | {side}"] = (radii.distance_m * (1 + path) / (2 * np.pi * radius_m) * per_rev, 1.0, 0)
     for head, factor, decimals, left, right in (
         ("Load | {} (N)", 1.0, 1, radii.load_left_N, radii.load_right_N),
         ("Radius | {} (mm)", 1e3, 4, radii.radius_left_m, radii.radius_right_m),
@@ -53,23 +66,8 @@ def runs_table(fit: Fit) -> Table:
         numbers[head.format("right")] = (right, factor, decimals)
     labels = [array.astype(str).tolist() for array in (radii.run_id, radii.session, radii.direction)]
     cells = [[fixed(factor * value, places) for value in array.tolist()] for array, factor, places in numbers.values()]
-    return table(
-        "Runs: distance by the rangefinder, encoder counts, wheel loads, effective radii with the path correction "
-        "contained in them, and residuals from the law.",
-        ("<Run", "<Session", "<Dir.", *numbers),
-        zip(*labels, *cells, strict=True),
-        dense=True,
-    )
-
-
-def _counts(fit: Fit, encoder: Encoder) -> dict[str, FloatArray]:
-    radii = fit.radii
-    wheels = {
-        "left": (radii.path_left, radii.radius_left_m, encoder.counts_per_rev_left),
-        "right": (radii.path_right, radii.radius_right_m, encoder.counts_per_rev_right),
-    }
-    m = radii.distance_m
-    return {side: m * (1 + path) / (2 * np.pi * radius) * per_rev for side, (path, radius, per_rev) in wheels.items()}
+    rows = zip(*labels, *cells, strict=True)
+    return table(caption("table-runs"), ("<Run", "<Session", "<Dir.", *numbers), rows, dense=True)
 
 
 def sessions_table(fit: Fit) -> Table:
@@ -79,25 +77,15 @@ def sessions_table(fit: Fit) -> Table:
     rows = []
     for name in dict.fromkeys(radii.session.tolist()):
         on = radii.session == name
+        loads = (f"{part[on].min():.0f}–{part[on].max():.0f}" for part in (radii.load_left_N, radii.load_right_N))
         pieces = [fit.left.residual_m[on], fit.right.residual_m[on]]
         scatter = [float(np.std(part, ddof=1)) if len(part) > 1 else float("nan") for part in pieces]
-        rows.append(
-            (
-                str(name),
-                str(int(on.sum())),
-                *(f"{part[on].min():.0f}–{part[on].max():.0f}" for part in (radii.load_left_N, radii.load_right_N)),
-                *(fixed(1e6 * float(part.mean()), 1) for part in pieces),
-                *(fixed(1e6 * part, 1) for part in scatter),
-            )
-        )
+        sizes = (fixed(1e6 * part, 1) for part in (*(float(part.mean()) for part in pieces), *scatter))
+        rows.append((str(name), str(int(on.sum())), *loads, *sizes))
     first = f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
-    return table(
-        f"Sessions of the {len(radii)} runs{first}; scatter is one standard deviation (k = 1). Every run is in "
-        "runs.csv of the result folder.",
-        ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in ("left", "right"))),
-        rows[:MOST_ROWS],
-        dense=True,
-    )
+    columns = ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in SIDES))
+    title = caption("table-sessions", runs=len(radii), first=first)
+    return table(title, columns, rows[:MOST_ROWS], dense=True)
 
 
 def runs_section(source: Source) -> Section:
@@ -119,26 +107,12 @@ def runs_picture(fit: Fit) -> Picture:
     for name, wheel in fit.wheels.items():
         low, high = 1e3 * float(wheel.radius_m.min()), 1e3 * float(wheel.radius_m.max())
         parts.append(f"{name} wheel {low:.3f} to {high:.3f} mm")
-    return picture(
-        "runs-by-series",
-        "Effective radius of each run in the order driven, coloured by wheel load, or by session where all loads are "
-        "alike. Bars, where larger than the mark, are two standard uncertainties of the instruments.",
-        f"Radius by run for both wheels, {len(fit.radii)} runs: " + "; ".join(parts),
-        "calibration.runs_by_series",
-        fit.radii,
-    )
+    alt = f"Radius by run for both wheels, {len(fit.radii)} runs: {'; '.join(parts)}"
+    return picture("runs-by-series", alt, "calibration.runs_by_series", fit.radii)
 
 
 #: relative error of a radius that the runs are compared with
 TOLERANCE: Final = 5e-4
-_SOURCES: Final = {
-    "log": "weave in the log",
-    "log+heading": "weave in the log and measured heading at the end",
-    "columns": "measured amplitude and wavelength",
-    "columns+heading": "measured amplitude and wavelength, and heading at the end",
-    "none+heading": "measured heading at the end",
-    "none": "not corrected",
-}
 
 
 def deviation_section(source: Source) -> Section:
@@ -146,46 +120,26 @@ def deviation_section(source: Source) -> Section:
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     paths = np.array((radii.path_left, radii.path_right))
-    worst = 1e6 * float(np.abs(paths).max())
-    content: list[Block] = [
-        Text(
-            "The rangefinder sees the straight distance, the wheels roll along the path. A weave of amplitude A and "
-            "wavelength λ makes the path longer by about (πA/λ)², a turn makes one wheel's path longer and the other's "
-            f"shorter. The radii of this report are corrected for it; the largest correction of a run is {worst:.0f} "
-            "ppm."
-        ),
-        deviation_picture(source.fit),
-    ]
     rows = []
     for name in dict.fromkeys(radii.path_source.tolist()):
         on = radii.path_source == name
-        rows.append(
-            (
-                _SOURCES.get(name, name),
-                str(int(on.sum())),
-                fixed(1e3 * _median(radii.amplitude_m[on & known]), 1),
-                fixed(_median(radii.wavelength_m[on & known]), 1),
-                *(fixed(float(value), 0) for value in 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))),
-            )
-        )
-    content.append(
-        table(
-            "Where the corrections come from; medians of amplitude and wavelength, root mean square corrections.",
-            ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)"),
-            rows,
-        )
-    )
+        weave = (1e3 * _median(radii.amplitude_m[on & known]), _median(radii.wavelength_m[on & known]))
+        corrected = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
+        sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
+        rows.append((blocks.catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
+    heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
+    text = Text(paragraph("paths", worst=1e6 * float(np.abs(paths).max())))
+    content: list[Block] = [text, deviation_picture(source.fit), table(caption("table-corrections"), heads, rows)]
     if known.any():
         off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
         wavelength = _median(radii.wavelength_m[known])
-        allowed = 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength))
-        content.append(
-            Text(
-                f"Without the correction, {plural(off, 'run') if off else 'no run'} would show a radius more than "
-                f"{1e6 * TOLERANCE:.0f} ppm off. A weave of the median wavelength of {wavelength:.1f} m stays within "
-                f"that up to an amplitude of {allowed:.0f} mm."
-            )
-        )
+        values = {
+            "off": plural(off, "run") if off else "no run",
+            "tolerance": 1e6 * TOLERANCE,
+            "wavelength": wavelength,
+            "allowed": 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength)),
+        }
+        content.append(Text(paragraph("uncorrected", **values)))
     return Section("Path deviation", tuple(content))
 
 
@@ -198,15 +152,9 @@ def deviation_picture(fit: Fit) -> Picture:
     radii = fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     worst = 1e6 * float(np.abs((radii.path_left, radii.path_right)).max())
-    return picture(
-        "path-deviation",
-        "Left: excess of a weaving path over the straight distance, by amplitude and wavelength over whole periods, "
-        "and the runs of this campaign. Right: correction of each run's radius for weave and turn.",
-        f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs; corrections of all runs "
-        f"up to {worst:.0f} ppm",
-        "calibration.path_deviation",
-        radii,
-    )
+    shown = f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs"
+    alt = f"{shown}; corrections of all runs up to {worst:.0f} ppm"
+    return picture("path-deviation", alt, "calibration.path_deviation", radii)
 
 
 #: entries of a list of names, and runs of one note
@@ -219,12 +167,12 @@ MAX_SIMILAR: Final = 8
 def check_content(report: CheckReport) -> tuple[Block, ...]:
     """Return the findings of a check, and its verdict."""
     content: list[Block] = [
-        Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
-        Facts(tuple(_facts(report))),
+        blocks.Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
+        blocks.Facts(tuple(_facts(report))),
     ]
     for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
-            content += [Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
+            content += [blocks.Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
     return (*content, _verdict(report))
 
 
@@ -258,12 +206,9 @@ def _first(names: Iterable[str]) -> str:
 
 
 def _grouped(notes: Sequence[Note]) -> list[str]:
-    by_text: dict[str, list[Note]] = {}
-    for note in notes:
-        by_text.setdefault(note.text, []).append(note)
     lines = []
     of_code: Counter[str] = Counter()
-    for text, same in by_text.items():
+    for text, same in grouped((note.text, note) for note in notes).items():
         code = same[0].code
         of_code[code] += 1
         if code and of_code[code] > MAX_SIMILAR:
@@ -272,8 +217,7 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
         where = same[0].where
         if len(same) > 1:
             shown = runs or list(dict.fromkeys(note.where for note in same))
-            more = f" and {len(shown) - MAX_RUNS} more" if len(shown) > MAX_RUNS else ""
-            where = f"{plural(len(shown), 'run' if runs else 'place')}, {', '.join(shown[:MAX_RUNS])}{more}"
+            where = f"{plural(len(shown), 'run' if runs else 'place')}, {listed(shown, MAX_RUNS)}"
         elif runs:
             where += f" [{runs[0]}]"
         lines.append(prose(f"{where}: {text}"))
@@ -305,15 +249,11 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
     }
     sizes = [[f"{row['amplitude_m']:g} / {row['wavelength_m']:g}"] for row in rows]
     shares = [[fixed(100 * row[key], places) for key, places in heads.values()] for row in rows]
-    excess = table(
-        f"y = A sin(2πx/λ), Sₒ = {rows[0]['distance_m']:g} m, track {track_m:g} m: excess of the path, and what it "
-        "does to a radius.",
-        ("A / λ (m)", *heads),
-        [size + share for size, share in zip(sizes, shares, strict=True)],
-    )
+    cells = [size + share for size, share in zip(sizes, shares, strict=True)]
+    title = caption("table-weave", distance_m=rows[0]["distance_m"], track_m=track_m)
+    excess = table(title, ("A / λ (m)", *heads), cells)
     sentences = (
-        f"At a wavelength of {wavelength:g} m a radius stays within {100 * tolerance:g} % up to an amplitude of "
-        f"{1e3 * amplitude:.1f} mm (whole periods)."
+        paragraph("weave", wavelength=wavelength, percent=100 * tolerance, amplitude_mm=1e3 * amplitude)
         for wavelength, amplitude in {row["wavelength_m"]: row["allowed_amplitude_m"] for row in rows}.items()
     )
     return (excess, *map(Text, sentences))
@@ -322,12 +262,7 @@ def weave_content(rows: Sequence[Mapping[str, float]], tolerance: float, track_m
 def arc_content(arc: Mapping[str, float]) -> tuple[Block, ...]:
     """Return what wheels of different radii do on a straight line."""
     longer = ", ".join(f"{fixed(100 * arc[f'excess_{at}'], 4)} % ({at})" for at in ("centre", "left", "right"))
-    text = (
-        f"Wheels with r_R / r_L = {arc['radius_ratio']:g} taken for equal drive an arc: where its chord is "
-        f"{arc['distance_m']:g} m, it has turned {arc['turn_rad']:+.4f} rad and ends {arc['offset_m']:+.3f} m beside "
-        f"the line of its first heading; the path is longer than the chord by {longer}."
-    )
-    return (Text(text),)
+    return (Text(paragraph("arc", longer=longer, **arc)),)
 
 
 def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Block, ...]:
@@ -341,17 +276,11 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
         "Error of radius | right (µm)": ("error_right_m", 1e6, 1),
         "allowed A (mm)": ("allowed_amplitude_m", 1e3, 1),
     }
-    rows = [
-        (
-            *(str(row[key]) for key in ("run_id", "source")),
-            *(
-                fixed(k * number, places) if isinstance(number, float) else MISSING
-                for number, k, places in ((row[key], k, places) for key, k, places in heads.values())
-            ),
-            str(row["verdict"]),
-        )
-        for row in judged.rows()
-    ]
+    rows = []
+    for row in judged.rows():
+        values = ((row[key], k, places) for key, k, places in heads.values())
+        sizes = (fixed(k * value, places) if isinstance(value, float) else MISSING for value, k, places in values)
+        rows.append((str(row["run_id"]), str(row["source"]), *sizes, str(row["verdict"])))
     mark = " SIMULATED DATA." if simulated else ""
     notes = [*judged.notes, *(f"Not used: {run.run_id} {run.reason}" for run in judged.left_out)]
     found = table(f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows)

@@ -10,7 +10,7 @@ from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, table
+from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
 from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
@@ -49,21 +49,19 @@ def _sweep(name: str, sweep: Sweep) -> Table:
     ]
     poses = ("~End pose | x (m)", "~End pose | y (m)", "~End pose | θ (deg)")
     errors = (f"True minus intended | {at} (m)" for at in ("along", "left", "global x", "global y", "distance"))
-    caption = f"{name}: {sweep.route.name}, track {sweep.track_m:g} m; end of the route."
-    return table(caption, ("<Vehicle", *poses, *errors), rows)
+    title = f"{name}: {sweep.route.name}, track {sweep.track_m:g} m; end of the route."
+    return table(title, ("<Vehicle", *poses, *errors), rows)
 
 
 def _headline(simulation: Simulation) -> Table:
     paper = paper_headline()
-    return table(
-        "Largest error in global x at the end, without and with the correction "
-        f"(paper: {paper.before_m:g} m, {paper.after_m:g} m, about {paper.ratio:.0f}).",
-        ("<Wheel off", "Without (m)", "With (m)", "Times smaller"),
-        [
-            (line.which, fixed(line.without_m, 5), fixed(line.corrected_m, 5), fixed(line.ratio, 1))
-            for line in simulation.headlines
-        ],
-    )
+    of_paper = f"paper: {paper.before_m:g} m, {paper.after_m:g} m, about {paper.ratio:.0f}"
+    title = f"Largest error in global x at the end, without and with the correction ({of_paper})."
+    rows = [
+        (line.which, fixed(line.without_m, 5), fixed(line.corrected_m, 5), fixed(line.ratio, 1))
+        for line in simulation.headlines
+    ]
+    return table(title, ("<Wheel off", "Without (m)", "With (m)", "Times smaller"), rows)
 
 
 def _law(part: LawPart) -> list[Table]:
@@ -75,41 +73,24 @@ def _law(part: LawPart) -> list[Table]:
         rows.append((f"{row.load_N:g}{outside}", *(fixed(1e3 * size, 4) for size in (*left, *right))))
     starred = " * outside the loads for which the law holds." if any(row[0].endswith("*") for row in rows) else ""
     sizes = ("radius", "± mean", "± run")
-    table_1 = table(
-        "Table 1: effective radii by the law; ± is the half width of the 95 % interval, of the mean and of a single "
-        f"run.{starred}",
-        ("Load (N)", *(f"{side} wheel | {size} (mm)" for side in ("Left", "Right") for size in sizes)),
-        rows,
-    )
-    return [table_1, _journeys(part)]
+    heads = ("Load (N)", *(f"{side} wheel | {size} (mm)" for side in ("Left", "Right") for size in sizes))
+    return [table(caption("table-law-loads", starred=starred), heads, rows), _journeys(part)]
 
 
 def _journeys(part: LawPart) -> Table:
     rows = []
     for journey in part.journeys:
-        lateral = journey.corrected["lateral_m"]
-        low, high = journey.ratio_ci95
-        rows.append(
-            (
-                f"{journey.load_left_N:.0f} / {journey.load_right_N:.0f}",
-                "mean" if journey.band == "mean" else "run",
-                fixed(journey.radius_ratio, 5),
-                fixed(journey.without_rms_m, 4),
-                fixed(journey.corrected_rms_m, 4),
-                fixed(journey.corrected_95_m, 4),
-                fixed(0.5 * (lateral.linear[1] - lateral.linear[0]), 4),
-                fixed(0.5 * (lateral.monte_carlo[1] - lateral.monte_carlo[0]), 4),
-                f"{journey.ratio:.1f} [{low:.1f}, {high:.1f}]",
-            )
-        )
+        lateral, (low, high) = journey.corrected["lateral_m"], journey.ratio_ci95
+        halves = (0.5 * (end[1] - end[0]) for end in (lateral.linear, lateral.monte_carlo))
+        sizes = (journey.without_rms_m, journey.corrected_rms_m, journey.corrected_95_m, *halves)
+        loads = f"{journey.load_left_N:.0f} / {journey.load_right_N:.0f}"
+        numbers = (fixed(journey.radius_ratio, 5), *(fixed(size, 4) for size in sizes))
+        times_smaller = f"{journey.ratio:.1f} [{low:.1f}, {high:.1f}]"
+        rows.append((loads, "mean" if journey.band == "mean" else "run", *numbers, times_smaller))
     bands = ("e_y ± | linear (m)", "e_y ± | Monte Carlo (m)")
     errors = ("Without | rms (m)", "With | rms (m)", "With | 95 % (m)")
-    return table(
-        "End error under the law, without and with the correction; ± is the half width of the 95 % interval, by "
-        "linear propagation and by Monte Carlo.",
-        ("<Loads L / R", "<Band", "E_r", *errors, *bands, "Times smaller [95 %]"),
-        rows,
-    )
+    heads = ("<Loads L / R", "<Band", "E_r", *errors, *bands, "Times smaller [95 %]")
+    return table(caption("table-journeys"), heads, rows)
 
 
 def _path(path: LawPath, route: str) -> list[Block]:
@@ -122,15 +103,8 @@ def _path(path: LawPath, route: str) -> list[Block]:
     heads = ("<Radii", "along (m)", "left (m)", "heading (mrad)", "global x (m)", "global y (m)", "rms (m)")
     ends_of_ratio = path.ratio_ci95
     interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
-    return [
-        table(
-            f"{route}, {path.loading_text}: end error; ± is the half width of the 95 % interval of a single run, that "
-            "of track and random walk included.",
-            heads,
-            rows,
-        ),
-        Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}."),
-    ]
+    shown = table(caption("table-journey", route=route, loading=path.loading_text), heads, rows)
+    return [shown, Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}.")]
 
 
 def times(ratio: float) -> str:
@@ -145,38 +119,30 @@ def _signed(value: float, decimals: int) -> str:
     return text if text.startswith("−") or float(text) == 0 else f"+{text}"
 
 
-METHODS: Final = {
-    "model": "as the simulator believes",
-    "constant": "law's radii, unladen, kept",
-    "corrected": "law's radii at the load carried",
-}
-#: where a front wheel or four wheels drive the odometry
-METHODS_BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
+#: radii compared where a front wheel or four wheels drive the odometry
+BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
 
 
 def replay_content(replay: Replay) -> tuple[Block, ...]:
     """Return what a replay says."""
     name = replay.campaign + (" (simulated)" if replay.simulated else "")
-    errors = table(
-        f"{name}: end error of {int(replay.in_range.sum())} runs.",
-        ("<Radii", "rms (m)", "rms heading (mrad)"),
-        [
-            (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
-            for key, title in (METHODS_BY_GEOMETRY if replay.by_geometry else METHODS).items()
-        ],
-    )
+    rows = [
+        (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
+        for key, title in (BY_GEOMETRY if replay.by_geometry else catalogue()["radii"]).items()
+    ]
+    title = f"{name}: end error of {int(replay.in_range.sum())} runs."
+    errors = table(title, ("<Radii", "rms (m)", "rms heading (mrad)"), rows)
     left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
     if replay.by_geometry:
         runtime = Text("The vehicle's runtime reads two wheels on one axle; so it was not checked.")
         return (errors, runtime, *left_out)
     low, high = replay.ratio_ci95
     check = replay.runtime
+    law = times(replay.rms_m["model"] / replay.rms_m["corrected"])
+    largest = {"largest_m": check.largest_difference_m, "largest_rad": check.largest_difference_rad}
     sentences = (
-        f"The law makes the end error {times(replay.rms_m['model'] / replay.rms_m['corrected'])} than believed; "
-        f"that radii follow the load makes it {times(replay.ratio)} (95 % interval of the quotient {low:.2f} to "
-        f"{high:.2f}).",
-        f"The vehicle's runtime on {check.runs} of these runs, {check.samples} samples: differs from the arrays by at "
-        f"most {check.largest_difference_m:.2g} m and {check.largest_difference_rad:.2g} rad.",
+        paragraph("replay", law=law, following=times(replay.ratio), low=low, high=high),
+        paragraph("runtime", runs=check.runs, samples=check.samples, **largest),
         *(f"The runtime refused {count} times: {status}." for status, count in check.faults.items()),
     )
     return (errors, *map(Text, sentences), *left_out)
