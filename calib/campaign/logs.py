@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -84,22 +85,17 @@ def _plain_logs(folder: Path) -> dict[str, Path]:
     Found in one go; all others are looked into one by one.
     """
     logs = folder.resolve() / "logs"
-    try:
-        if logs.is_symlink():
-            return {}
-        with os.scandir(logs) as entries:
-            names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
-    except OSError:
-        return {}
-    return {f"logs/{name}": logs / name for name in names}
+    with suppress(OSError), os.scandir(logs) as entries:
+        if not logs.is_symlink():
+            return {f"logs/{one.name}": logs / one.name for one in entries if one.is_file(follow_symlinks=False)}
+    return {}
 
 
 def _is_file(path: Path) -> bool:
-    try:
+    # the file system may not hold such a name
+    with suppress(OSError):
         return path.is_file()
-    except OSError:
-        # a name that the file system cannot hold
-        return False
+    return False
 
 
 #: run number, run id, path, and its name in messages
@@ -113,8 +109,7 @@ def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None
     that `in_log` picks, where they were read already. Raises BadFileError where a required column is missing or holds a
     gap, or a cell is no number.
     """
-    if raw is None:
-        raw = read_table(path, shown, in_log)
+    raw = read_table(path, shown, in_log) if raw is None else raw
     border.notes.extend(raw.notes)
     columns: dict[str, FloatArray] = {}
     add_recognised(columns, raw, shown, border)

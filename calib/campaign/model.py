@@ -6,6 +6,7 @@ Arrays over all runs, and all logs end to end, so that later stages work on whol
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -74,6 +75,11 @@ class Note:
     #: the run concerned, or empty
     run_id: str = ""
 
+    @staticmethod
+    def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> Note:
+        """Return a note; where its text is written over several lines they become one."""
+        return Note(level, where, re.sub(r"\n\s*", " ", text), code, run_id)
+
     @property
     def sentence(self) -> str:
         """Where and what, with its full stop."""
@@ -103,7 +109,7 @@ class Border:
         run_id
             The run concerned, or empty.
         """
-        self.notes.append(Note(level, where, text, code, run_id))
+        self.notes.append(Note.of(where, text, code, level, run_id))
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:
         """Raise `error`, or keep it in a lenient reading."""
@@ -271,6 +277,10 @@ class Logs:
         read = columns.part if isinstance(columns, LogColumns) else lambda name, part: columns[name][part]
         cut = {name: read(name, part) for name in columns}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
+
+    def each(self, at_least: int = 2) -> Iterator[tuple[int, dict[str, FloatArray]]]:
+        """Yield the number and the columns of each run whose log has `at_least` samples."""
+        return ((run, self.of(run)) for run in np.flatnonzero(self.lengths >= at_least).tolist())
 
     def select(self, keep: ArrayLike) -> Logs:
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""

@@ -6,22 +6,17 @@ on its front wheel alone, its drive shaft and steering, or four mecanum wheels, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import Border, Logs
+from calib.campaign.model import Border, Campaign, Logs
 from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
 from calib.types import BoolArray, FloatArray
 from calib.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calib.campaign.model import Campaign, Logs
-
 
 #: what drives the odometry -> columns of the log with the counts of its wheels
 WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
@@ -64,9 +59,10 @@ def on_its_source_alone(campaign: Campaign) -> Campaign:
     """Return the campaign without rear wheels' counts where its odometry is said to run on others."""
     if campaign.odometry.source in (None, "rear"):
         return campaign
-    rear = WHEEL_COLUMNS["rear"]
-    columns = {name: campaign.logs.columns[name] for name in campaign.logs.columns if name not in rear}
-    numbers = {name: values for name, values in campaign.runs.numbers.items() if name not in rear}
+    columns, numbers = (
+        {name: of[name] for name in of if name not in WHEEL_COLUMNS["rear"]}
+        for of in (campaign.logs.columns, campaign.runs.numbers)
+    )
     logs, runs = replace(campaign.logs, columns=columns), replace(campaign.runs, numbers=numbers)
     return replace(campaign, logs=logs, runs=runs)
 
@@ -109,9 +105,8 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
         )
     per_m_left = encoder.counts_per_rev_left / (2 * np.pi * model.radius_left_m)
     per_m_right = encoder.counts_per_rev_right / (2 * np.pi * model.radius_right_m)
-    for run in np.flatnonzero(logs.present):
-        motion = _motion(campaign, model, source, logs.of(int(run)))
-        if motion is None:
+    for run, log in logs.each():
+        if (motion := _motion(campaign, model, source, log)) is None:
             continue
         ahead, left, turn = motion
         part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
@@ -130,12 +125,11 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 def _motion(
     campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    if not set(WHEEL_COLUMNS[source]) <= log.keys():
+    steered = source in STEERED
+    if not {*WHEEL_COLUMNS[source], *(("steer_rad",) if steered else ())} <= log.keys():
         return None
     encoder = campaign.encoder
-    if source in STEERED:
-        if "steer_rad" not in log:
-            return None
+    if steered:
         front = model.front or FrontModel.of(campaign.vehicle)
         counts = log[WHEEL_COLUMNS[source][0]]
         rolled = np.diff(counts, prepend=counts[:1]) * (2 * np.pi / counts_per_rev(encoder, source)[0])
@@ -187,8 +181,7 @@ def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
     before = np.concatenate((angle[:1], angle[:-1]))
     # means over the ends of a step: over a whole turn their errors cancel, wherever the angle begins to change
     cosine = 2.0 / (1.0 / np.cos(before) + 1.0 / np.cos(angle))
-    travel = front.radius_m * rolled_rad
-    ahead = travel * cosine
+    ahead = front.radius_m * rolled_rad * cosine
     return ahead, 0.5 * ahead * (np.tan(before) + np.tan(angle)) / front.wheelbase_m
 
 
@@ -333,17 +326,12 @@ def steered_itself_m(campaign: Campaign) -> float:
     if odometry_source(campaign) != "rear":
         return np.nan
     for radii in ((campaign.vehicle.wheel_radius_m,) * 2, (model.radius_left_m, model.radius_right_m)):
-        sizes = [
-            2 * np.pi * radius / campaign.encoder.per_rev(side)
-            for side, radius in zip(("left", "right"), radii, strict=True)
-        ]
-        left, right = (
-            runs.number(f"counts_{side}") * size for side, size in zip(("left", "right"), sizes, strict=True)
-        )
+        per_rev = (campaign.encoder.counts_per_rev_left, campaign.encoder.counts_per_rev_right)
+        count_m = (2 * np.pi * radii[0] / per_rev[0], 2 * np.pi * radii[1] / per_rev[1])
+        left, right = runs.number("counts_left") * count_m[0], runs.number("counts_right") * count_m[1]
         way, apart = 0.5 * (left + right), right - left
-        posed = np.isfinite(runs.number("ref_theta_rad"))
-        guided = were_guided(runs.number("distance_m"), way, apart, posed)
+        guided = were_guided(runs.number("distance_m"), way, apart, np.isfinite(runs.number("ref_theta_rad")))
         # one reading written for both wheels, a speed, says nothing of how it was steered
-        if apart[guided].any() and steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
+        if apart[guided].any() and steered_by_counts(apart[guided], way[guided], count_m):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

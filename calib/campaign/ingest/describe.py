@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
+from calib.campaign.ingest.contents import FileContents, described, file_contents, grouped, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, table_lines
@@ -86,10 +87,8 @@ class Description:
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
-        groups: dict[tuple[object, ...], list[FileContents]] = {}
-        for file in self.files:
-            # logs alike are described once
-            groups.setdefault((file is self.table, *(column.name for column in file.columns)), []).append(file)
+        # logs alike are described once
+        groups = grouped(self.files, lambda file: (file is self.table, *(one.name for one in file.columns)))
         for group in groups.values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
@@ -111,17 +110,11 @@ def describe(sources: Sequence[Path]) -> Description:
             f"sources: found no file to read{_folders_inside(sources)}; expected tables, logs or recordings; name them,"
             " or the folder that holds them itself"
         )
-    kinds: dict[str, list[Path]] = {}
-    for path in paths:
-        kinds.setdefault(re.sub(r"\d+", "#", str(path)), []).append(path)
+    kinds = grouped(paths, lambda path: re.sub(r"\d+", "#", str(path)))
     if len(kinds) > _ALL_READ:
-        kinds = {}
-        for path in paths:
-            kinds.setdefault(f"{path.parent}/*{path.suffix.lower()}", []).append(path)
-    chosen: list[Path] = []
-    for members in kinds.values():
-        chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
-    files = [file_contents(path) for path in chosen]
+        kinds = grouped(paths, lambda path: f"{path.parent}/*{path.suffix.lower()}")
+    chosen = (members if len(members) <= _ALL_READ else [members[0], members[-1]] for members in kinds.values())
+    files = [file_contents(path) for path in chain.from_iterable(chosen)]
     if not any(file.n_rows for file in files):
         raise BadInputError(
             f"{files[0].name}: found a header and no rows; expected a row a run, or a row a sample; export it again"
@@ -138,10 +131,8 @@ def describe(sources: Sequence[Path]) -> Description:
 
 def _folders_inside(sources: Sequence[Path]) -> str:
     folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
-    if not folders:
-        return ""
     names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
-    return f" in {sources[0]}, which holds folders ({', '.join(names)})"
+    return f" in {sources[0]}, which holds folders ({', '.join(names)})" if folders else ""
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:

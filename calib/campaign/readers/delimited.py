@@ -6,8 +6,10 @@ import csv
 import io
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -68,7 +70,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
             lines = skipped + 1 + n_rows
             return RawTable(columns, np.arange(lines, lines + rows, dtype=np.int64), tuple(notes))
-    return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped, layout, above)
+    cells = _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, skipped, layout, above)
+    return replace(cells, notes=(*notes, *cells.notes))
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
@@ -100,29 +103,23 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
 
 
 def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
-    if path.suffix.lower() != ".csv":
-        return None
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
+    data = b""
+    with suppress(OSError):
+        data = path.read_bytes() if path.suffix.lower() == ".csv" else data
     start = data.find(b"\n") + 1
     if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
         return None
     # one sign is found at the speed of memory, several not
     if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
         return None
-    if not data.endswith(b"\n"):
-        data += b"\n"
+    data = data if data.endswith(b"\n") else data + b"\n"
     header = data[: start - 1].decode("ascii")
     names = [name.strip() for name in header.split(",")]
-    if not of_one_width(data[start:], len(names), ",") or _locate_header(data, Layout(), shown) != (",", 0):
-        return None
-    try:
-        check_header(names, shown)
-    except BadFileError:
-        return None
-    return header, data[start:]
+    if of_one_width(data[start:], len(names), ",") and _locate_header(data, Layout(), shown) == (",", 0):
+        with suppress(BadFileError):
+            check_header(names, shown)
+            return header, data[start:]
+    return None
 
 
 def _check_names(names: list[str], shown: str, row: int) -> None:
@@ -203,13 +200,11 @@ def _read_numeric(
     values = numpy_table(body, rows, len(names), delimiter)
     if values is not None:
         values = values[:, [names.index(name) for name in keep]]
-        if values.size and np.abs(values).max() > LARGEST_VALUE:
-            return None
-    else:
-        parsed = _parsed(body, rows, names, keep, delimiter, "," if comma else ".")
-        if parsed is None:
-            return None
+        values = None if values.size and np.abs(values).max() > LARGEST_VALUE else values
+    elif parsed := _parsed(body, rows, names, keep, delimiter, "," if comma else "."):
         values = parsed[0]
+    if values is None:
+        return None
     return {name: values[:, index] for index, name in enumerate(keep)}, rows, comma
 
 
@@ -261,30 +256,21 @@ def _parsed(
 
 
 def _read_cells(
-    text: str,
-    shown: str,
-    delimiter: str,
-    wanted: Wanted | None,
-    notes: list[Note],
-    skipped: int,
-    layout: Layout,
-    above: Sequence[str],
+    text: str, shown: str, delimiter: str, wanted: Wanted | None, skipped: int, layout: Layout, above: Sequence[str]
 ) -> RawTable:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[Sequence[Any]] = []
+    lines: list[int] = []
     try:
-        numbered = [(row, reader.line_num + skipped) for row in reader]
+        for row in reader:
+            rows.append(row)
+            lines.append(reader.line_num + skipped)
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
-    rows: list[Sequence[str]] = [row for row, _ in numbered]
-    lines = [line for _, line in numbered]
     names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
-    notes += recognised
-    header, rows, lines = rows[:n_rows], rows[n_rows:], lines[n_rows:]
-    if layout.lab:
-        names, rows, lines, omitted = table_rows(names, rows, lines, shown, header)
-        notes += omitted
+    names, rows, lines, omitted = table_rows(names, rows, lines, n_rows, layout, shown)
     filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
     rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]
     for at, cells in enumerate(rows):
@@ -294,11 +280,9 @@ def _read_cells(
             expected = f"{len(names)}, as the header in row {skipped + 1} has"
             remedy = _remedy(cells, names, delimiter)
             raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=lines[at])
-    grid = np.empty((len(rows), len(names)), dtype=object)
-    for index, cells in enumerate(rows):
-        grid[index] = cells
+    grid = np.array(rows, dtype=object).reshape(len(rows), len(names))
     columns = {name: grid[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
-    return finished(columns, lines, wanted, notes, shown)
+    return finished(columns, lines, wanted, [*recognised, *omitted], shown)
 
 
 def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
