@@ -113,8 +113,7 @@ def _columns(campaign: Campaign) -> Iterator[Note]:
             most = f"above {usual.low:.0f}" if usual.high == math.inf else f"{usual.low:g} to {usual.high:g}"
             yield implausible_column(name, f"{found}; expected {most}; {hint}")
     amplitude, wavelength = campaign.runs.number("amplitude_m"), campaign.runs.number("wavelength_m")
-    steep = np.abs(amplitude) > 0.5 * wavelength
-    if steep.any():
+    if (steep := np.abs(amplitude) > 0.5 * wavelength).any():
         text = f"""found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())}
             run(s); expected an amplitude far below the wavelength; is it in millimetres?"""
         yield implausible_column("amplitude_m, wavelength_m", text)

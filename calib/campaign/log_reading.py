@@ -83,16 +83,13 @@ def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
 
 def cache_folder(name: str) -> Path | None:
     """Return the user's cache folder, or that of the environment variable; None where it says ``off``."""
-    chosen = os.environ.get(CACHE, "")
-    if chosen:
+    if chosen := os.environ.get(CACHE, ""):
         return None if chosen == "off" else Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if not Path(base).is_absolute():
-        try:
-            base = str(Path.home() / ".cache")
-        except RuntimeError:
-            return None
-    return Path(base) / "calib" / name
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # a user may have no home
+    with suppress(RuntimeError):
+        return (base if base.is_absolute() else Path.home() / ".cache") / "calib" / name
+    return None
 
 
 @lru_cache(maxsize=1)
@@ -150,10 +147,7 @@ def read_logs(
 
 
 def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
-    n_bytes = 0
-    for _, _, path, _ in files:
-        with suppress(OSError):
-            n_bytes += path.stat().st_size
+    n_bytes = sum(state[1] for _, _, path, _ in files if (state := _state(path)))
     cache = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
     large = n_bytes >= LARGE_BYTES * len(files)
     together = n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files)

@@ -28,11 +28,8 @@ _CLEAR_STEP: Final = 0.4
 _LIKE_OTHERS: Final = 2.0
 #: nothing is divided by less time between samples
 _SHORTEST_STEP_S: Final = 1e-9
-#: how a counter's width is known
-_STATED: Final = "as the settings say"
 #: seconds that 32 bits of milliseconds and microseconds hold
 _FULL_CLOCKS_S: Final = (2**32 / 1e3, 2**32 / 1e6)
-_DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
 #: least growth of the columns in samples, and as a share
 _GROWTH: Final = 1 << 16
 _GROWTH_SHARE: Final = 0.125
@@ -240,13 +237,11 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
     """
     full = 2.0**bits
     step = _steps(counts, offsets)
-    turns = np.where(np.isnan(step), 0.0, -np.rint(step / full))
-    if not turns.any():
+    if not (turns := np.where(np.isnan(step), 0.0, -np.rint(step / full))).any():
         return counts, np.zeros(len(offsets) - 1, dtype=np.int64)
     total = np.cumsum(turns)
     start = np.repeat(total[np.minimum(offsets[:-1], len(total) - 1)], np.diff(offsets))
-    wraps = np.add.reduceat(np.append(np.abs(turns), 0.0), offsets[:-1])
-    wraps[np.diff(offsets) == 0] = 0
+    wraps = np.diff(np.concatenate(([0.0], np.cumsum(np.abs(turns))))[offsets])
     return counts + full * (total - start), wraps.astype(np.int64)
 
 
@@ -298,8 +293,7 @@ class LogStack:
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))
         for name in LOG_COLUMNS:
-            column = self._columns.pop(name, None)
-            if column is None:
+            if (column := self._columns.pop(name, None)) is None:
                 continue
             column.resize(self._size, refcheck=False)
             bits = None
@@ -309,7 +303,8 @@ class LogStack:
                 column, wraps = unwrap(column, offsets, bits)
                 for run in np.flatnonzero(wraps):
                     run_id, shown = names[int(run)]
-                    how = _STATED if encoder.wrap_bits else _DETECTED
+                    found = "found in the jumps; give encoder.wrap_bits to make it sure"
+                    how = "as the settings say" if encoder.wrap_bits else found
                     text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
                     border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
             columns.add(name, column)

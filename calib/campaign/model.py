@@ -369,12 +369,10 @@ class Campaign:
         """
         from pandas import DataFrame
 
-        rows = np.flatnonzero(self.runs.run_id == run_id)
-        if not len(rows):
+        if not len(rows := np.flatnonzero(self.runs.run_id == run_id)):
             known = ", ".join(map(str, self.runs.run_id[:5]))
             raise BadInputError(f"run_id: found {run_id!r}; expected a run of {self.name}: {known} ...; name one")
-        columns = self.logs.of(int(rows[0]))
-        if not columns:
+        if not (columns := self.logs.of(int(rows[0]))):
             raise BadInputError(f"{run_id}: found no log; expected a run with one; see campaign.frame()")
         return DataFrame(columns)
 
@@ -383,12 +381,11 @@ class Campaign:
         runs, logs = self.runs, self.logs
         kinds, counts = np.unique(runs.label("kind"), return_counts=True)
         driven = ", ".join(f"{count} {kind or 'unspecified'}" for kind, count in zip(kinds, counts, strict=True))
-        sessions = len(np.unique(runs.label("session")))
         excluded = f", {int(runs.excluded.sum())} excluded" if runs.excluded.any() else ""
         lines = [
             f"Campaign {self.name}{' (simulated)' if self.simulated else ''}: {len(runs)} runs{excluded}",
             f"  kinds    {driven or 'none'}",
-            f"  sessions {sessions}",
+            f"  sessions {len(np.unique(runs.label('session')))}",
             f"  logs     {int(logs.present.sum())} runs, {int(logs.offsets[-1])} samples",
         ]
         for level in ("wrong", "suspicious"):

@@ -89,10 +89,9 @@ def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, Fl
     centre line.
     """
     mass, x, y = (runs.number(name) for name in ("payload_kg", "payload_x_m", "payload_y_m"))
-    if "payload_y_m" not in runs.numbers:
-        y = np.zeros(len(runs))
     none = mass == 0
-    _, left, right = wheel_loads_N(vehicle, mass, np.where(none, 0.0, x), np.where(none, 0.0, y))
+    centred = none | ("payload_y_m" not in runs.numbers)
+    _, left, right = wheel_loads_N(vehicle, mass, np.where(none, 0.0, x), np.where(centred, 0.0, y))
     return left, right
 
 
@@ -119,8 +118,7 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
     def fill(name: str, values: FloatArray, how: str, code: str) -> None:
         column = numbers.get(name, np.full(len(runs), np.nan))
-        empty = np.isnan(column) & ~np.isnan(values)
-        if empty.any():
+        if (empty := np.isnan(column) & ~np.isnan(values)).any():
             numbers[name] = np.where(empty, values, column)
             border.say(f"{shown}, column {name}", f"{int(empty.sum())} run(s) {how}", code)
 
@@ -261,8 +259,7 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
         text = 'found closed loops with [reference] frame = "map"; expected "start", in which they end at 0; not used'
         border.say(f"{shown}, column loop", text, "closed_loop", level="suspicious")
         return campaign
-    closed = runs.label("loop") == CLOSED
-    wheels = _turn_by_wheels(campaign)
+    closed, wheels = runs.label("loop") == CLOSED, _turn_by_wheels(campaign)
     whole = 2.0 * np.pi * np.rint(wheels / (2.0 * np.pi))
     ends = {"ref_x_m": np.zeros(len(runs)), "ref_y_m": np.zeros(len(runs)), "ref_theta_rad": whole}
     empty = closed & np.isfinite(wheels) & np.isnan([runs.number(name) for name in ends]).all(axis=0)
@@ -298,9 +295,8 @@ def read_or_ingest(
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:
-        raise BadInputError(
-            f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
-        )
+        expected = "a mapping only with a recording"
+        raise BadInputError(f"{path}: found a campaign and a mapping; expected {expected}; leave it out")
     if is_campaign or not path.exists():
         return read_campaign(path, lenient=lenient, progress=progress)
     from calib.campaign.ingest.build import ingest

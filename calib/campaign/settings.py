@@ -23,12 +23,10 @@ EncoderKind = Literal["counts", "speed"]
 
 #: distance of a count where the logs have speeds: below what any reference can tell
 SPEED_COUNT_M: Final = 1e-6
-#: widths of counters
-_WIDTHS: Final = range(8, 33)
 
 
 def _width(bits: int) -> int:
-    if bits not in _WIDTHS:
+    if not 8 <= bits <= 32:
         raise ValueError("8 to 32, mostly 16 or 32")
     return bits
 

@@ -36,12 +36,13 @@ SOURCE_NAMES: Final = {
 }
 #: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, m
 ASIDE: Final = "aside_m"
+#: what the axle's middle moves ahead and to the left (m) and turns (rad) in each step
+Motion = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def odometry_source(campaign: Campaign) -> OdometrySource:
     """Return what drives the odometry, one of `WHEEL_COLUMNS`: as the settings say, else as logged."""
-    stated = campaign.odometry.source
-    if stated is not None:
+    if (stated := campaign.odometry.source) is not None:
         return stated
     if campaign.vehicle.drive == "mecanum":
         return "wheels"
@@ -106,14 +107,13 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     per_m_left = encoder.counts_per_rev_left / (2 * np.pi * model.radius_left_m)
     per_m_right = encoder.counts_per_rev_right / (2 * np.pi * model.radius_right_m)
     for run, log in logs.each():
-        if (motion := _motion(campaign, model, source, log)) is None:
-            continue
-        ahead, left, turn = motion
-        part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-        half = 0.5 * model.track_m * turn
-        counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
-        counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
-        aside[part] = np.cumsum(left)
+        if motion := _motion(campaign, model, source, log):
+            ahead, left, turn = motion
+            part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
+            half = 0.5 * model.track_m * turn
+            counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
+            counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
+            aside[part] = np.cumsum(left)
     columns = {**logs.columns, **counts, **({ASIDE: aside} if np.any(aside[np.isfinite(aside)] != 0.0) else {})}
     last = np.maximum(logs.offsets[1:] - 1, 0)
     ends = {name: np.where(logs.present, column[last], np.nan) for name, column in counts.items()} if n else {}
@@ -122,9 +122,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     return replace(campaign, encoder=encoder, odometry=Odometry(source), runs=counted, logs=logs)
 
 
-def _motion(
-    campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]) -> Motion | None:
     steered = source in STEERED
     if not {*WHEEL_COLUMNS[source], *(("steer_rad",) if steered else ())} <= log.keys():
         return None
@@ -162,12 +160,9 @@ def mecanum_model(campaign: Campaign) -> MecanumModel:
     """
     if campaign.model.mecanum is not None:
         return campaign.model.mecanum
-    arm = campaign.vehicle.half_length_plus_half_width_m
-    if arm is None:
-        raise BadInputError(
-            "campaign.toml, vehicle.half_length_plus_half_width_m: found nothing; expected half the wheelbase plus "
-            "half the track of the mecanum vehicle; give it"
-        )
+    if (arm := campaign.vehicle.half_length_plus_half_width_m) is None:
+        key, expected = "vehicle.half_length_plus_half_width_m", "half the wheelbase plus half the track"
+        raise BadInputError(f"campaign.toml, {key}: found nothing; expected {expected} of the mecanum vehicle; give it")
     return MecanumModel(campaign.vehicle.wheel_radius_m, arm)
 
 
@@ -208,9 +203,7 @@ def lengthening(over: FloatArray) -> FloatArray:
     return np.where(over >= 0.0, 1.0 + np.abs(over), 1.0 / (1.0 - np.minimum(over, 0.0)))
 
 
-def shaft_motion(
-    model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray) -> Motion:
     """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
 
     The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.

@@ -30,8 +30,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     moved = runs.number("distance_m") > 1.0
     backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in SIDES}
-    whole = [side for side in SIDES if backward[side].sum() > MOST_OF_THE_RUNS * moved.sum()]
-    if whole:
+    if whole := [side for side in SIDES if backward[side].sum() > MOST_OF_THE_RUNS * moved.sum()]:
         text = f"""the {" and ".join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive
             forward; negate the column, or correct the encoder's direction"""
         yield column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
@@ -84,8 +83,7 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts off by a factor 2, 4, pi or 1000, overflowed totals, and other implausible radii."""
     for side in SIDES:
         ratio = np.abs(design.raw_radius_ratio(campaign, side))
-        known = np.isfinite(ratio)
-        if not known.any():
+        if not (known := np.isfinite(ratio)).any():
             continue
         odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
         usual = float(np.nanmedian(ratio))

@@ -38,7 +38,6 @@ RADIUS_FACTORS: Final = (
     (0.0254, "wheel_radius_m in inches"),
     (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
 )
-FACTOR_TOLERANCE: Final = 0.07
 
 #: number of a run
 Run = int | np.signedinteger[Any]
@@ -128,9 +127,7 @@ def listed(names: StrArray | list[str], limit: int = 6) -> str:
     return shown + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def meaning(
-    ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = FACTOR_TOLERANCE
-) -> str:
+def meaning(ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = 0.07) -> str:
     """Return what lies behind the factor within a relative `tolerance` of a ratio; empty where none is."""
     factor, text = min(factors, key=lambda known: abs(ratio / known[0] - 1))
     return text if abs(ratio / factor - 1) < tolerance else ""

@@ -34,8 +34,7 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
             yield column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
     trajectory = np.asarray(["ref_x_m" in log for log in logged])
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
-    lacking = runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]
-    if len(lacking):
+    if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
         text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
             ({design.listed(lacking)}); nothing can be learnt from them"""
         yield column_note("distance_m", text, "missing_distance")
@@ -61,8 +60,7 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
     allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
     for run, log in campaign.logs.each() if "range_m" in campaign.logs.columns else ():
         known = log.get("range_m", np.zeros(0))
-        known = known[np.isfinite(known)]
-        if not len(known):
+        if not len(known := known[np.isfinite(known)]):
             continue
         if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
             text = f"{len(outside)} sample(s) lie outside the rangefinder's span, the first at {outside[0]:g} m"
@@ -146,8 +144,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         for run in np.flatnonzero(load > permitted):
             text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
             yield cell_note(campaign, run, name, text, "excess_load")
-    lacking = campaign.runs.run_id[np.isnan(loads.sum(axis=0))]
-    if len(lacking):
+    if len(lacking := campaign.runs.run_id[np.isnan(loads.sum(axis=0))]):
         text = f"""{len(lacking)} run(s) have no wheel load and no payload with its place to compute it from
             ({design.listed(lacking)})"""
         yield column_note(_LOADS, text, "missing_load")

@@ -28,12 +28,9 @@ from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
 from calib.types import Progress, silent, stepped
 
-RECORD: Final = "ingest.json"
 RECORDINGS: Final = "recordings"
 #: rows of a table that a merged note lists
 _LISTED_ROWS: Final = 8
-#: run names that an error lists
-_LISTED_RUNS: Final = 8
 _NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 
 
@@ -121,10 +118,8 @@ def ingest(
     paths = [Path(source) for source in sources]
     for path in [*paths, *([mapping] if mapping else [])]:
         if path.resolve().is_relative_to(into.resolve()):
-            raise BadInputError(
-                f"{path}: found a source inside the campaign to be made; expected sources elsewhere, since they are "
-                "left untouched; give another folder to make"
-            )
+            expected = "sources elsewhere, since they are left untouched; give another folder to make"
+            raise BadInputError(f"{path}: found a source inside the campaign to be made; expected {expected}")
     if not dry_run:
         refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
@@ -138,7 +133,7 @@ def ingest(
     if not dry_run:
         whole = {name: log.columns | {"t_s": np.round(log.columns["t_s"], 9)} for name, log in work.recordings.items()}
         beside = {f"{RECORDINGS}/{name}.csv": csv_bytes(columns) for name, columns in whole.items()}
-        beside[RECORD] = to_json(_record(work)).encode("utf-8")
+        beside["ingest.json"] = to_json(_record(work)).encode("utf-8")
         write_campaign(campaign, into, force=force, beside=beside)
     return Ingested(into, campaign, work.hashes, tuple(work.border.notes), tuple(work.segments))
 
@@ -266,7 +261,7 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
     for run_id in work.mapping.log.swapped:
         log = logs.get(names.get(run_id, -1))
         if log is None or not {"counts_left", "counts_right"} <= set(log.columns):
-            known = f"one of {', '.join(list(names)[:_LISTED_RUNS])}, ... that has a log"
+            known = f"one of {', '.join(list(names)[:8])}, ... that has a log"
             raise bad_line(work.mapping.shown, "log", "swapped", run_id, known)
         exchanged = {"counts_left": log.columns["counts_right"], "counts_right": log.columns["counts_left"]}
         logs[names[run_id]] = replace(log, columns=log.columns | exchanged)

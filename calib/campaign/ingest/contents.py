@@ -28,14 +28,8 @@ _LISTED_TEXTS: Final = 6
 _FEW_ROWS: Final = 40
 #: share of numbers in a column of numbers, some of which cannot be read
 _MOSTLY_NUMBERS: Final = 0.8
-#: properties of a recording that are listed
-_LISTED_PROPERTIES: Final = 12
 #: names of a first column that calib knows by chance
 _LEAST_NAMES: Final = 2
-#: characters that list the columns of another sheet
-_LISTED_SHEET: Final = 200
-#: characters of a remark's line
-_WIDTH: Final = 78
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> dict[Hashable, list[Item]]:
@@ -88,8 +82,7 @@ class ColumnContents:
             text += f"{self.texts[0]} and later, {self.form}" + span
         else:
             text += ", ".join(self.texts) if self.kind == "text" else "empty"
-        bits = next((c.wrap_bits for c in alike if c.wrap_bits), None)
-        if bits:
+        if bits := next((c.wrap_bits for c in alike if c.wrap_bits), None):
             text += f"; a counter that overflows at {bits} bits"
         return text + (f"; {self.n_empty} empty" if self.n_empty and self.kind != "empty" else "")
 
@@ -146,8 +139,7 @@ def file_contents(path: Path) -> FileContents:
             sheets[name] = _table_contents(path, shown, name)
     usual = [name for name, sheet in sheets.items() if len(sheet.columns) > 1 and sheet.n_rows]
     runs = [name for name in usual if any(guessed_table_column(one.name) == "run_id" for one in sheets[name].columns)]
-    chosen = next(iter(runs or usual), None)
-    if chosen is None:
+    if (chosen := next(iter(runs or usual), None)) is None:
         return contents
     alike = tuple(name for name in usual if sheets[name].alike(sheets[chosen]))
     columns: tuple[ColumnContents, ...] = ()
@@ -222,8 +214,7 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
             return ColumnContents(name, "number", n_empty=n_empty)
         different = list(dict.fromkeys(str(cell).strip() for cell in filled))
         return ColumnContents(name, "text", texts=tuple(different[:_LISTED_TEXTS]), n_empty=n_empty)
-    known = values[np.isfinite(values)]
-    if not len(known):
+    if not len(known := values[np.isfinite(values)]):
         return ColumnContents(name, "empty", n_empty=len(cells))
     whole = bool((known == np.rint(known)).all())
     bits = detect_wrap_bits(values, np.asarray([0, len(values)])) if whole and len(values) > _FEW_ROWS else None
@@ -266,12 +257,12 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
     count += " samples" if file.recording else " rows" if min(rows) else " rows: a header alone, export it again"
     lines = wrapped(f"{title}: {what}, {count}", "# ")
-    properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
+    properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:12]]
     streams = [f"{stream.name} ({stream.kind}): {stream.words()}" for stream in file.streams]
     for text in (*dict.fromkeys(file.remarks), *properties, *streams):
         lines += wrapped(text, "#   ")
     for sheet, columns in file.others.items():
-        lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:_LISTED_SHEET]}", "#   ")
+        lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:200]}", "#   ")
     for number, column in enumerate(file.columns):
         lines += wrapped(column.words([member.columns[number] for member in group]), "#     ")
     return [*lines, "#"]
@@ -279,7 +270,5 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
 
 def wrapped(text: str, lead: str, hanging: str = "  ") -> list[str]:
     """Return a text as remarks, further lines indented."""
-    further = lead + hanging
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent=lead, subsequent_indent=further, break_long_words=False, break_on_hyphens=False
-    )
+    lines = textwrap.TextWrapper(78, lead, lead + hanging, break_long_words=False, break_on_hyphens=False)
+    return lines.wrap(text)

@@ -38,19 +38,12 @@ _SIDES: Final = {
     "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"),
 }
 
-#: directions along a corridor, in words: plain, or as `plain_text` gives them
-_DIRECTIONS: Final = (
-    ("out", r"out|hin(fahrt|weg)?|vor(waerts)?|forward|fwd|there|forth|outbound|a|ab|a->b|aller|ida|andata|>|\+"),
-    ("back", r"backward(s)?|bwd|back|(zu)?rueck(waerts|fahrt|weg)?|her|ret(urn|our)?|inbound|vuelta|ritorno|reverse"),
-    ("back", r"b|ba|b->a|<"),
-)
-
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 
 
 @cache
 def _names() -> dict[str, dict[str, str]]:
-    """Return ``names.toml``: columns of run table and log -> patterns of their names."""
+    """Return ``names.toml``: columns of run table and log, and directions -> patterns of their names."""
     document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
     parts = document.pop("parts")
     columns = {
@@ -70,7 +63,8 @@ def plain_text(text: str) -> str:
 
 def direction_of(text: str) -> str | None:
     """Return ``out`` or ``back`` where a text names a direction along a corridor."""
-    return next((way for way, pattern in _DIRECTIONS if re.fullmatch(pattern, plain_text(text))), None)
+    plain = plain_text(text)
+    return next((way for way, pattern in _names()["direction"].items() if re.fullmatch(pattern, plain)), None)
 
 
 def mass_of(text: str) -> float | None:
@@ -261,9 +255,7 @@ class Lag:
     ci95_s: tuple[float, float]
 
 
-def continuous_counts(
-    counts: FloatArray, bits: int | None = None, time_s: FloatArray | None = None
-) -> tuple[FloatArray, int | None]:
+def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
     """Return counts without overflows, and the counter's width, if seen."""
     offsets = np.asarray([0, len(counts)])
     width = bits or detect_wrap_bits(counts, offsets, time_s)

@@ -241,8 +241,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:
-    again = np.append(np.diff(columns["t_s"]) == 0, False)
-    if not again.any():
+    if not (again := np.append(np.diff(columns["t_s"]) == 0, False)).any():
         return columns
     text = f"{int(again.sum())} sample(s) whose time stamp comes again were omitted; the last of each was kept"
     border.say(shown, text, "repeated_stamp")

@@ -20,8 +20,6 @@ from calib.units import split_suffix, unit_named
 
 #: letters that alone are no evidence of a wheel: l, r, li, re
 _SHORT_NAME: Final = 2
-#: characters of a remark that lists files
-_LISTED_FILES: Final = 110
 #: message types with poses from outside, best first; wheel odometry is no reference
 _POSES: Final = (
     "geometry_msgs/msg/PoseStamped",
@@ -285,7 +283,7 @@ def _kinds(logs: Sequence[FileContents]) -> list[str]:
     kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
     if len(kinds) < 2:
         return []
-    names = ", ".join(Path(log.name).name for log in kinds.values())[:_LISTED_FILES]
+    names = ", ".join(Path(log.name).name for log in kinds.values())[:110]
     return [
         f"# {len(kinds)} kinds of logs ({names}): one file a run is read.",
         "# Where each holds a part of a run, join them by time first, or record them in one bag, TDMS or .mat file:",

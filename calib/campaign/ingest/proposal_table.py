@@ -18,9 +18,6 @@ from calib.campaign.settings import bracketed, recognise
 from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix
 
-#: characters of a remark that lists units
-_LISTED_UNITS: Final = 40
-
 
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:
     """Return a line of a mapping; plain text where the column's name says all."""
@@ -33,14 +30,12 @@ def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str
 
 def unit_remark(name: str) -> str:
     """Return the remark on a column without unit: those it may have."""
-    return f"   # names no unit: {', '.join(units_for(name))[:_LISTED_UNITS]}"
+    return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
 #: what a column may mean that holds the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 _WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
-#: characters of a remark that lists columns
-_LISTED_COLUMNS: Final = 110
 #: date and time in a file's name -> how a mapping writes them
 _MOMENTS: Final = (
     (
@@ -99,7 +94,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
     for what, names in {"recognised by their names": own, "kept as covariates": unused, "not used": texts}.items():
-        lines += [f"# {what}: {', '.join(names)[:_LISTED_COLUMNS]}"] if names else []
+        lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
 
 

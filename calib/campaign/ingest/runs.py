@@ -220,8 +220,7 @@ def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
         earlier = first.setdefault(tuple("" if cell is None else str(cell).strip() for cell in row), line)
         if earlier != line:
             keep[index] = False
-            text = f"repeats row {earlier} in every cell and was dropped"
-            border.say(f"{shown}, row {line}", text, "repeated_row")
+            border.say(f"{shown}, row {line}", f"repeats row {earlier} in every cell and was dropped", "repeated_row")
     return raw.select(keep)
 
 
@@ -294,8 +293,7 @@ def with_number(pattern: str, number: int) -> str:
 def fits_name(name: str, wanted: str) -> bool:
     """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
     parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
-    pattern = "".join(_PARTS.get(part, re.escape(part)) for part in parts)
-    return re.fullmatch(pattern, name, re.IGNORECASE) is not None
+    return re.fullmatch("".join(_PARTS.get(part, re.escape(part)) for part in parts), name, re.IGNORECASE) is not None
 
 
 def match_logs(

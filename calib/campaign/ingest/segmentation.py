@@ -29,8 +29,6 @@ _STANDING_COUNTS: Final = 1.5
 _WINDOW_S: Final = 0.5
 #: a run keeps so much of the standstill beside it, so that both its ends stand
 _STANDSTILL_S: Final = 0.5
-#: runs whose times an error lists
-_LISTED_RUNS: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +101,7 @@ def segment_recordings(
         raw = RawTable(numbered | sessions, np.arange(2, len(names) + 2, dtype=np.int64))
         runs = mapped_runs(raw, mapping, settings.encoder, "the runs cut", border)
     elif len(runs) != len(logs):
-        spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:_LISTED_RUNS])
+        spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:12])
         found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
         raise BadFileError(shown, found, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
     segments = [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
@@ -126,10 +124,9 @@ def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str,
 
 
 def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[Any]]:
-    for name in (cut.start, cut.end):
-        if name not in table.columns:
-            found = f"the table's columns {', '.join(table.columns)[:200]}"
-            raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
+    for name in (name for name in (cut.start, cut.end) if name not in table.columns):
+        found = f"the table's columns {', '.join(table.columns)[:200]}"
+        raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
     return [list(pair) for pair in zip(table.columns[cut.start], table.columns[cut.end], strict=True)]
 
 

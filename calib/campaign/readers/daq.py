@@ -126,8 +126,7 @@ def check_elements(data: bytes) -> None:
 
     `data`: the whole file with its header of 128 bytes. A header of another version than 5 is left to the reader.
     """
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
-    if order is None:
+    if (order := {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])) is None:
         raise ValueError("no header of version 5")
     if struct.unpack(f"{order}H", data[124:126])[0] >> 8 == 1:
         _elements(memoryview(data)[_HEADER_BYTES:], order, 0)

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers import table
-from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
+from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
 from calib.campaign.readers.table import LARGEST_VALUE, Layout, RawTable, Wanted, check_header, find_header, is_number
 from calib.campaign.readers.text import find_delimiter, split_cells, tidy, utf8
 from calib.errors import BadFileError
@@ -24,7 +24,6 @@ from calib.types import FloatArray
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
-_MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for
 _HEAD_BYTES: Final = 1 << 16
 #: numpy reads tables of numbers up to so many bytes: as fast as pandas, whose import takes as long as two hundred of
@@ -42,8 +41,7 @@ _EXACT_WHOLE: Final = 2.0**53
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a delimited text file; see `calib.campaign.readers.read_table`."""
-    size = path.stat().st_size
-    if size > _MAX_BYTES:
+    if (size := path.stat().st_size) > 4 << 30:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
     data, notes = utf8(path.read_bytes(), shown)
     if layout.lab:
@@ -83,8 +81,7 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
     tables: list[RawTable | None] = [None] * len(files)
     groups: dict[str, list[tuple[int, bytes]]] = {}
     for index, (path, shown) in enumerate(files):
-        plain = _plain_csv(path, shown)
-        if plain is not None:
+        if (plain := _plain_csv(path, shown)) is not None:
             groups.setdefault(plain[0], []).append((index, plain[1]))
     for header, group in groups.items():
         names = [name.strip() for name in header.split(",")]
@@ -132,13 +129,6 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
-    if layout.header_row is None:
-        # most logs begin with their header, which a few rows of numbers as wide show
-        lines = _first_lines(data, _FEW_ROWS)
-        usual = _first_delimiter(lines)
-        rows = split_cells(lines, usual)
-        if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
-            return usual, 0
     lines = _first_lines(data, table.HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
@@ -146,8 +136,10 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
             raise BadFileError(shown, f"{len(lines)} rows", expected, "correct header_row of the mapping")
         return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
     usual = _first_delimiter(lines)
-    header = find_header(split_cells(lines, usual))
-    if header == 0:
+    # most logs begin with their header, which a few rows of numbers as wide show
+    rows = split_cells(lines[:_FEW_ROWS], usual)
+    few = len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0
+    if few or (header := find_header(split_cells(lines, usual))) == 0:
         return usual, 0
     delimiter = find_delimiter(lines)
     if delimiter != usual:
@@ -164,9 +156,7 @@ def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
     The text without its cells has to be one line over and over, which a row too long beside one too short is not.
     """
     line = delimiter.encode() * (width - 1) + b"\n"
-    marks = body.translate(None, _CELL_BYTES[delimiter])
-    if not body.endswith(b"\n"):
-        marks += b"\n"
+    marks = body.translate(None, _CELL_BYTES[delimiter]) + (b"" if body.endswith(b"\n") else b"\n")
     return marks == line * (len(marks) // len(line))
 
 
@@ -197,8 +187,7 @@ def _read_numeric(
     # with a point or an ambiguous 1,234 among the commas, only reading cell by cell can tell
     if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
-    values = numpy_table(body, rows, len(names), delimiter)
-    if values is not None:
+    if (values := numpy_table(body, rows, len(names), delimiter)) is not None:
         values = values[:, [names.index(name) for name in keep]]
         values = None if values.size and np.abs(values).max() > LARGEST_VALUE else values
     elif parsed := _parsed(body, rows, names, keep, delimiter, "," if comma else "."):
@@ -259,7 +248,7 @@ def _read_cells(
     text: str, shown: str, delimiter: str, wanted: Wanted | None, skipped: int, layout: Layout, above: Sequence[str]
 ) -> RawTable:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows: list[Sequence[Any]] = []
+    rows: Rows = []
     lines: list[int] = []
     try:
         for row in reader:

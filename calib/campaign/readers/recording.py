@@ -143,8 +143,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
-    steps = np.diff(since)
-    if len(steps):
+    if len(steps := np.diff(since)):
         step = steps[np.clip(np.searchsorted(since, wanted), 1, len(steps)) - 1]
         out[(step > max(GAP_STEPS * float(np.median(steps)), 1.0)) & ~np.isin(wanted, since)] = np.nan
     return out
@@ -213,8 +212,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     poses: list[list[float]] = []
     with path.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
-            cells = line.split("#", 1)[0].replace(",", " ").split()
-            if not cells:
+            if not (cells := line.split("#", 1)[0].replace(",", " ").split()):
                 continue
             try:
                 if len(cells) != 1 + len(POSE):
@@ -242,8 +240,7 @@ def decimal_ns(text: str) -> int:
 
     Raises ValueError where the text is no such number.
     """
-    match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)
-    if match is None:
+    if (match := re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)) is None:
         return round(float(text) * NS_PER_S)
     digits = (match[3] or "")[:10].ljust(10, "0")
     nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10

@@ -20,6 +20,8 @@ from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells,
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, unit_named
 
+#: cells of rows, as read
+Rows = list[Sequence[Any]]
 #: unit of a wheel's column -> what its numbers are, and turns (or counts) a unit
 COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "counts": ("counts", 1.0),
@@ -261,8 +263,8 @@ def finished(
 
 
 def table_rows(
-    names: list[str], rows: list[Sequence[Any]], lines: list[int], n_rows: int, layout: Layout, shown: str
-) -> tuple[list[str], list[Sequence[Any]], list[int], list[Note]]:
+    names: list[str], rows: Rows, lines: list[int], n_rows: int, layout: Layout, shown: str
+) -> tuple[list[str], Rows, list[int], list[Note]]:
     """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
     A row of one text is a remark, unless it is written as other cells of its column are; one that begins with
@@ -281,12 +283,11 @@ def table_rows(
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:
         return names, rows, lines, []
-    kept: list[Sequence[Any]] = []
+    kept: Rows = []
     kept_lines, notes = [], []
     shapes: set[tuple[int, str]] = set()
     for row, line in zip(rows, lines, strict=True):
-        filled = [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]
-        if not filled:
+        if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
             continue
         at, first = filled[0]
         text = " ".join(str(first).split())

@@ -335,8 +335,7 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
     `TIME_FORMATS`, or names no day of the calendar.
     """
     clean = text.strip()
-    match = next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)
-    if match is None:
+    if (match := next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)) is None:
         raise ValueError(f"{clean[:40]!r} is no time")
     part = match.groupdict()
     hour, minute, second = (int(part[name] or 0) for name in ("hour", "minute", "second"))

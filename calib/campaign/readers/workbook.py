@@ -21,7 +21,7 @@ import numpy as np
 from calib import errors
 from calib.campaign.model import Note
 from calib.campaign.readers import table
-from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
+from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, object_array
 from calib.errors import BadFileError, error_words, missing_reader, refuse_beyond
 
@@ -44,7 +44,6 @@ _LISTED: Final = re.compile(rb"<(?:\w{1,20}:)?sheet\s")
 _TEXT: Final = re.compile(rb"<(?:\w{1,20}:)?si\b")
 _DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, NotImplementedError, EOFError, RuntimeError)
 _REMEDY: Final = "export the table as CSV or Parquet"
-_HEADER_ROW_REMEDY: Final = "correct header_row of the mapping"
 
 
 def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -103,7 +102,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 @dataclass(slots=True)
 class _Sheet:
     name: str = ""
-    rows: list[Sequence[Any]] = field(default_factory=list)
+    rows: Rows = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
     header_at: int = 0
     notes: list[Note] = field(default_factory=list)
@@ -140,8 +139,8 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
         return table.find_header([cells for _, cells in filled[: table.HEADER_ROWS]])
     index = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
     if index is None:
-        expected = "the header, as the mapping says"
-        raise BadFileError(shown, "no cells", expected, _HEADER_ROW_REMEDY, row=layout.header_row)
+        expected, remedy = "the header, as the mapping says", "correct header_row of the mapping"
+        raise BadFileError(shown, "no cells", expected, remedy, row=layout.header_row)
     return index
 
 
@@ -174,9 +173,7 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
     return [Note("info", shown, text, "merged_cells")] if n_filled else []
 
 
-def _beside(
-    rows: Sequence[Sequence[Any]], lines: Sequence[int], width: int, shown: str, layout: Layout, header_row: int
-) -> list[Note]:
+def _beside(rows: Rows, lines: list[int], width: int, shown: str, layout: Layout, header_row: int) -> list[Note]:
     notes = []
     for number, cells in zip(lines, rows, strict=True):
         extra = next((f"{str(cell)[:40]!r}" for cell in cells[width:] if cell is not None), None)
