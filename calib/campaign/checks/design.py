@@ -58,7 +58,7 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
 
 
 def column_note(columns: str, text: str, code: str, level: str = "suspicious", of: str = "runs") -> Note:
-    """Return a note on columns, named with commas between them, of the run table or the logs."""
+    """Return a note on columns, named with commas between them, of the run table or the logs; see `cell_note`."""
     return Note.of(f"{of}, column{'s' if ', ' in columns or ' and ' in columns else ''} {columns}", text, code, level)
 
 
