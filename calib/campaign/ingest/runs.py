@@ -105,8 +105,8 @@ def _label(cell: Any) -> str:
 
 
 def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    filled = accumulate([None, *cells], lambda last, cell: cell if is_filled(cell) else last)
-    return object_array(list(filled)[1:])
+    with_none: list[Any] = [None, *cells]
+    return object_array(list(accumulate(with_none, lambda last, cell: cell if is_filled(cell) else last))[1:])
 
 
 def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:
