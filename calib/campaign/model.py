@@ -78,7 +78,7 @@ class Note:
     @staticmethod
     def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> Note:
         """Return a note, its text made one line where it is written over several; see `Border.say`."""
-        return Note(level, where, re.sub(r"\n\s*", " ", text), code, run_id)
+        return Note(level, where, re.sub(r"\n\s*", " ", text) if "\n" in text else text, code, run_id)
 
     @property
     def sentence(self) -> str:

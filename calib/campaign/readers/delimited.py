@@ -129,6 +129,13 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
+    if layout.header_row is None:
+        # most logs begin with their header, which a few rows of numbers as wide show
+        lines = _first_lines(data, _FEW_ROWS)
+        usual = _first_delimiter(lines)
+        rows = split_cells(lines, usual)
+        if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
+            return usual, 0
     lines = _first_lines(data, table.HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
@@ -136,10 +143,8 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
             raise BadFileError(shown, f"{len(lines)} rows", expected, "correct header_row of the mapping")
         return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
     usual = _first_delimiter(lines)
-    # most logs begin with their header, which a few rows of numbers as wide show
-    rows = split_cells(lines[:_FEW_ROWS], usual)
-    few = len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0
-    if few or (header := find_header(split_cells(lines, usual))) == 0:
+    header = find_header(split_cells(lines, usual))
+    if header == 0:
         return usual, 0
     delimiter = find_delimiter(lines)
     if delimiter != usual:
