@@ -6,29 +6,27 @@ Wrong are blunders in units and settings: a factor beyond what wear, load or a p
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, get_type_hints
 
 import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
-from calib.campaign.checks.design import SIDES, implausible_column, implausible_setting, per_rev, setting_note
+from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
 from calib.campaign.checks.measurements import implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.campaign.settings import OdometryModel
 from calib.types import FloatArray, Progress, silent, stepped
 from calib.units import split_suffix
-from calib.vehicle import Usual, Vehicle
+from calib.vehicle import Usual
 
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
-    kept = campaign.included()
     for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
-        yield from check(kept)
+        yield from check(campaign.included())
 
 
 def _settings(campaign: Campaign) -> Iterator[Note]:
@@ -43,13 +41,11 @@ def _settings(campaign: Campaign) -> Iterator[Note]:
                     yield implausible_setting(f"{section}.{name}", text)
     vehicle = campaign.vehicle
     if not 0.5 < vehicle.track_m / vehicle.wheel_radius_m < 200:
-        text = (
-            f"found a track of {vehicle.track_m:g} m with wheels of {vehicle.wheel_radius_m:g} m radius; expected 0.5 "
-            "to 200 radii; check the units of both"
-        )
+        text = f"""found a track of {vehicle.track_m:g} m with wheels of {vehicle.wheel_radius_m:g} m radius; expected
+            0.5 to 200 radii; check the units of both"""
         yield implausible_setting("vehicle.track_m", text)
     for side in SIDES:
-        if not 1 <= (counts := per_rev(campaign, side)) <= 1e9:
+        if not 1 <= (counts := campaign.encoder.per_rev(side)) <= 1e9:
             text = f"found {counts:g}; expected counts of one turn of the wheel, 1 to 1e9; correct it"
             yield implausible_setting(f"encoder.counts_per_rev_{side}", text)
 
@@ -63,46 +59,38 @@ def _unit_hint(value: float, usual: Usual, unit: str) -> str:
     return "check the unit"
 
 
-def _against_vehicle(model: OdometryModel, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
-    return {
-        "radius_left_m": (model.radius_left_m, vehicle.wheel_radius_m),
-        "radius_right_m": (model.radius_right_m, vehicle.wheel_radius_m),
-        "track_m": (model.track_m, vehicle.track_m),
-    }
+def _against_vehicle(campaign: Campaign) -> Iterator[tuple[str, float, float]]:
+    names = {"radius_left_m": "wheel_radius_m", "radius_right_m": "wheel_radius_m", "track_m": "track_m"}
+    for name, of_vehicle in names.items():
+        yield f"model.{name}", getattr(campaign.model, name), getattr(campaign.vehicle, of_vehicle)
 
 
 def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
     """Compare what the simulator believes with the nominal vehicle."""
-    for name, (believed, nominal) in _against_vehicle(campaign.model, campaign.vehicle).items():
+    for key, believed, nominal in _against_vehicle(campaign):
         if abs(believed / nominal - 1) > 0.2:
             text = f"found {believed:g} where the vehicle has {nominal:g}; check the unit, and whether it is a diameter"
-            yield setting_note(f"model.{name}", text, "model_differs")
+            yield setting_note(key, text, "model_differs")
 
 
 def _model(campaign: Campaign) -> Iterator[Note]:
-    model, vehicle = campaign.model, campaign.vehicle
-    for name, (believed, nominal) in _against_vehicle(model, vehicle).items():
+    model = campaign.model
+    for key, believed, nominal in _against_vehicle(campaign):
         if off(believed / nominal):
-            text = (
-                f"found {believed:g} where the vehicle has {nominal:g}, {believed / nominal:.3g} times; expected the "
-                "same within a third; check the unit, and whether a diameter was given"
-            )
-            yield implausible_setting(f"model.{name}", text)
-    for side, slope in zip(SIDES, (model.slope_left_m_per_N, model.slope_right_m_per_N), strict=True):
-        change = slope * model.reference_load_N / vehicle.wheel_radius_m
+            text = f"""found {believed:g} where the vehicle has {nominal:g}, {believed / nominal:.3g} times; expected
+                the same within a third; check the unit, and whether a diameter was given"""
+            yield implausible_setting(key, text)
+    for side in SIDES:
+        change = getattr(model, f"slope_{side}_m_per_N") * model.reference_load_N / campaign.vehicle.wheel_radius_m
         if abs(change) > 0.25:
-            text = (
-                f"found a slope that changes the radius by {100 * change:.3g} % at the reference load; expected less "
-                "than 25 %; check the unit (mm/kN, um/N?)"
-            )
+            text = f"""found a slope that changes the radius by {100 * change:.3g} % at the reference load; expected
+                less than 25 %; check the unit (mm/kN, um/N?)"""
             yield implausible_setting(f"model.slope_{side}_m_per_N", text)
-    loads = np.concatenate([campaign.runs.number(f"load_{side}_N") for side in SIDES])
+    loads = both_sides(campaign, "load_{}_N")
     loads = loads[loads > 0]
     if len(loads) and not 0.1 * loads.min() <= model.reference_load_N <= 10 * loads.max():
-        text = (
-            f"found {model.reference_load_N:g} N for wheel loads of {loads.min():g} to {loads.max():g} N; expected a "
-            "load near these; check the unit (kN or kg?)"
-        )
+        text = f"""found {model.reference_load_N:g} N for wheel loads of {loads.min():g} to {loads.max():g} N; expected
+            a load near these; check the unit (kN or kg?)"""
         yield implausible_setting("model.reference_load_N", text)
 
 
@@ -120,18 +108,14 @@ _COLUMNS: Final[dict[str, tuple[Usual, str]]] = {
 def _columns(campaign: Campaign) -> Iterator[Note]:
     for name, (usual, hint) in _COLUMNS.items():
         values = campaign.runs.number(name)
-        outside = values[(values < usual.low) | (values > usual.high)]
-        if len(outside):
+        if len(outside := values[(values < usual.low) | (values > usual.high)]):
             found = f"found {np.median(outside):.4g} {split_suffix(name)[1]} in {len(outside)} run(s)"
             most = f"above {usual.low:.0f}" if usual.high == math.inf else f"{usual.low:g} to {usual.high:g}"
             yield implausible_column(name, f"{found}; expected {most}; {hint}")
     amplitude, wavelength = campaign.runs.number("amplitude_m"), campaign.runs.number("wavelength_m")
-    steep = np.abs(amplitude) > 0.5 * wavelength
-    if steep.any():
-        text = (
-            f"found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())} run(s); "
-            "expected an amplitude far below the wavelength; is it in millimetres?"
-        )
+    if (steep := np.abs(amplitude) > 0.5 * wavelength).any():
+        text = f"""found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())}
+            run(s); expected an amplitude far below the wavelength; is it in millimetres?"""
         yield implausible_column("amplitude_m, wavelength_m", text)
 
 
@@ -232,7 +216,7 @@ _NOT_OF_RESULTS: Final = frozenset(
 _MOST_LISTED: Final = 3
 
 
-def _together(notes: list[Note]) -> list[Note]:
+def _together(notes: Iterable[Note]) -> list[Note]:
     same: dict[str, list[Note]] = {}
     for note in notes:
         same.setdefault(note.text, []).append(note)
@@ -246,11 +230,10 @@ def _together(notes: list[Note]) -> list[Note]:
 def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
     kept = campaign.included()
-    lists = [[note for note in campaign.notes if note.code in _OF_READING]]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
-    lists += [list(check(kept)) for check in (*checks, settings.odd_lengths)]
+    of_checks = (check(kept) for check in (*checks, settings.odd_lengths))
     said = []
-    for several in lists:
+    for several in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
         notes = _together(several)
         said += [note.sentence for note in notes[:_MOST_LISTED]]
         if len(notes) > _MOST_LISTED:

@@ -72,32 +72,24 @@ def _keep(path: Path, log: ReadLog) -> None:
 
 def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
     """Remove the oldest files of a cache until it has at most `most_bytes`."""
-    files = []
-    for path in folder.glob("*/*"):
-        with suppress(OSError):
-            status = path.stat()
-            files.append((status.st_mtime_ns, status.st_size, path))
-    total = sum(size for _, size, _ in files)
-    for _, size, path in sorted(files):
-        if total <= most_bytes:
-            break
-        with suppress(OSError):
-            path.unlink()
-        total -= size
+    files = sorted((state[2], state[1], path) for path in folder.glob("*/*") if (state := _state(path)))
+    # of each file and all newer ones
+    totals = np.cumsum([size for _, size, _ in files[::-1]])[::-1]
+    for (_, _, path), total in zip(files, totals, strict=True):
+        if total > most_bytes:
+            with suppress(OSError):
+                path.unlink()
 
 
 def cache_folder(name: str) -> Path | None:
     """Return the user's cache folder, or that of the environment variable; None where it says ``off``."""
-    chosen = os.environ.get(CACHE, "")
-    if chosen:
+    if chosen := os.environ.get(CACHE, ""):
         return None if chosen == "off" else Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if not Path(base).is_absolute():
-        try:
-            base = str(Path.home() / ".cache")
-        except RuntimeError:
-            return None
-    return Path(base) / "calib" / name
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # a user may have no home
+    with suppress(RuntimeError):
+        return (base if base.is_absolute() else Path.home() / ".cache") / "calib" / name
+    return None
 
 
 @lru_cache(maxsize=1)
@@ -155,10 +147,7 @@ def read_logs(
 
 
 def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
-    n_bytes = 0
-    for _, _, path, _ in files:
-        with suppress(OSError):
-            n_bytes += path.stat().st_size
+    n_bytes = sum(state[1] for _, _, path, _ in files if (state := _state(path)))
     cache = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
     large = n_bytes >= LARGE_BYTES * len(files)
     together = n_bytes >= MANY_BYTES or n_bytes > NUMPY_BYTES * len(files)
@@ -181,40 +170,42 @@ def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
 
 
 def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) -> list[ReadLog]:
-    states = [_state(path) for _, _, path, _ in files]
-    hashes = [_sha256(path) for _, _, path, _ in files]
-    places: list[Path | None] = [None] * len(files)
-    for number, ((_, _, _, name), sha256) in enumerate(zip(files, hashes, strict=True)):
+    logs: dict[int, ReadLog] = {}
+    # of each new log its state and hash before it is read, and its place in the cache
+    new: dict[int, tuple[tuple[int, ...], str, Path | None]] = {}
+    for number, (_, _, path, name) in enumerate(files):
+        state, sha256, place = _state(path), _sha256(path), None
         if cache is not None and sha256:
             what = json.dumps([_read_by(), sha256, name]).encode("utf-8", "backslashreplace")
             key = hashlib.sha256(what).hexdigest()
-            places[number] = cache / key[:2] / f"{key}.log"
-    logs = [_kept(place, sha256) if place else None for place, sha256 in zip(places, hashes, strict=True)]
-    new = [number for number, log in enumerate(logs) if log is None]
-    raws: dict[int, RawTable | None] = {}
+            place = cache / key[:2] / f"{key}.log"
+        if place is not None and (log := _kept(place, sha256)):
+            logs[number] = log
+        else:
+            new[number] = state, sha256, place
+    raws: Sequence[RawTable | None] = [None] * len(new)
     # an odd log may have asked for the parser of many
     if (together or "pandas" in sys.modules) and len(new) > 1:
-        raws = dict(zip(new, read_batch([files[number][2:] for number in new], in_log), strict=True))
-    for number in new:
-        path, place = files[number][2], places[number]
-        log = _parsed(files[number], hashes[number], raws.get(number))
-        if _state(path) != states[number]:
+        raws = read_batch([files[number][2:] for number in new], in_log)
+    for (number, (state, sha256, place)), raw in zip(new.items(), raws, strict=True):
+        path, name = files[number][2:]
+        own = Border(lenient=False)
+        try:
+            log = ReadLog(read_log(path, name, own, raw), tuple(own.notes), sha256)
+        except BadFileError as error:
+            log = ReadLog({}, tuple(own.notes), sha256, error)
+        if _state(path) != state:
             # a file that changed while read is not kept, nor named under its earlier hash
             log = replace(log, sha256=_sha256(path))
         elif place is not None and log.error is None:
             _keep(place, log)
         logs[number] = log
-    return [log for log in logs if log is not None]
+    return [logs[number] for number in range(len(files))]
 
 
-def _parsed(file: LogFile, sha256: str, raw: RawTable | None) -> ReadLog:
-    own = Border(lenient=False)
-    columns, error = dict[str, FloatArray](), None
-    try:
-        columns = read_log(file[2], file[3], own, raw)
-    except BadFileError as fault:
-        error = fault
-    return ReadLog(columns, tuple(own.notes), sha256, error)
+def _processors() -> int:
+    # a container may be given fewer than there are
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _sha256(path: Path) -> str:
@@ -229,10 +220,3 @@ def _state(path: Path) -> tuple[int, ...]:
         status = path.stat()
         return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
     return ()
-
-
-def _processors() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -27,11 +28,8 @@ _CLEAR_STEP: Final = 0.4
 _LIKE_OTHERS: Final = 2.0
 #: nothing is divided by less time between samples
 _SHORTEST_STEP_S: Final = 1e-9
-#: how a counter's width is known
-_STATED: Final = "as the settings say"
 #: seconds that 32 bits of milliseconds and microseconds hold
 _FULL_CLOCKS_S: Final = (2**32 / 1e3, 2**32 / 1e6)
-_DETECTED: Final = "found in the jumps; give encoder.wrap_bits to make it sure"
 #: least growth of the columns in samples, and as a share
 _GROWTH: Final = 1 << 16
 _GROWTH_SHARE: Final = 0.125
@@ -84,22 +82,17 @@ def _plain_logs(folder: Path) -> dict[str, Path]:
     Found in one go; all others are looked into one by one.
     """
     logs = folder.resolve() / "logs"
-    try:
-        if logs.is_symlink():
-            return {}
-        with os.scandir(logs) as entries:
-            names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
-    except OSError:
-        return {}
-    return {f"logs/{name}": logs / name for name in names}
+    with suppress(OSError), os.scandir(logs) as entries:
+        if not logs.is_symlink():
+            return {f"logs/{one.name}": logs / one.name for one in entries if one.is_file(follow_symlinks=False)}
+    return {}
 
 
 def _is_file(path: Path) -> bool:
-    try:
+    # the file system may not hold such a name
+    with suppress(OSError):
         return path.is_file()
-    except OSError:
-        # a name that the file system cannot hold
-        return False
+    return False
 
 
 #: run number, run id, path, and its name in messages
@@ -113,8 +106,7 @@ def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None
     that `in_log` picks, where they were read already. Raises BadFileError where a required column is missing or holds a
     gap, or a cell is no number.
     """
-    if raw is None:
-        raw = read_table(path, shown, in_log)
+    raw = read_table(path, shown, in_log) if raw is None else raw
     border.notes.extend(raw.notes)
     columns: dict[str, FloatArray] = {}
     add_recognised(columns, raw, shown, border)
@@ -245,13 +237,11 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
     """
     full = 2.0**bits
     step = _steps(counts, offsets)
-    turns = np.where(np.isnan(step), 0.0, -np.rint(step / full))
-    if not turns.any():
+    if not (turns := np.where(np.isnan(step), 0.0, -np.rint(step / full))).any():
         return counts, np.zeros(len(offsets) - 1, dtype=np.int64)
     total = np.cumsum(turns)
     start = np.repeat(total[np.minimum(offsets[:-1], len(total) - 1)], np.diff(offsets))
-    wraps = np.add.reduceat(np.append(np.abs(turns), 0.0), offsets[:-1])
-    wraps[np.diff(offsets) == 0] = 0
+    wraps = np.diff(np.concatenate(([0.0], np.cumsum(np.abs(turns))))[offsets])
     return counts + full * (total - start), wraps.astype(np.int64)
 
 
@@ -303,8 +293,7 @@ class LogStack:
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))
         for name in LOG_COLUMNS:
-            column = self._columns.pop(name, None)
-            if column is None:
+            if (column := self._columns.pop(name, None)) is None:
                 continue
             column.resize(self._size, refcheck=False)
             bits = None
@@ -314,7 +303,8 @@ class LogStack:
                 column, wraps = unwrap(column, offsets, bits)
                 for run in np.flatnonzero(wraps):
                     run_id, shown = names[int(run)]
-                    how = _STATED if encoder.wrap_bits else _DETECTED
+                    found = "found in the jumps; give encoder.wrap_bits to make it sure"
+                    how = "as the settings say" if encoder.wrap_bits else found
                     text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
                     border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
             columns.add(name, column)

@@ -6,6 +6,7 @@ Arrays over all runs, and all logs end to end, so that later stages work on whol
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -74,6 +75,11 @@ class Note:
     #: the run concerned, or empty
     run_id: str = ""
 
+    @staticmethod
+    def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> Note:
+        """Return a note, its text made one line where it is written over several; see `Border.say`."""
+        return Note(level, where, re.sub(r"\n\s*", " ", text) if "\n" in text else text, code, run_id)
+
     @property
     def sentence(self) -> str:
         """Where and what, with its full stop."""
@@ -103,7 +109,7 @@ class Border:
         run_id
             The run concerned, or empty.
         """
-        self.notes.append(Note(level, where, text, code, run_id))
+        self.notes.append(Note.of(where, text, code, level, run_id))
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:
         """Raise `error`, or keep it in a lenient reading."""
@@ -272,6 +278,10 @@ class Logs:
         cut = {name: read(name, part) for name in columns}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
+    def each(self, at_least: int = 2) -> Iterator[tuple[int, dict[str, FloatArray]]]:
+        """Yield the number and the columns of each run whose log has `at_least` samples."""
+        return ((run, self.of(run)) for run in np.flatnonzero(self.lengths >= at_least).tolist())
+
     def select(self, keep: ArrayLike) -> Logs:
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
@@ -359,12 +369,10 @@ class Campaign:
         """
         from pandas import DataFrame
 
-        rows = np.flatnonzero(self.runs.run_id == run_id)
-        if not len(rows):
+        if not len(rows := np.flatnonzero(self.runs.run_id == run_id)):
             known = ", ".join(map(str, self.runs.run_id[:5]))
             raise BadInputError(f"run_id: found {run_id!r}; expected a run of {self.name}: {known} ...; name one")
-        columns = self.logs.of(int(rows[0]))
-        if not columns:
+        if not (columns := self.logs.of(int(rows[0]))):
             raise BadInputError(f"{run_id}: found no log; expected a run with one; see campaign.frame()")
         return DataFrame(columns)
 
@@ -373,12 +381,11 @@ class Campaign:
         runs, logs = self.runs, self.logs
         kinds, counts = np.unique(runs.label("kind"), return_counts=True)
         driven = ", ".join(f"{count} {kind or 'unspecified'}" for kind, count in zip(kinds, counts, strict=True))
-        sessions = len(np.unique(runs.label("session")))
         excluded = f", {int(runs.excluded.sum())} excluded" if runs.excluded.any() else ""
         lines = [
             f"Campaign {self.name}{' (simulated)' if self.simulated else ''}: {len(runs)} runs{excluded}",
             f"  kinds    {driven or 'none'}",
-            f"  sessions {sessions}",
+            f"  sessions {len(np.unique(runs.label('session')))}",
             f"  logs     {int(logs.present.sum())} runs, {int(logs.offsets[-1])} samples",
         ]
         for level in ("wrong", "suspicious"):

@@ -59,10 +59,9 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         raise BadFileError(folder, "a file" if folder.exists() else "no such folder", "a campaign folder", remedy)
     settle(folder)
     border = Border(lenient=lenient)
-    hashes: dict[str, str] = {}
     path = inside(folder, SETTINGS, named_in=folder)
     settings = read_settings(path, SETTINGS if path.is_file() else str(folder / SETTINGS))
-    hashes[SETTINGS] = sha256_file(path)
+    hashes = {SETTINGS: sha256_file(path)}
     border.notes.extend(settings.notes)
 
     shown, path = _runs_path(folder)
@@ -74,16 +73,12 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     except BadFileError as error:
         raise error.below(folder) from error
     hashes[shown] = sha256_file(path)
-    found_logs = Logs.empty(len(runs))
-    if logs:
-        files = log_files(folder, runs, shown, border)
-        found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
-        hashes |= of_logs
-        if found_logs.columns.keys() & set(SPEEDS):
-            found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
-    campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes)
-    campaign = _completed(campaign, shown, border)
-    campaign = with_references(campaign, shown, border)
+    files = log_files(folder, runs, shown, border) if logs else []
+    found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
+    if found_logs.columns.keys() & set(SPEEDS):
+        found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
+    campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes | of_logs)
+    campaign = with_references(_completed(campaign, shown, border), shown, border)
     return replace(campaign, notes=tuple(border.notes))
 
 
@@ -94,16 +89,14 @@ def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, Fl
     centre line.
     """
     mass, x, y = (runs.number(name) for name in ("payload_kg", "payload_x_m", "payload_y_m"))
-    if "payload_y_m" not in runs.numbers:
-        y = np.zeros(len(runs))
     none = mass == 0
-    _, left, right = wheel_loads_N(vehicle, mass, np.where(none, 0.0, x), np.where(none, 0.0, y))
+    centred = none | ("payload_y_m" not in runs.numbers)
+    _, left, right = wheel_loads_N(vehicle, mass, np.where(none, 0.0, x), np.where(centred, 0.0, y))
     return left, right
 
 
 def _runs_path(folder: Path) -> tuple[str, Path]:
-    for suffix in READERS:
-        name = f"runs{suffix}"
+    for name in (f"runs{suffix}" for suffix in READERS):
         if (folder / name).exists() or (folder / name).is_symlink():
             return name, inside(folder, name, named_in=folder)
     remedy = "add it, or make the campaign out of lab files with 'calib ingest'"
@@ -125,8 +118,7 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
     def fill(name: str, values: FloatArray, how: str, code: str) -> None:
         column = numbers.get(name, np.full(len(runs), np.nan))
-        empty = np.isnan(column) & ~np.isnan(values)
-        if empty.any():
+        if (empty := np.isnan(column) & ~np.isnan(values)).any():
             numbers[name] = np.where(empty, values, column)
             border.say(f"{shown}, column {name}", f"{int(empty.sum())} run(s) {how}", code)
 
@@ -156,15 +148,13 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
             by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
             turns = np.where(np.isnan(logged), by_distance, turns)
         turns = np.where(np.abs(total) < full, turns, 0.0)
+        whole = total + turns * full
+        for run in np.flatnonzero(turns):
+            text = f"""{total[run]:.0f} is the remainder of {abs(turns[run]):.0f} overflow(s) of a {bits}-bit counter;
+                {whole[run]:.0f} is used"""
+            where = f"{shown}, row {runs.line[run]}, column {name}"
+            border.say(where, text, "wrapped_total", run_id=str(runs.run_id[run]))
         if turns.any():
-            whole = total + turns * full
-            for run in np.flatnonzero(turns):
-                text = (
-                    f"{total[run]:.0f} is the remainder of {abs(turns[run]):.0f} overflow(s) of a {bits}-bit counter; "
-                    f"{whole[run]:.0f} is used"
-                )
-                where = f"{shown}, row {runs.line[run]}, column {name}"
-                border.say(where, text, "wrapped_total", run_id=str(runs.run_id[run]))
             return np.asarray(whole)
     return total
 
@@ -211,15 +201,13 @@ def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
 def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
     runs, logs = campaign.runs, campaign.logs
     turn, sigma = runs.number(GYRO_TURN).copy(), runs.number(GYRO_SIGMA).copy()
-    own = {int(run): bias_of(campaign, int(run)) for run in np.flatnonzero(logs.present)}
+    own = {run: bias_of(campaign, run) for run in np.flatnonzero(logs.present).tolist()}
     known = {run: bias for run, bias in own.items() if bias is not None}
-    measured = [run for run in own if np.isfinite(logs.of(run).get(GYRO, np.full(1, np.nan))).all()]
-    without = [run for run in measured if run not in known]
+    measured = [run for run in own if np.isfinite(logs.of(run).get(GYRO, np.nan)).all()]
+    without = len(measured) - len(known.keys() & set(measured))
     if measured and not known:
-        text = (
-            f"found no standstill of {STANDSTILL_S:g} s in any log, so that the gyro's bias is unknown and the gyro "
-            "not used; expected the vehicle at rest at the start or end of a run"
-        )
+        text = f"""found no standstill of {STANDSTILL_S:g} s in any log, so that the gyro's bias is unknown and the gyro
+            not used; expected the vehicle at rest at the start or end of a run"""
         border.say(f"logs, column {GYRO}", text, "gyro_bias", level="suspicious")
         return campaign
     sessions = runs.label("session")
@@ -234,9 +222,9 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
             turn[run], sigma[run] = _turn(logs.of(run), bias, more)
     text = f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"
     if without:
-        text += f"; {len(without)} without a standstill of their own, less that of their session"
+        text += f"; {without} without a standstill of their own, less that of their session"
     border.say(f"{shown}, column {GYRO_TURN}", text, "gyro")
-    return replace(campaign, runs=_with_numbers(runs, {GYRO_TURN: turn, GYRO_SIGMA: sigma}))
+    return replace(campaign, runs=replace(runs, numbers={**runs.numbers, GYRO_TURN: turn, GYRO_SIGMA: sigma}))
 
 
 def bias_of(campaign: Campaign, run: int) -> Bias | None:
@@ -248,24 +236,21 @@ def bias_of(campaign: Campaign, run: int) -> Bias | None:
         return None
     t_s, rate = log["t_s"], log[GYRO]
     moves = np.any([np.diff(wheel) != 0.0 for wheel in wheels], axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], moves, [True])).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], moves, [True]))))
     at_rest = np.zeros(len(t_s), dtype=np.bool_)
     for first, last in edges.reshape(-1, 2):
         begin, end = t_s[first] + SETTLING_S, t_s[last] - SETTLING_S
         if end - begin >= STANDSTILL_S:
             at_rest |= (t_s >= begin) & (t_s <= end)
     values = rate[at_rest & np.isfinite(rate)]
-    if len(values) < 3:
-        return None
-    return Bias(float(values.mean()), float(values.std(ddof=1)), len(values))
+    return Bias(float(values.mean()), float(values.std(ddof=1)), len(values)) if len(values) >= 3 else None
 
 
 def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[float, float]:
     t_s, rate = log["t_s"], log[GYRO] - bias.radps
     duration = t_s[-1] - t_s[0]
     noise = bias.sample_std_radps * np.linalg.norm(np.diff(t_s))
-    sigma = np.hypot(noise, np.hypot(bias.std_radps, more_radps) * duration)
-    return float(np.trapezoid(rate, t_s)), float(sigma)
+    return float(np.trapezoid(rate, t_s)), float(np.hypot(noise, np.hypot(bias.std_radps, more_radps) * duration))
 
 
 def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campaign:
@@ -274,22 +259,19 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
         text = 'found closed loops with [reference] frame = "map"; expected "start", in which they end at 0; not used'
         border.say(f"{shown}, column loop", text, "closed_loop", level="suspicious")
         return campaign
-    closed = runs.label("loop") == CLOSED
-    wheels = _turn_by_wheels(campaign)
+    closed, wheels = runs.label("loop") == CLOSED, _turn_by_wheels(campaign)
     whole = 2.0 * np.pi * np.rint(wheels / (2.0 * np.pi))
     ends = {"ref_x_m": np.zeros(len(runs)), "ref_y_m": np.zeros(len(runs)), "ref_theta_rad": whole}
     empty = closed & np.isfinite(wheels) & np.isnan([runs.number(name) for name in ends]).all(axis=0)
     for run in np.flatnonzero(empty & (np.abs(wheels - whole) > WHOLE_TURN_RAD)):
-        text = (
-            f"the wheels turn the closed loop by {wheels[run]:.3g} rad, which is no whole turn; expected the vehicle "
-            "to end on the mark where it began, heading as it did; check the run"
-        )
+        text = f"""the wheels turn the closed loop by {wheels[run]:.3g} rad, which is no whole turn; expected the
+            vehicle to end on the mark where it began, heading as it did; check the run"""
         where = f"{shown}, row {runs.line[run]}, column loop"
         border.say(where, text, "closed_loop", level="suspicious", run_id=str(runs.run_id[run]))
     filled = {name: np.where(empty, value, runs.number(name)) for name, value in ends.items()}
     text = f"{int(empty.sum())} closed loop(s) end at x = y = 0 and whole turns"
     border.say(f"{shown}, column loop", text, "closed_loop")
-    return replace(campaign, runs=_with_numbers(runs, filled))
+    return replace(campaign, runs=replace(runs, numbers={**runs.numbers, **filled}))
 
 
 def _turn_by_wheels(campaign: Campaign) -> FloatArray:
@@ -297,14 +279,9 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
         axle = on_one_axle(campaign)
     except CalibError:
         return np.full(len(campaign.runs), np.nan)
-    model, encoder = axle.model, axle.encoder
-    left, right = (axle.runs.number(name) / encoder.per_rev(name) for name in _COUNTS)
-    left, right = left * model.radius_left_m, right * model.radius_right_m
-    return np.asarray(2.0 * np.pi * (right - left) / model.track_m)
-
-
-def _with_numbers(runs: RunTable, numbers: dict[str, FloatArray]) -> RunTable:
-    return replace(runs, numbers={**runs.numbers, **numbers})
+    model = axle.model
+    left, right = (axle.runs.number(name) / axle.encoder.per_rev(name) for name in _COUNTS)
+    return np.asarray(2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m)
 
 
 def read_or_ingest(
@@ -318,9 +295,8 @@ def read_or_ingest(
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:
-        raise BadInputError(
-            f"{path}: found a campaign and a mapping; expected a mapping only with a recording; leave it out"
-        )
+        expected = "a mapping only with a recording"
+        raise BadInputError(f"{path}: found a campaign and a mapping; expected {expected}; leave it out")
     if is_campaign or not path.exists():
         return read_campaign(path, lenient=lenient, progress=progress)
     from calib.campaign.ingest.build import ingest

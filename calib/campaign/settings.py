@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Final, Literal
@@ -23,12 +23,10 @@ EncoderKind = Literal["counts", "speed"]
 
 #: distance of a count where the logs have speeds: below what any reference can tell
 SPEED_COUNT_M: Final = 1e-6
-#: widths of counters
-_WIDTHS: Final = range(8, 33)
 
 
 def _width(bits: int) -> int:
-    if bits not in _WIDTHS:
+    if not 8 <= bits <= 32:
         raise ValueError("8 to 32, mostly 16 or 32")
     return bits
 
@@ -181,18 +179,14 @@ def bracketed(name: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (name.strip(), None)
 
 
-def recognise(found: str, known: Sequence[str] | Iterable[str], *, further: bool = True) -> Recognised:
+@lru_cache(maxsize=1024)
+def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
     """Match a column name against the known ones.
 
     `found`: as in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit
     suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name, too.
     ``name`` is `found` (cleaned of blanks) where nothing matches.
     """
-    return _recognise(found, tuple(known), further)
-
-
-@lru_cache(maxsize=1024)
-def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
     # a fleet's tables, and a campaign's logs, repeat the same names
     if (name := found.strip()) in known:
         return Recognised(found, name)
@@ -210,11 +204,10 @@ def _recognise(found: str, known: tuple[str, ...], further: bool) -> Recognised:
                 factor, offset = factors
                 change = f"times {factor:.10g}" + (f" plus {offset:.6g}" if offset else "")
                 return Recognised(found, wanted, factor, offset, f"read as {wanted} ({change})")
-    if suffix is None:
-        for wanted in known:
-            wanted_stem, wanted_suffix = split_suffix(wanted)
-            if wanted_suffix is not None and clean.lower() == wanted_stem.lower():
-                return Recognised(found, clean, unitless=wanted)
+    for wanted in known if suffix is None else ():
+        wanted_stem, wanted_suffix = split_suffix(wanted)
+        if wanted_suffix is not None and clean.lower() == wanted_stem.lower():
+            return Recognised(found, clean, unitless=wanted)
     if further and suffix in _FURTHER:
         target, factor, offset = SUFFIXES[suffix]
         renamed = f"{stem}_{target}"
@@ -232,8 +225,7 @@ _BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall
 
 def look_alike(name: str, missing: Iterable[str]) -> str | None:
     """Return the known column, of those missing, that an unknown name seems to mean; None for most names."""
-    words = _words(name)
-    return next((wanted for wanted in missing if words == _words(wanted)), None)
+    return next((wanted for wanted in missing if _words(name) == _words(wanted)), None)
 
 
 def _words(name: str) -> tuple[str, ...]:

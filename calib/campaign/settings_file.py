@@ -19,14 +19,7 @@ from calib import errors
 from calib.campaign.model import Campaign, Logs, Note, RunTable
 from calib.campaign.readers.table import LARGEST_VALUE
 from calib.campaign.settings import SPEED_COUNT_M, Encoder, Odometry, OdometryModel, Rangefinder, Reference, recognise
-from calib.errors import (
-    SETTINGS_BYTES,
-    BadFileError,
-    BadInputError,
-    refuse_beyond,
-    refuse_hostile_document,
-    refuse_hostile_keys,
-)
+from calib.errors import BadFileError, BadInputError
 from calib.vehicle import Vehicle
 
 FORMAT: Final = "calib-campaign/1"
@@ -197,13 +190,10 @@ def _refused(
 
 
 def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
-    values = part.keys("encoder")
-    both = values.pop("counts_per_rev", None)
-    if both is None and values.get("kind") == "speed":
-        # speeds have no counts: the distance is in counts of SPEED_COUNT_M
-        both = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M
-    sides = ("counts_per_rev_left", "counts_per_rev_right")
-    if both is not None:
+    values, sides = part.keys("encoder"), ("counts_per_rev_left", "counts_per_rev_right")
+    # speeds have no counts: the distance is in counts of SPEED_COUNT_M
+    of_speed = 2.0 * math.pi * vehicle.wheel_radius_m / SPEED_COUNT_M if values.get("kind") == "speed" else None
+    if (both := values.pop("counts_per_rev", of_speed)) is not None:
         return dict.fromkeys(sides, both) | values
     if not set(sides) <= values.keys():
         text = "not given for both wheels; 4096 is used for what is missing, and every radius scales with it"
@@ -246,11 +236,11 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
         remedy = remedy or "give a folder that holds campaign.toml, or make one with 'calib ingest'"
         raise BadFileError(shown, found, expected, remedy)
     try:
-        size = path.stat().st_size
-        refuse_beyond(size, SETTINGS_BYTES, shown=shown, what="bytes", remedy="check that it is a settings file")
+        size, hint = path.stat().st_size, "check that it is a settings file"
+        errors.refuse_beyond(size, errors.SETTINGS_BYTES, shown=shown, what="bytes", remedy=hint)
         data = path.read_bytes()
         text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
-        refuse_hostile_keys(text, shown)
+        errors.refuse_hostile_keys(text, shown)
         document = tomllib.loads(text)
     except OSError as error:
         found = error.strerror or "an unreadable file"
@@ -260,7 +250,7 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         found, expected = f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]"
         raise BadFileError(shown, found, expected, "correct the line") from error
-    refuse_hostile_document(document, shown)
+    errors.refuse_hostile_document(document, shown)
     return document
 
 
@@ -280,22 +270,16 @@ def to_toml(document: Mapping[str, Any]) -> str:
 
 
 def _section(table: Mapping[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
-    plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
-    if path and (plain or not table):
-        lines += ["", f"[{'.'.join(_key(part) for part in path)}]"]
-    lines += [f"{_key(key)} = {toml_value(value, key)}" for key, value in plain.items()]
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            _section(value, (*path, key), lines)
+    inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    if path and (len(inner) < len(table) or not table):
+        lines += ["", f"[{'.'.join(map(_key, path))}]"]
+    lines += [f"{_key(key)} = {toml_value(value, key)}" for key, value in table.items() if key not in inner]
+    for key, value in inner.items():
+        _section(value, (*path, key), lines)
 
 
 def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _text(key)
-
-
-def _text(text: str) -> str:
-    # JSON's escapes are TOML's, but for DEL
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return key if _BARE.fullmatch(key) else toml_value(key)
 
 
 def toml_value(value: Any, key: str = "value") -> str:
@@ -305,14 +289,14 @@ def toml_value(value: Any, key: str = "value") -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(str(k))} = {toml_value(v, str(k))}" for k, v in value.items()) + "}"
     if isinstance(value, str):
-        return _text(value)
+        # JSON's escapes are TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Sequence):
         return "[" + ", ".join(toml_value(item, key) for item in value) + "]"
     if isinstance(value, int | float) and math.isfinite(value):
         return json.dumps(value)
-    raise BadInputError(
-        f"{key}: found {value!r}; expected a text, number or list that TOML can hold; correct the value"
-    )
+    expected = "a text, number or list that TOML can hold"
+    raise BadInputError(f"{key}: found {value!r}; expected {expected}; correct the value")
 
 
 def written_settings(campaign: Campaign) -> dict[str, object]:
@@ -328,26 +312,23 @@ def written_settings(campaign: Campaign) -> dict[str, object]:
     if campaign.odometry.source is not None:
         document["odometry"] = {"from": campaign.odometry.source}
     for key, value in campaign.extra.items():
-        own = document.get(key)
+        own = document.setdefault(key, value)
         if isinstance(value, Mapping) and isinstance(own, dict):
             document[key] = {**value, **own}
-        elif key not in document:
-            document[key] = value
     return document
 
 
 def _plain(section: Any) -> dict[str, float | str]:
-    values = {field.name: (getattr(section, field.name), field.default) for field in fields(section)}
     return {
-        name: value if isinstance(value, str) else float(value)
-        for name, (value, default) in values.items()
-        if isinstance(value, (str, int, float)) and (name not in _WHERE_GIVEN or value != default)
+        field.name: value if isinstance(value, str) else float(value)
+        for field in fields(section)
+        if isinstance(value := getattr(section, field.name), (str, int, float))
+        and (field.name not in _WHERE_GIVEN or value != field.default)
     }
 
 
 def _encoder_keys(encoder: Encoder) -> dict[str, float | str]:
-    given = _plain(encoder)
-    values = {key: int(x) if isinstance(x, float) and x.is_integer() else x for key, x in given.items()}
+    values = {key: int(x) if isinstance(x, float) and x.is_integer() else x for key, x in _plain(encoder).items()}
     if values["counts_per_rev_left"] == values["counts_per_rev_right"]:
         values = {"counts_per_rev": values.pop("counts_per_rev_left")} | values
         del values["counts_per_rev_right"]

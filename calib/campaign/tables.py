@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +29,6 @@ _SUMMARY_NAMES: Final = (
 )
 #: no run has their mean or sum, to the whole count, by chance in both
 _COUNTED: Final = ("counts_left", "counts_right")
-_LEAST_COUNTED: Final = 2
 #: different runs' counts scatter by more
 _LEAST_SPREAD: Final = 5.0
 #: of two runs each is the sum of the others where they are alike
@@ -39,8 +38,8 @@ _CHOICES: Final = {
     "direction": (("out", "back"), 'map it when ingesting: direction = {column = "...", values = {"..." = "out"}}'),
     "loop": (("closed", "open"), "write closed where the vehicle ended on its mark"),
 }
-_TRUE: Final = frozenset({"true", "1", "1.0", "yes", "y", "x"})
-_FALSE: Final = frozenset({"false", "0", "0.0", "no", "n", "", "-"})
+_TRUE: Final = ("true", "1", "1.0", "yes", "y", "x")
+_FALSE: Final = ("false", "0", "0.0", "no", "n", "", "-")
 
 
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
@@ -49,19 +48,17 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     Rows in the file's order, SI units. Raises BadFileError where run_id is missing, a cell is no number, or (not
     lenient) a run_id repeats.
     """
-    matched = _match(raw, shown, border)
-    line = raw.line
+    matched, line = _match(raw, shown, border), raw.line
     if "run_id" not in matched:
-        expected = "a column run_id"
+        found = f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}"
         remedy = "name each run; 'calib ingest' makes a run table out of any spreadsheet"
-        raise BadFileError(
-            shown, f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}", expected, remedy, column="run_id"
-        )
+        raise BadFileError(shown, found, "a column run_id", remedy, column="run_id")
     refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):
         raise BadFileError(shown, found="no rows", expected="one row a run", remedy="add the runs")
-    known = {name: raw.columns[matched[name].found] for name in LABEL_COLUMNS if name in matched}
-    labels: dict[str, StrArray] = {name: _texts(column, name, shown, line) for name, column in known.items()}
+    cells = {name: raw.columns[match.found] for name, match in matched.items()}
+    known = [name for name in LABEL_COLUMNS if name in cells]
+    labels: dict[str, StrArray] = {name: _texts(cells[name], name, shown, line) for name in known}
     _check_run_ids(labels["run_id"], line, shown, border)
     for name, (allowed, remedy) in _CHOICES.items():
         if name in labels:
@@ -73,9 +70,7 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
                 border.fault(fault, name, str(labels["run_id"][row]))
     if "session" in labels:
         labels["session"] = _sessions(labels["session"], shown, border)
-    excluded = np.zeros(len(line), dtype=np.bool_)
-    if "excluded" in matched:
-        excluded = _flags(raw.columns[matched["excluded"].found], shown, line)
+    excluded = _flags(cells.get("excluded", np.full(len(line), "")), shown, line)
     numbers_of_runs = _numbers(raw, matched, shown, border)
     summary = _summaries(labels["run_id"], numbers_of_runs, ~excluded)
     for row in np.flatnonzero(summary):
@@ -102,17 +97,15 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
 
 
 def _summaries(run_id: StrArray, columns: Mapping[str, FloatArray], used: BoolArray) -> BoolArray:
-    named = used & np.isin(np.char.lower(run_id), _SUMMARY_NAMES)
-    counted = [columns[name] for name in _COUNTED if name in columns and np.isfinite(columns[name]).all()]
-    if len(counted) < _LEAST_COUNTED or used.sum() < _LEAST_ROWS:
-        return np.asarray(named)
-    table = np.stack(counted)
-    n_others = used.sum() - 1
-    others = np.where(used, table, 0.0).sum(axis=1)[:, None] - table
+    summary = np.isin(np.char.lower(run_id), _SUMMARY_NAMES)
+    table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in _COUNTED])
     # runs that all have the same counts are repeats
-    varied = bool((np.std(table[:, used], axis=1) > _LEAST_SPREAD).all())
-    alike = [varied & (np.abs(table - value) < 0.51) for value in (others, others / n_others)]
-    return np.asarray(named | (used & np.any([each.all(axis=0) for each in alike], axis=0)))
+    varied = (np.std(table[:, used], axis=1) > _LEAST_SPREAD).all() if used.sum() >= _LEAST_ROWS else False
+    if varied and np.isfinite(table).all():
+        others = np.where(used, table, 0.0).sum(axis=1)[:, None] - table
+        for value in (others, others / (used.sum() - 1)):
+            summary |= (np.abs(table - value) < 0.51).all(axis=0)
+    return np.asarray(used & summary)
 
 
 def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
@@ -136,18 +129,14 @@ def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
 
 
 def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, border: Border) -> dict[str, FloatArray]:
-    known = [name for name in NUMERIC_COLUMNS if name in matched]
-    further = [name for name in matched if name not in _KNOWN]
-    evidence = comma_evidence([raw.columns[matched[name].found] for name in (*known, *further)])
+    names = [name for name in NUMERIC_COLUMNS if name in matched] + [name for name in matched if name not in _KNOWN]
+    evidence = comma_evidence([raw.columns[matched[name].found] for name in names])
     values: dict[str, FloatArray] = {}
     commas = False
-    for name in (*known, *further):
+    for name in names:
         match = matched[name]
-        cells = raw.columns[match.found]
         try:
-            column, comma = numbers(
-                cells, shown=shown, column=match.found, line=raw.line, decimal_comma=evidence, notes=border.notes
-            )
+            column, comma = numbers(raw.columns[match.found], shown, match.found, raw.line, evidence, border.notes)
         except BadFileError as error:
             if name in NUMERIC_COLUMNS:
                 raise
@@ -184,13 +173,12 @@ def _plain(cell: Any, whole_below: float = np.inf) -> str:
 
 
 def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
-    texts = [text.lower() for text in _texts(cells, "excluded", shown, line)]
-    for text, row in zip(texts, line, strict=True):
-        if text not in _TRUE and text not in _FALSE:
-            expected = "true, false or an empty cell"
-            remedy = "correct the cell; the reason goes into exclusion_reason"
-            raise BadFileError(shown, repr(text[:40]), expected, remedy, row=int(row), column="excluded")
-    return np.asarray([text in _TRUE for text in texts], dtype=np.bool_)
+    texts = np.char.lower(_texts(cells, "excluded", shown, line))
+    for row in np.flatnonzero(~np.isin(texts, (*_TRUE, *_FALSE))):
+        found, remedy = repr(str(texts[row])[:40]), "correct the cell; the reason goes into exclusion_reason"
+        expected = "true, false or an empty cell"
+        raise BadFileError(shown, found, expected, remedy, row=int(line[row]), column="excluded")
+    return np.isin(texts, _TRUE)
 
 
 def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str, border: Border) -> None:
@@ -238,7 +226,7 @@ def write_campaign(
     def fill(scratch: Path) -> None:
         logs = _log_names(campaign)
         parts = ((name, _log_bytes(campaign.logs.of(run), log_decimals or {})) for run, name in logs.items())
-        for name, data in chain(parts, (beside or {}).items()):
+        for name, data in itertools.chain(parts, (beside or {}).items()):
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_bytes(data)
         (scratch / "runs.csv").write_bytes(_runs_bytes(campaign.runs, logs))
@@ -256,10 +244,8 @@ def _log_names(campaign: Campaign) -> dict[int, str]:
     for index in np.flatnonzero(campaign.logs.lengths > 0):
         stem = re.sub(r"[^A-Za-z0-9._-]", "_", str(campaign.runs.run_id[index])).lstrip(".") or "run"
         # compared without case, since some file systems do so
-        name, number = stem[:100], 1
-        while name.lower() in taken:
-            number += 1
-            name = f"{stem[:100]}_{number}"
+        free = (stem[:100] if number == 1 else f"{stem[:100]}_{number}" for number in itertools.count(1))
+        name = next(name for name in free if name.lower() not in taken)
         taken.add(name.lower())
         names[int(index)] = f"logs/{name}.csv"
     return names
@@ -277,8 +263,7 @@ def _runs_bytes(runs: RunTable, logs: Mapping[int, str]) -> bytes:
         columns["excluded"] = ["true" if flag else "" for flag in runs.excluded]
     if "exclusion_reason" in runs.labels:
         columns["exclusion_reason"] = runs.labels["exclusion_reason"].tolist()
-    unknown = set(runs.labels) - set(LABEL_COLUMNS)
-    if unknown:
+    if unknown := set(runs.labels) - set(LABEL_COLUMNS):
         raise BadInputError(f"run table: found the text columns {sorted(unknown)}; expected {', '.join(LABEL_COLUMNS)}")
     return csv_bytes(columns)
 
@@ -293,14 +278,9 @@ def csv_bytes(columns: Mapping[str, Any]) -> bytes:
 
 def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -> bytes:
     frame: dict[str, object] = {}
-    for name in LOG_COLUMNS:
-        if name not in columns:
-            continue
-        values = columns[name]
-        if name in decimals:
-            values = np.round(values, decimals[name])
-        elif name == "t_s":
-            values = np.round(values, 9)
+    decimals = {"t_s": 9, **decimals}
+    for name in (name for name in LOG_COLUMNS if name in columns):
+        values = np.round(columns[name], decimals[name]) if name in decimals else columns[name]
         # minus zero has no integer form and would read back as plus zero
         whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
         frame[name] = values.astype(np.int64) if whole else values + 0.0

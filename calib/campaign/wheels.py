@@ -6,22 +6,17 @@ on its front wheel alone, its drive shaft and steering, or four mecanum wheels, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import Border, Logs
+from calib.campaign.model import Border, Campaign, Logs
 from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
 from calib.types import BoolArray, FloatArray
 from calib.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calib.campaign.model import Campaign, Logs
-
 
 #: what drives the odometry -> columns of the log with the counts of its wheels
 WHEEL_COLUMNS: Final[dict[str, tuple[str, ...]]] = {
@@ -41,12 +36,13 @@ SOURCE_NAMES: Final = {
 }
 #: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, m
 ASIDE: Final = "aside_m"
+#: what the axle's middle moves ahead and to the left (m) and turns (rad) in each step
+Motion = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def odometry_source(campaign: Campaign) -> OdometrySource:
     """Return what drives the odometry, one of `WHEEL_COLUMNS`: as the settings say, else as logged."""
-    stated = campaign.odometry.source
-    if stated is not None:
+    if (stated := campaign.odometry.source) is not None:
         return stated
     if campaign.vehicle.drive == "mecanum":
         return "wheels"
@@ -64,9 +60,10 @@ def on_its_source_alone(campaign: Campaign) -> Campaign:
     """Return the campaign without rear wheels' counts where its odometry is said to run on others."""
     if campaign.odometry.source in (None, "rear"):
         return campaign
-    rear = WHEEL_COLUMNS["rear"]
-    columns = {name: campaign.logs.columns[name] for name in campaign.logs.columns if name not in rear}
-    numbers = {name: values for name, values in campaign.runs.numbers.items() if name not in rear}
+    columns, numbers = (
+        {name: of[name] for name in of if name not in WHEEL_COLUMNS["rear"]}
+        for of in (campaign.logs.columns, campaign.runs.numbers)
+    )
     logs, runs = replace(campaign.logs, columns=columns), replace(campaign.runs, numbers=numbers)
     return replace(campaign, logs=logs, runs=runs)
 
@@ -109,16 +106,14 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
         )
     per_m_left = encoder.counts_per_rev_left / (2 * np.pi * model.radius_left_m)
     per_m_right = encoder.counts_per_rev_right / (2 * np.pi * model.radius_right_m)
-    for run in np.flatnonzero(logs.present):
-        motion = _motion(campaign, model, source, logs.of(int(run)))
-        if motion is None:
-            continue
-        ahead, left, turn = motion
-        part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-        half = 0.5 * model.track_m * turn
-        counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
-        counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
-        aside[part] = np.cumsum(left)
+    for run, log in logs.each():
+        if motion := _motion(campaign, model, source, log):
+            ahead, left, turn = motion
+            part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
+            half = 0.5 * model.track_m * turn
+            counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
+            counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
+            aside[part] = np.cumsum(left)
     columns = {**logs.columns, **counts, **({ASIDE: aside} if np.any(aside[np.isfinite(aside)] != 0.0) else {})}
     last = np.maximum(logs.offsets[1:] - 1, 0)
     ends = {name: np.where(logs.present, column[last], np.nan) for name, column in counts.items()} if n else {}
@@ -127,15 +122,12 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     return replace(campaign, encoder=encoder, odometry=Odometry(source), runs=counted, logs=logs)
 
 
-def _motion(
-    campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    if not set(WHEEL_COLUMNS[source]) <= log.keys():
+def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]) -> Motion | None:
+    steered = source in STEERED
+    if not {*WHEEL_COLUMNS[source], *(("steer_rad",) if steered else ())} <= log.keys():
         return None
     encoder = campaign.encoder
-    if source in STEERED:
-        if "steer_rad" not in log:
-            return None
+    if steered:
         front = model.front or FrontModel.of(campaign.vehicle)
         counts = log[WHEEL_COLUMNS[source][0]]
         rolled = np.diff(counts, prepend=counts[:1]) * (2 * np.pi / counts_per_rev(encoder, source)[0])
@@ -168,12 +160,9 @@ def mecanum_model(campaign: Campaign) -> MecanumModel:
     """
     if campaign.model.mecanum is not None:
         return campaign.model.mecanum
-    arm = campaign.vehicle.half_length_plus_half_width_m
-    if arm is None:
-        raise BadInputError(
-            "campaign.toml, vehicle.half_length_plus_half_width_m: found nothing; expected half the wheelbase plus "
-            "half the track of the mecanum vehicle; give it"
-        )
+    if (arm := campaign.vehicle.half_length_plus_half_width_m) is None:
+        key, expected = "vehicle.half_length_plus_half_width_m", "half the wheelbase plus half the track"
+        raise BadInputError(f"campaign.toml, {key}: found nothing; expected {expected} of the mecanum vehicle; give it")
     return MecanumModel(campaign.vehicle.wheel_radius_m, arm)
 
 
@@ -187,8 +176,7 @@ def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
     before = np.concatenate((angle[:1], angle[:-1]))
     # means over the ends of a step: over a whole turn their errors cancel, wherever the angle begins to change
     cosine = 2.0 / (1.0 / np.cos(before) + 1.0 / np.cos(angle))
-    travel = front.radius_m * rolled_rad
-    ahead = travel * cosine
+    ahead = front.radius_m * rolled_rad * cosine
     return ahead, 0.5 * ahead * (np.tan(before) + np.tan(angle)) / front.wheelbase_m
 
 
@@ -215,9 +203,7 @@ def lengthening(over: FloatArray) -> FloatArray:
     return np.where(over >= 0.0, 1.0 + np.abs(over), 1.0 / (1.0 - np.minimum(over, 0.0)))
 
 
-def shaft_motion(
-    model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray) -> Motion:
     """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
 
     The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.
@@ -333,17 +319,12 @@ def steered_itself_m(campaign: Campaign) -> float:
     if odometry_source(campaign) != "rear":
         return np.nan
     for radii in ((campaign.vehicle.wheel_radius_m,) * 2, (model.radius_left_m, model.radius_right_m)):
-        sizes = [
-            2 * np.pi * radius / campaign.encoder.per_rev(side)
-            for side, radius in zip(("left", "right"), radii, strict=True)
-        ]
-        left, right = (
-            runs.number(f"counts_{side}") * size for side, size in zip(("left", "right"), sizes, strict=True)
-        )
+        per_rev = (campaign.encoder.counts_per_rev_left, campaign.encoder.counts_per_rev_right)
+        count_m = (2 * np.pi * radii[0] / per_rev[0], 2 * np.pi * radii[1] / per_rev[1])
+        left, right = runs.number("counts_left") * count_m[0], runs.number("counts_right") * count_m[1]
         way, apart = 0.5 * (left + right), right - left
-        posed = np.isfinite(runs.number("ref_theta_rad"))
-        guided = were_guided(runs.number("distance_m"), way, apart, posed)
+        guided = were_guided(runs.number("distance_m"), way, apart, np.isfinite(runs.number("ref_theta_rad")))
         # one reading written for both wheels, a speed, says nothing of how it was steered
-        if apart[guided].any() and steered_by_counts(apart[guided], way[guided], (sizes[0], sizes[1])):
+        if apart[guided].any() and steered_by_counts(apart[guided], way[guided], count_m):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

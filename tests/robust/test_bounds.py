@@ -166,7 +166,7 @@ def test_a_workbook_with_more_than_may_be_is_refused(tmp_path: Path, monkeypatch
     path = _workbook(tmp_path / "w.xlsx", '<row r="2"><c r="A2"><v>1</v></c></row>')
     for name, what in (("SHEET_UNPACKED_BYTES", "bytes unpacked"), ("SHEETS", "sheets"), ("SHEET_CELLS", "cells")):
         with monkeypatch.context() as patched:
-            patched.setattr(f"calib.campaign.readers.workbook.{name}", 0)
+            patched.setattr(f"calib.errors.{name}", 0)
             with pytest.raises(BadFileError, match=f"found .* {what}; expected at most 0"):
                 check_size(path, "w.xlsx")
 

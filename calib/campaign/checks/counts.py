@@ -30,30 +30,22 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     moved = runs.number("distance_m") > 1.0
     backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in SIDES}
-    whole = [side for side in SIDES if backward[side].sum() > MOST_OF_THE_RUNS * moved.sum()]
-    if whole:
-        text = (
-            f"the {' and '.join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive "
-            "forward; negate the column, or correct the encoder's direction"
-        )
+    if whole := [side for side in SIDES if backward[side].sum() > MOST_OF_THE_RUNS * moved.sum()]:
+        text = f"""the {" and ".join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive
+            forward; negate the column, or correct the encoder's direction"""
         yield column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
     for side in SIDES:
         for run in np.flatnonzero(backward[side]) if side not in whole else ():
-            text = (
-                f"found {runs.number(f'counts_{side}')[run]:.0f}; expected positive counts, as in the other runs; "
-                "check whether the vehicle drove backward"
-            )
+            text = f"""found {runs.number(f"counts_{side}")[run]:.0f}; expected positive counts, as in the other runs;
+                check whether the vehicle drove backward"""
             yield cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
     """Find wheels that rolled alike in every run: a vehicle steered by them draws the arc of its radii."""
-    apart_m = steered_itself_m(campaign)
-    if apart_m >= 0.0:
-        text = (
-            f"the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to "
-            "have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"
-        )
+    if (apart_m := steered_itself_m(campaign)) >= 0.0:
+        text = f"""the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems
+            to have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"""
         yield column_note("counts_left, counts_right", text, "steered_by_itself")
 
 
@@ -62,21 +54,20 @@ def _reference_rad(campaign: Campaign) -> FloatArray:
     turned = campaign.runs.number("ref_theta_rad")
     if campaign.reference.frame == "map":
         turned = np.full(len(turned), np.nan)
-        for run in np.flatnonzero(campaign.logs.present):
-            heading = campaign.logs.of(int(run)).get("ref_theta_rad", turned[:0])
-            turned[run] = np.diff(np.unwrap(heading[np.isfinite(heading)])).sum() if len(heading) else np.nan
+        for run, log in campaign.logs.each():
+            if len(heading := log.get("ref_theta_rad", turned[:0])):
+                turned[run] = np.diff(np.unwrap(heading[np.isfinite(heading)])).sum()
     return turned
 
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a count while the other turned and the vehicle did not turn about the first."""
     runs, turn, reference = campaign.runs, turned_rad(campaign), _reference_rad(campaign)
-    otherwise = ((runs.number("distance_m") > 1.0) & np.isnan(reference)) | (
-        np.abs(turn - reference) > 0.5 * np.abs(turn)
-    )
+    otherwise = np.abs(turn - reference) > 0.5 * np.abs(turn)
+    otherwise |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
     for side, other in (SIDES, SIDES[::-1]):
         counts = runs.number(f"counts_{other}")
-        turned = np.abs(counts) > design.per_rev(campaign, other)
+        turned = np.abs(counts) > campaign.encoder.per_rev(other)
         dead = (runs.number(f"counts_{side}") == 0.0) & turned & otherwise
         remedy = "expected counts of both wheels; check encoder, cable and column, or exclude"
         if dead.sum() > max(1.0, MOST_OF_THE_RUNS * turned.sum()):
@@ -92,8 +83,7 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts off by a factor 2, 4, pi or 1000, overflowed totals, and other implausible radii."""
     for side in SIDES:
         ratio = np.abs(design.raw_radius_ratio(campaign, side))
-        known = np.isfinite(ratio)
-        if not known.any():
+        if not (known := np.isfinite(ratio)).any():
             continue
         odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
         usual = float(np.nanmedian(ratio))
@@ -116,15 +106,11 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
         full = 2.0**bits
         turns = round((expected - total) / full)
         if turns and abs(total) < full and abs(total + turns * full - expected) < 0.05 * expected:
-            text = (
-                f"found {total:.0f}; expected about {expected:.0f}; {abs(turns)} overflow(s) of a {bits}-bit counter "
-                f"give this; give encoder.wrap_bits = {bits} to have them undone"
-            )
+            text = f"""found {total:.0f}; expected about {expected:.0f}; {abs(turns)} overflow(s) of a {bits}-bit
+                counter give this; give encoder.wrap_bits = {bits} to have them undone"""
             return cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
-    text = (
-        f"found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f}; "
-        f"{_reason(ratio) or 'check the counts and the distance of this run'}"
-    )
+    text = f"""found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f};
+        {_reason(ratio) or "check the counts and the distance of this run"}"""
     return cell_note(campaign, run, f"counts_{side}", text, "count_scale")
 
 
@@ -159,13 +145,11 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     The logarithm of right over left counts is fitted on the wheel loads; a run is mirrored where minus its value fits
     and its value does not, unless it is usual for such loads.
     """
-    runs = campaign.runs
-    left, right = (runs.number(f"counts_{side}") / design.per_rev(campaign, side) for side in SIDES)
-    usable = (left > 0) & (right > 0) & (runs.number("distance_m") > 1.0)
-    if usable.sum() < 5:
+    left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in SIDES)
+    usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
+    if len(usable) < 5:
         return
-    ratio = np.log(right[usable] / left[usable])
-    loads = np.column_stack([runs.number(f"load_{side}_N")[usable] for side in SIDES])
+    ratio, loads = np.log(right[usable] / left[usable]), design.both_sides(campaign, "load_{}_N")[:, usable].T
     fitted, spread = _robust_fit(ratio, loads)
     spread = max(spread, 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
@@ -173,11 +157,10 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
         alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
         if alike.sum() > 1 and abs(ratio[at] - np.median(ratio[alike])) < 8 * spread:
             continue
-        text = (
-            f"right over left is {math.exp(ratio[at]):.5f}; expected {math.exp(fitted[at]):.5f}, as in the other runs; "
-            "left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's [log])"
-        )
-        yield cell_note(campaign, int(np.flatnonzero(usable)[at]), "counts_left, counts_right", text, "swapped_wheels")
+        text = f"""right over left is {math.exp(ratio[at]):.5f}; expected {math.exp(fitted[at]):.5f}, as in the other
+            runs; left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's
+            [log])"""
+        yield cell_note(campaign, usable[at], "counts_left, counts_right", text, "swapped_wheels")
 
 
 def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
@@ -205,8 +188,7 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
     agreement = np.zeros(len(campaign.runs))
-    for run in np.flatnonzero(campaign.logs.present) if "steer_rad" in campaign.logs.columns else ():
-        log = campaign.logs.of(int(run))
+    for run, log in campaign.logs.each() if "steer_rad" in campaign.logs.columns else ():
         if {"steer_rad", "counts_left", "counts_right"} <= set(log):
             rate = np.diff(turned_rad(campaign, log["counts_left"], log["counts_right"]))
             angle = log["steer_rad"][1:]
@@ -220,11 +202,9 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
 def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, what: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
     if against.sum() > max(1.0, MOST_OF_THE_RUNS * clear.sum()):
-        text = (
-            f"in {int(against.sum())} of {int(clear.sum())} turning runs "
-            f"({design.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the "
-            "reference counts clockwise"
-        )
+        text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
+            ({design.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the
+            reference counts clockwise"""
         yield column_note(columns, text, "swapped_wheels")
         return
     for run in np.flatnonzero(against):
@@ -238,73 +218,56 @@ SHORTEST_STEP_S: Final = 9e-6
 
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs back."""
-    for run in np.flatnonzero(campaign.logs.lengths >= 5):
-        log = campaign.logs.of(int(run))
+    for run, log in campaign.logs.each(5):
         time, step = log["t_s"], np.diff(log["t_s"])
         usual = float(np.median(step))
         if 0.0 < usual < SHORTEST_STEP_S:
             text = f"samples come every {usual:.3g} s, which no logger can; correct the unit of the times (ms, day)"
-            yield Note("wrong", "logs, column t_s", text, "sample_rate")
+            yield column_note("t_s", text, "sample_rate", "wrong", "logs")
             return
-        back = np.flatnonzero(step < 0)
-        if len(back):
-            text = (
-                f"time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by {-step[back[0]]:.4g} s; "
-                "the clock jumped or files were joined; check the logger"
-            )
+        if len(back := np.flatnonzero(step < 0)):
+            text = f"""time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by {-step[back[0]]:.4g} s;
+                the clock jumped or files were joined; check the logger"""
             yield cell_note(campaign, run, "log t_s", text, "clock_jump")
         if still := int((step == 0).sum()):
             text = f"{still} sample(s) repeat the time of the one before"
             yield cell_note(campaign, run, "log t_s", text, "repeated_time")
-        long = np.flatnonzero(step > 3.5 * usual) if usual > 0 else np.zeros(0, dtype=np.int64)
-        if not len(long):
+        if usual <= 0 or not len(long := np.flatnonzero(step > 3.5 * usual)):
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
         # while driving, a real gap holds the counts of its time
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
         jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
-        gaps = [at for at in long if at not in jumped]
-        if gaps:
-            text = (
-                f"{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at "
-                f"{time[gaps[int(np.argmax(step[gaps]))]]:.4g} s, where samples come every {usual:.4g} s; counts go "
-                "on, so that totals hold, but the path in the gap is not known"
-            )
+        if gaps := [at for at in long if at not in jumped]:
+            text = f"""{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at
+                {time[gaps[np.argmax(step[gaps])]]:.4g} s, where samples come every {usual:.4g} s; counts go on, so
+                that totals hold, but the path in the gap is not known"""
             yield cell_note(campaign, run, "log t_s", text, "gap")
         if jumped:
-            text = (
-                f"the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g} s, "
-                "while the counts went on as in one sample; speeds of this log are not to be trusted"
-            )
+            text = f"""the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g}
+                s, while the counts went on as in one sample; speeds of this log are not to be trusted"""
             yield cell_note(campaign, run, "log t_s", text, "clock_jump")
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
     """Find steps of a counter far beyond all others of the log, by a lost or disturbed encoder."""
-    for run in np.flatnonzero(campaign.logs.lengths >= 20):
-        log = campaign.logs.of(int(run))
+    for run, log in campaign.logs.each(20):
         # a gap in time may hold many counts
         time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
         stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
-        for name in log:
-            if not name.startswith("counts_"):
-                continue
+        for name in (name for name in log if name.startswith("counts_")):
             counted = np.diff(log[name])
             usual = float(np.percentile(np.abs(counted / stretch), 95))
             most = (6 * usual + 50) * stretch
             far = np.flatnonzero(np.abs(counted) > most)
             if 0 < len(far) <= max(5, 0.01 * len(counted)):
-                first = float(counted[far[0]])
-                widths = [bits for bits in WIDTHS if np.ptp(log[name]) < 2.0**bits]
-                bits = next((bits for bits in widths if abs(abs(first) - 2.0**bits) < most[far[0]]), None)
+                first, span = float(counted[far[0]]), np.ptp(log[name])
                 cause = "the encoder may have lost contact, or the counter was reset"
-                if bits:
+                if bits := next((b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < most[far[0]]), None):
                     cause = f"a {bits}-bit counter overflows so; give encoder.wrap_bits = {bits} to have them undone"
-                text = (
-                    f"{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} "
-                    f"are usual; {cause}"
-                )
+                text = f"""{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are
+                    usual; {cause}"""
                 yield cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
@@ -318,7 +281,7 @@ def _speed_note(speed: float) -> Iterator[Note]:
         units = (CLOCK_FACTORS if speed < low else {1.0 / 86400.0: "days"}).items()
         unit = next((f"is it in {unit}?" for factor, unit in units if low <= speed * factor <= high), "check its unit")
         text = f"the wheels drive at {speed:.2g} m/s; expected {low:g} to {high:g} m/s; {unit} Or check counts_per_rev"
-        yield Note("suspicious", "logs, column t_s", text, "clock_unit")
+        yield column_note("t_s", text, "clock_unit", of="logs")
 
 
 def log_speed(campaign: Campaign) -> Iterator[Note]:
@@ -326,15 +289,12 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
     # four mecanum wheels amount to two on an axle only with a known l + w
     if odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None:
         campaign = on_one_axle(campaign)
-    logs, speed = campaign.logs, campaign.runs.number("speed_mps")
+    speed = campaign.runs.number("speed_mps")
     ratios, driven = np.full(len(speed), np.nan), np.full(len(speed), np.nan)
-    for run in np.flatnonzero(logs.lengths >= 20):
-        log = logs.of(int(run))
-        if "counts_left" not in log:
-            continue
+    for run, log in campaign.logs.each(20):
         stride = max(1, len(log["t_s"]) // 50)
         step = np.diff(log["t_s"][::stride])
-        if (step > 0).all():
+        if "counts_left" in log and (step > 0).all():
             way = design.rolled_m(campaign, "left", log["counts_left"][::stride])
             rates = np.abs(np.diff(way)) / step
             ratios[run] = np.median(rates) / speed[run] if speed[run] > 0 else np.nan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, Final
 
@@ -13,8 +14,6 @@ from calib.campaign.model import Campaign, Note
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
-#: notes about blunders
-IMPLAUSIBLE: Final = "implausible"
 #: at least so many runs make a finding one of the column
 LEAST_RUNS: Final = 4
 #: share of the runs that makes a finding one of the column
@@ -39,7 +38,6 @@ RADIUS_FACTORS: Final = (
     (0.0254, "wheel_radius_m in inches"),
     (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
 )
-FACTOR_TOLERANCE: Final = 0.07
 
 #: number of a run
 Run = int | np.signedinteger[Any]
@@ -56,38 +54,33 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
         What was found, what was expected, what to do; the name of the check; ``wrong``, ``suspicious`` or ``info``.
     """
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"
-    return Note(level, where, text, code, str(campaign.runs.run_id[run]))
+    return Note.of(where, text, code, level, str(campaign.runs.run_id[run]))
 
 
-def column_note(columns: str, text: str, code: str, level: str = "suspicious") -> Note:
-    """Return a note on columns of the run table, named with commas between them."""
-    return Note(level, f"runs, column{'s' if ', ' in columns or ' and ' in columns else ''} {columns}", text, code)
+def column_note(columns: str, text: str, code: str, level: str = "suspicious", of: str = "runs") -> Note:
+    """Return a note on columns, named with commas between them, of the run table or the logs; see `cell_note`."""
+    return Note.of(f"{of}, column{'s' if ', ' in columns or ' and ' in columns else ''} {columns}", text, code, level)
 
 
 def setting_note(key: str, text: str, code: str, level: str = "suspicious") -> Note:
     """Return a note on a key of the settings."""
-    return Note(level, f"campaign.toml, {key}", text, code)
+    return Note.of(f"campaign.toml, {key}", text, code, level)
 
 
-def implausible_column(columns: str, text: str) -> Note:
-    """Return a blunder in columns."""
-    return column_note(columns, text, IMPLAUSIBLE, "wrong")
+#: blunders in columns, and in a setting
+implausible_column: Final = partial(column_note, code="implausible", level="wrong")
+implausible_setting: Final = partial(setting_note, code="implausible", level="wrong")
 
 
-def implausible_setting(key: str, text: str) -> Note:
-    """Return a blunder in a setting."""
-    return setting_note(key, text, IMPLAUSIBLE, "wrong")
-
-
-def per_rev(campaign: Campaign, side: str) -> float:
-    """Return the counts per wheel revolution of one wheel."""
-    return campaign.encoder.per_rev(side)
+def both_sides(campaign: Campaign, quantity: str) -> FloatArray:
+    """Return ``counts_{}`` or ``load_{}_N`` of the left and the right wheel, shape (2, n_runs)."""
+    return np.stack([campaign.runs.number(quantity.format(side)) for side in SIDES])
 
 
 def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:
     """Return what a wheel of nominal radius rolls in `counts`, by default in each run."""
     counts = campaign.runs.number(f"counts_{side}") if counts is None else counts
-    return 2 * np.pi * campaign.vehicle.wheel_radius_m * counts / per_rev(campaign, side)
+    return 2 * np.pi * campaign.vehicle.wheel_radius_m * counts / campaign.encoder.per_rev(side)
 
 
 def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatArray | None = None) -> FloatArray:
@@ -114,11 +107,10 @@ def load_label(campaign: Campaign) -> StrArray:
     runs = campaign.runs
     parts = [name for name in ("payload_kg", "payload_x_m", "payload_y_m") if name in runs.numbers]
     if "payload_kg" in parts and not np.isnan(runs.number("payload_kg")).all():
-        columns = [np.round(runs.number(name), 3) for name in parts]
-        empty = columns[0] == 0
-        columns = [columns[0], *(np.where(empty, 0.0, column) for column in columns[1:])]
+        columns = np.round([runs.number(name) for name in parts], 3)
+        columns[1:, columns[0] == 0] = 0.0
     else:
-        columns = [np.round(runs.number(f"load_{side}_N") / 5.0) for side in SIDES]
+        columns = np.round(both_sides(campaign, "load_{}_N") / 5.0)
     return np.asarray(["/".join(f"{value:g}" for value in row) for row in zip(*columns, strict=True)], dtype=np.str_)
 
 
@@ -135,9 +127,7 @@ def listed(names: StrArray | list[str], limit: int = 6) -> str:
     return shown + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def meaning(
-    ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = FACTOR_TOLERANCE
-) -> str:
+def meaning(ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = 0.07) -> str:
     """Return what lies behind the factor within a relative `tolerance` of a ratio; empty where none is."""
     factor, text = min(factors, key=lambda known: abs(ratio / known[0] - 1))
     return text if abs(ratio / factor - 1) < tolerance else ""
@@ -188,31 +178,25 @@ def sessions_of_loads(campaign: Campaign) -> list[str]:
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
     """Say where every session has one load, where there is one, or loads were driven in a rising or falling order."""
-    label, session = load_label(campaign), campaign.runs.label("session")
-    loads, sessions = np.unique(label), np.unique(session)
-    if len(loads) < 2:
+    label, sessions = load_label(campaign), np.unique(campaign.runs.label("session"))
+    n_loads = len(np.unique(label))
+    if n_loads < 2:
         return
     if len(sessions) >= 2:
         if not sessions_of_loads(campaign):
-            text = (
-                f"each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the "
-                "effect of the load cannot be told apart; drive at least two loads in each session"
-            )
+            text = f"""each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the
+                effect of the load cannot be told apart; drive at least two loads in each session"""
             yield column_note("session and load", text, "confounded_load")
         return
     if np.isfinite(campaign.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW:
-        text = (
-            "all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit' "
-            "holds such a law doubtful; drive two loads or more in another session"
-        )
+        text = """all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit'
+            holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
-    steps = np.diff(campaign.runs.number("load_left_N") + campaign.runs.number("load_right_N"))
+    steps = np.diff(both_sides(campaign, "load_{}_N").sum(axis=0))
     changes = int((label[1:] != label[:-1]).sum())
-    if changes == len(loads) - 1 and len(loads) >= 3 and ((steps >= 0).all() or (steps <= 0).all()):
-        text = (
-            "the loads were driven in one rising or falling order, so that warming up and the effect of the load "
-            "cannot be told apart; drive some loads again at the end, or in mixed order"
-        )
+    if changes == n_loads - 1 >= 2 and ((steps >= 0).all() or (steps <= 0).all()):
+        text = """the loads were driven in one rising or falling order, so that warming up and the effect of the load
+            cannot be told apart; drive some loads again at the end, or in mixed order"""
         yield column_note("order and load", text, "ordered_load")
 
 
@@ -230,7 +214,7 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
     runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
-        runs.number("load_left_N") + runs.number("load_right_N"),
+        both_sides(campaign, "load_{}_N").sum(axis=0),
         np.abs(runs.number("speed_mps")),
         runs.number("temperature_C"),
         np.argsort(np.argsort(first))[session].astype(float),
@@ -244,10 +228,8 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
             if len(known) >= LEAST_RUNS and changed:
                 told.append(np.corrcoef(a[known], b[known])[0, 1] ** 2)
         if (one, other) != ("load", "order of the sessions") and min(told, default=0.0) > _AS_ONE:
-            text = (
-                f"{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs "
-                "that change one alone"
-            )
+            text = f"""{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs
+                that change one alone"""
             yield column_note(f"{one} and {other}", text, "columns_as_one")
 
 
@@ -283,10 +265,8 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
     sought do not widen.
     """
     runs = campaign.runs
-    speed = np.round(runs.number("speed_mps"), 3)
-    label = load_label(campaign)
-    group_of = np.asarray([f"{k}|{w}|{v:g}" for k, w, v in zip(runs.label("kind"), label, speed, strict=True)])
-    groups = [members for _, members in groups_of(group_of)]
+    alike = zip(runs.label("kind"), load_label(campaign), np.round(runs.number("speed_mps"), 3), strict=True)
+    groups = [members for _, members in groups_of(np.asarray([f"{k}|{w}|{v:g}" for k, w, v in alike]))]
     for side in SIDES:
         ratio = raw_radius_ratio(campaign, side)
         ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
@@ -302,10 +282,8 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
         noise = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
         spread = max(robust_spread(away[known]) * 1.2, noise)
         for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _OUTLIER_SPREADS * spread)):
-            text = (
-                f"the {side} radius lies {100 * away[run]:+.3f} % from its repeats, {abs(away[run]) / spread:.0f} "
-                "times their spread; look for slip, a wrong distance or load, and set excluded with a reason if found"
-            )
+            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from its repeats, {abs(away[run]) / spread:.0f}
+                times their spread; look for slip, a wrong distance or load, and set excluded with a reason if found"""
             yield cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
 
 

@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, cell_note, column_note, implausible_column, listed, stated
+from calib.campaign.checks.design import LEAST_RUNS, SIDES, both_sides, cell_note, column_note, implausible_column
 from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
@@ -28,17 +29,14 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
         lacking = np.isnan(runs.number(name)) if source == "rear" else np.asarray([name not in log for log in logged])
         if lacking.any():
             what = "counts in table or log" if source == "rear" else f"{name} in their log"
-            text = f"{int(lacking.sum())} run(s) have no {what} ({listed(runs.run_id[lacking])}); they cannot be used"
-            where = f"{'runs' if source == 'rear' else 'logs'}, column {name}"
-            yield Note("suspicious", where, text, "missing_counts")
+            runs_lacking = design.listed(runs.run_id[lacking])
+            text = f"{int(lacking.sum())} run(s) have no {what} ({runs_lacking}); they cannot be used"
+            yield column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
     trajectory = np.asarray(["ref_x_m" in log for log in logged])
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
-    lacking = np.all(unmeasured, axis=0) & ~trajectory
-    if lacking.any():
-        text = (
-            f"{int(lacking.sum())} run(s) have neither a distance nor a reference pose "
-            f"({listed(runs.run_id[lacking])}); nothing can be learnt from them"
-        )
+    if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
+        text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
+            ({design.listed(lacking)}); nothing can be learnt from them"""
         yield column_note("distance_m", text, "missing_distance")
 
 
@@ -60,13 +58,11 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's distance with the last range of the log."""
     distance = campaign.runs.number("distance_m")
     allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
-    for run in np.flatnonzero(campaign.logs.present) if "range_m" in campaign.logs.columns else ():
-        log = campaign.logs.of(int(run)).get("range_m", np.zeros(0))
-        known = log[np.isfinite(log)]
-        if not len(known):
+    for run, log in campaign.logs.each() if "range_m" in campaign.logs.columns else ():
+        known = log.get("range_m", np.zeros(0))
+        if not len(known := known[np.isfinite(known)]):
             continue
-        outside = known[(known < -0.5) | (known > campaign.rangefinder.max_m)]
-        if len(outside):
+        if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
             text = f"{len(outside)} sample(s) lie outside the rangefinder's span, the first at {outside[0]:g} m"
             yield cell_note(campaign, run, "log range_m", text, "distance_span")
         if min(abs(distance[run] - known[-1]), abs(distance[run] - (known[-1] - known[0]))) > allowed:
@@ -92,33 +88,28 @@ def factor_reason(ratio: float) -> str:
 def implausible_distances(campaign: Campaign) -> Iterator[Note]:
     """Yield radii that no wheel has, and distances that do not fit their counts."""
     distance = campaign.runs.number("distance_m")
-    counts = {side: campaign.runs.number(f"counts_{side}") for side in SIDES}
+    counts = dict(zip(SIDES, both_sides(campaign, "counts_{}"), strict=True))
     for side, other in (SIDES, SIDES[::-1]):
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.abs(distance / design.rolled_m(campaign, side))
         good = np.isfinite(ratio) & (ratio > 0)
         if good.sum() >= LEAST_RUNS:
             usual = float(np.median(ratio[good]))
-            if off(usual) and stated(campaign, "vehicle.wheel_radius_m"):
+            if off(usual) and design.stated(campaign, "vehicle.wheel_radius_m"):
                 text = f"the {side} wheel's radius comes out {usual:.2f} times nominal: {factor_reason(usual)}"
                 yield implausible_column(f"counts_{side}", text)
-            yield from _scatter(
-                np.log(ratio[good]), np.log(np.abs(distance), where=good, out=distance * np.nan), good, side
-            )
+            far = np.log(np.abs(distance), where=good, out=distance * np.nan)
+            yield from _scatter(np.log(ratio[good]), far, good, side)
         both = np.isfinite(counts[side] + counts[other]) & (distance > 1)
         if both.sum() >= LEAST_RUNS and (counts[side][both] < 0).all() and (counts[other][both] > 0).all():
-            text = (
-                f"the {side} wheel counts backwards in every straight run, the {other} one forwards; negate the column"
-            )
-            yield implausible_column(f"counts_{side}", text)
+            text = f"the {side} wheel counts backwards in every straight run, the {other} one forwards"
+            yield implausible_column(f"counts_{side}", f"{text}; negate the column")
     total = np.abs(counts["left"] + counts["right"])
     both = np.isfinite(distance) & np.isfinite(total) & (total > 0)
     if both.sum() > LEAST_RUNS and np.ptp(distance[both]) == 0 and np.ptp(total[both]) > 2e-3 * total[both].mean():
-        text = (
-            f"found {distance[both][0]:g} m in all {int(both.sum())} runs, while the counts differ by "
-            f"{100 * np.ptp(total[both]) / total[both].mean():.2g} %; expected the distance measured in each run; is "
-            "it the nominal length of the corridor?"
-        )
+        text = f"""found {distance[both][0]:g} m in all {int(both.sum())} runs, while the counts differ by
+            {100 * np.ptp(total[both]) / total[both].mean():.2g} %; expected the distance measured in each run; is it
+            the nominal length of the corridor?"""
         yield implausible_column("distance_m", text)
 
 
@@ -130,40 +121,32 @@ def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: st
         moved = (np.roll(distance, shift) - distance)[good] + radius
         again = design.robust_spread(moved[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
-            text = (
-                f"the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each "
-                "distance one row on; expected distance and counts of the same run in a row; is the column shifted?"
-            )
+            text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
+                distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
             yield implausible_column("distance_m", text)
             return
     if spread > 0.03:
-        text = (
-            f"the {side} wheel's radius scatters by {100 * spread:.2g} % from run to run; expected less than 3 %; do "
-            "distances and counts belong to the same runs?"
-        )
+        text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} % from run to run; expected less than 3 %;
+            do distances and counts belong to the same runs?"""
         yield implausible_column(f"distance_m, counts_{side}", text)
 
 
-_LOADS: Final = "load_left_N, load_right_N"
+_LOADS: Final = ", ".join(WHEEL_LOADS)
 
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
-    runs, permitted = campaign.runs, campaign.vehicle.max_wheel_load_N
-    loads = {f"load_{side}_N": runs.number(f"load_{side}_N") for side in SIDES}
-    for name, load in loads.items():
+    loads, permitted = both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
+    for name, load in zip(WHEEL_LOADS, loads, strict=True):
         for run in np.flatnonzero(load <= 0):
             text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
             yield cell_note(campaign, run, name, text, "impossible_load", "wrong")
         for run in np.flatnonzero(load > permitted):
             text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
             yield cell_note(campaign, run, name, text, "excess_load")
-    lacking = np.isnan(sum(loads.values()))
-    if lacking.any():
-        text = (
-            f"{int(lacking.sum())} run(s) have no wheel load and no payload with its place to compute it from "
-            f"({listed(runs.run_id[lacking])})"
-        )
+    if len(lacking := campaign.runs.run_id[np.isnan(loads.sum(axis=0))]):
+        text = f"""{len(lacking)} run(s) have no wheel load and no payload with its place to compute it from
+            ({design.listed(lacking)})"""
         yield column_note(_LOADS, text, "missing_load")
 
 
@@ -186,26 +169,23 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     if "payload_kg" not in runs.numbers:
         return
-    weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
-    if not stated(campaign, "vehicle.mass_kg"):
+    weighed = both_sides(campaign, "load_{}_N")
+    if not design.stated(campaign, "vehicle.mass_kg"):
         yield from _unit_by_payload(runs.number("payload_kg"), weighed.sum(axis=0))
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
     if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
-        exchanged = bool(swapped.sum() > design.MOST_OF_THE_RUNS * off.sum())
-        hint, code = _SWAPPED if exchanged else _CONTRADICTED
+        hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         ratio = np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off])
         text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
         yield column_note(f"{_LOADS}, payload_kg", text, code)
         return
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
-        text = (
-            f"found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for "
-            f"{computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"
-        )
+        text = f"""found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for
+            {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
         yield cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
 
@@ -228,10 +208,8 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
     slopes = _slopes(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
-        text = (
-            f"each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected "
-            f"{_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"
-        )
+        text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
+            {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
         yield column_note(f"{_LOADS}, payload_kg", text, "load_unit")
 
 
@@ -253,26 +231,22 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
         # the line is not known beyond the others' payloads
         if kept.min() <= payload[run] <= kept.max():
-            text = (
-                f"found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for "
-                f"{expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"
-            )
+            text = f"""found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for
+                {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"""
             yield cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
     """Find a reference load that is neither the empty vehicle's, nor driven, nor the mean of those driven."""
-    loads = np.concatenate([campaign.runs.number(f"load_{side}_N") for side in SIDES])
-    loads, found = loads[np.isfinite(loads)], campaign.model.reference_load_N
-    if not stated(campaign, "model.reference_load_N") or not len(loads):
+    loads, found = both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
+    loads = loads[np.isfinite(loads)]
+    if not design.stated(campaign, "model.reference_load_N") or not len(loads):
         return
     usual = np.array([campaign.vehicle.unladen_load_N, loads.mean(), *np.unique(loads)])
     if np.abs(usual - found).min() > _SAME_LOAD * found:
-        text = (
-            f"found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven "
-            f"({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from "
-            "those stated at another by the slope times the difference; check the value"
-        )
+        text = f"""found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven
+            ({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from
+            those stated at another by the slope times the difference; check the value"""
         yield design.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
@@ -302,11 +276,10 @@ _LOAD_UNITS: Final = (
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     """Yield loads below zero, in another unit, or not those of their payload."""
     runs, vehicle = campaign.runs, campaign.vehicle
-    weighed = np.stack([runs.number(f"load_{side}_N") for side in SIDES])
-    computed = np.stack(loads_from_payload(vehicle, runs))
+    weighed, computed = both_sides(campaign, "load_{}_N"), np.stack(loads_from_payload(vehicle, runs))
     total, expected = weighed.sum(axis=0), computed.sum(axis=0)
     good = np.isfinite(total) & (total > 0)
-    if not stated(campaign, "vehicle.mass_kg") or not good.any():
+    if not design.stated(campaign, "vehicle.mass_kg") or not good.any():
         return
     by_payload = good & (expected > 0)
     if by_payload.sum() >= LEAST_RUNS:
@@ -324,16 +297,13 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
         yield from _of_the_empty_vehicle(campaign, total, good)
     most = float(np.median(np.fmax(*weighed)[good]))
     if most > 2 * vehicle.max_wheel_load_N:
-        permitted = f"{vehicle.max_wheel_load_N:g} N is permitted"
-        text = (
-            f"found wheel loads of {most:.5g} N; {permitted}; are payloads or loads in another unit (g, lb, kg for N)?"
-        )
+        text = f"""found wheel loads of {most:.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads or loads
+            in another unit (g, lb, kg for N)?"""
         yield implausible_column(_LOADS, text)
     place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
     if place > 5 * vehicle.wheelbase_m:
-        text = (
-            f"found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; in mm?"
-        )
+        text = f"""found {place:g} m with a wheelbase of {vehicle.wheelbase_m:g} m; expected a place on the vehicle; in
+            mm?"""
         yield implausible_column("payload_x_m", text)
 
 
@@ -342,7 +312,8 @@ def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
     ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
-    if all(stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m")) and vehicle.unladen_load_N > 0:
+    known = all(design.stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m"))
+    if known and vehicle.unladen_load_N > 0:
         ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
     if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
         yield _in_another_unit(_LOADS, ratio, what, _unit_of_shares(np.array([share])))
@@ -374,10 +345,8 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
     if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or unexplained > 0.1 * float(np.std(y)):
         return
     hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"
-    text = (
-        f"the payload adds {ratio:.3g} times what the weighed loads say; expected the same within "
-        f"{100 * (_MOST_PAYLOAD - 1):.0f} %; {hint}"
-    )
+    text = f"""the payload adds {ratio:.3g} times what the weighed loads say; expected the same within
+        {100 * (_MOST_PAYLOAD - 1):.0f} %; {hint}"""
     yield implausible_column("payload_kg", text)
 
 
@@ -386,8 +355,7 @@ def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
     good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
     opposite = found[good] / expected[good] < -0.5
     if good.sum() >= LEAST_RUNS and opposite.mean() > design.MOST_OF_THE_RUNS:
-        text = (
-            f"in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel carries "
-            "more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the right?"
-        )
+        text = f"""in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel
+            carries more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the
+            right?"""
         yield implausible_column(_LOADS, text)

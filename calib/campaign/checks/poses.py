@@ -62,22 +62,18 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     # more is another unit or row, which other checks report
     longer = _longer(campaign, 0.05)
     for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
-        text = (
-            f"the distance is {1e3 * abs(median):.3g} mm {'longer' if median > 0 else 'shorter'} than that of the "
-            f"reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.2g} mm); "
-            f"expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and what each "
-            "is measured from"
-        )
+        text = f"""the distance is {1e3 * abs(median):.3g} mm {"longer" if median > 0 else "shorter"} than that of the
+            reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.2g} mm);
+            expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and what each is
+            measured from"""
         yield column_note("distance_m", text, "distance_against_pose")
     longer = _longer(campaign, 0.5)
     if np.isfinite(longer).sum() < _LEAST_STRAIGHT_RUNS:
         return
     distance, apart = campaign.runs.number("distance_m"), longer - np.nanmedian(longer)
     for run in np.flatnonzero(np.abs(apart) > max(_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN * allowed)):
-        text = (
-            f"found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away, {apart[run]:+.3g} "
-            "m against the other straight runs; do distance and end pose belong to the same run?"
-        )
+        text = f"""found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away,
+            {apart[run]:+.3g} m against the other straight runs; do distance and end pose belong to the same run?"""
         yield design.cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
 
 
@@ -144,8 +140,7 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
         return math.nan
     scale = distance_m / along[-1]
     heading = scale * (right - left) / campaign.vehicle.track_m
-    middle = (heading[1:] + heading[:-1]) / 2
-    return float(scale * np.diff(along) @ np.sin(middle) - 0.5 * distance_m * heading[-1])
+    return float(scale * np.diff(along) @ np.sin((heading[1:] + heading[:-1]) / 2) - 0.5 * distance_m * heading[-1])
 
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
@@ -156,10 +151,8 @@ def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
     _, error = _slope(counted, offset - turned)
     mirrored, mirrored_error = _slope(counted, -offset - turned)
     if mirrored_error < _CLEARER * error and abs(mirrored - 1.0) < max(0.1, _SIGMAS * mirrored_error):
-        text = (
-            f"the ends of {len(offset)} straight runs lie to a side that neither their headings nor their counts say; "
-            "expected y positive to the left; check the sign of ref_y_m"
-        )
+        text = f"""the ends of {len(offset)} straight runs lie to a side that neither their headings nor their counts
+            say; expected y positive to the left; check the sign of ref_y_m"""
         yield column_note("ref_y_m", text, "mirrored_ends")
 
 
@@ -171,10 +164,8 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
         return
     track = campaign.vehicle.track_m
     hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
-    text = (
-        f"{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of {track:g} m "
-        f"(standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"
-    )
+    text = f"""{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of
+        {track:g} m (standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"""
     yield design.setting_note("vehicle.track_m", text, "track_against_bows")
 
 
@@ -193,10 +184,8 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
         understated = unit == "m" and _beyond_stated(values, sigma, scatter)
         if scatter < sigma / _OVERSTATED or understated:
             most = _UNDERSTATED if understated else _OVERSTATED
-            text = (
-                f"found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g} {unit}; "
-                f"expected the same within {most:g} times; check the unit and the value"
-            )
+            text = f"""found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g}
+                {unit}; expected the same within {most:g} times; check the unit and the value"""
             yield design.setting_note(" and ".join(names), text, "stated_uncertainties")
 
 
@@ -218,11 +207,9 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
         return
     bearing = float(np.median((np.arctan2(y, x) - 0.5 * turned)[straight]))
     if abs(bearing) > _MOST_BEARING_RAD:
-        text = (
-            f"{int(straight.sum())} straight runs end {bearing:+.3g} rad off their start heading (median); expected "
-            f"within {_MOST_BEARING_RAD:g} rad, each run in the frame of its own start pose; are x and y exchanged, or "
-            'is the frame turned, or one for all runs (frame = "map")?'
-        )
+        text = f"""{int(straight.sum())} straight runs end {bearing:+.3g} rad off their start heading (median); expected
+            within {_MOST_BEARING_RAD:g} rad, each run in the frame of its own start pose; are x and y exchanged, or is
+            the frame turned, or one for all runs (frame = "map")?"""
         yield column_note("ref_x_m, ref_y_m", text, "bearing_of_ends")
 
 
@@ -230,11 +217,9 @@ def turned_frame(campaign: Campaign) -> Iterator[Note]:
     """Compare headings with where straight runs end: in a frame not turned both agree, however unequal the wheels."""
     runs, angle = _aside_rad(campaign)
     for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
-        text = (
-            f"the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the "
-            f"{'left' if median > 0 else 'right'} than their headings say (standard error {error:.2g} rad); expected "
-            "the same; is the frame of the reference turned, or its heading off (sensor_yaw_rad)?"
-        )
+        text = f"""the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the
+            {"left" if median > 0 else "right"} than their headings say (standard error {error:.2g} rad); expected the
+            same; is the frame of the reference turned, or its heading off (sensor_yaw_rad)?"""
         yield column_note("ref_theta_rad, ref_y_m", text, "turned_frame")
 
 
@@ -275,11 +260,9 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
     apart = (turn - heading + np.pi)[both] % (2.0 * np.pi) - np.pi
     scale, error = _slope(turn[both] - apart, apart)
     if abs(scale) > _SIGMAS * error:
-        text = (
-            f"{int(both.sum())} runs turn by {100 * abs(scale):.2g} % {'more' if scale > 0 else 'less'} by the gyro "
-            f"than by the reference (standard error {100 * error:.1g} %); expected the same; correct the gyro's scale "
-            "where the vehicle navigates by it"
-        )
+        text = f"""{int(both.sum())} runs turn by {100 * abs(scale):.2g} % {"more" if scale > 0 else "less"} by the gyro
+            than by the reference (standard error {100 * error:.1g} %); expected the same; correct the gyro's scale
+            where the vehicle navigates by it"""
         yield column_note("gyro_theta_rad", text, "gyro_against_reference")
 
 
@@ -304,36 +287,27 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
             ratio, expected = float(np.median(away[far] / distance[far])), "the distance at most"
         if off(ratio):
             unit = "millimetres" if ratio > 300 else design.meaning(ratio, _POSITION_UNITS)
-            text = (
-                f"the end poses lie {ratio:.3g} times as far away as was driven; expected {expected}; "
-                f"{f'are they in {unit}?' if unit else 'check their unit and frame'}"
-            )
+            text = f"""the end poses lie {ratio:.3g} times as far away as was driven; expected {expected};
+                {f"are they in {unit}?" if unit else "check their unit and frame"}"""
             yield implausible_column("ref_x_m, ref_y_m", text)
         straight &= np.isfinite(theta) & (np.abs(y) < 0.05 * np.abs(x)) & (away > 0.5 * distance)
         askew = float(np.median(np.abs(theta[straight]))) if straight.sum() >= LEAST_RUNS else 0.0
         if askew > 0.15 and own_frame:
-            text = (
-                f"straight runs that end on their line are turned by {askew:.3g} rad (median); expected below 0.15; "
-                "are the headings in degrees?"
-            )
+            text = f"""straight runs that end on their line are turned by {askew:.3g} rad (median); expected below 0.15;
+                are the headings in degrees?"""
             yield implausible_column("ref_theta_rad", text)
     yield from _headings(campaign, distance)
 
 
 def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    runs, logs = campaign.runs, campaign.logs
-    x, y = runs.number("ref_x_m"), runs.number("ref_y_m")
+    x, y = campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m")
     if campaign.reference.frame != "map":
         return x, y
     end = np.full(len(x), complex(math.nan, math.nan))
-    for run in np.flatnonzero(logs.present & np.isfinite(x + y)):
-        log = logs.of(int(run))
-        if not log.keys() >= set(REFERENCE_POSE):
-            continue
-        pose = np.array([log[name] for name in REFERENCE_POSE])
-        known = np.isfinite(pose).all(axis=0)
-        if known.any():
-            start_x, start_y, heading = pose[:, np.argmax(known)]
+    for run, log in campaign.logs.each():
+        if log.keys() >= set(REFERENCE_POSE):
+            pose = np.array([log[name] for name in REFERENCE_POSE])
+            start_x, start_y, heading = pose[:, np.argmax(np.isfinite(pose).all(axis=0))]
             end[run] = complex(x[run] - start_x, y[run] - start_y) * np.exp(-1j * heading)
     return end.real, end.imag
 
@@ -366,10 +340,8 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             return
     else:
         return
-    text = (
-        f"the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' counts "
-        "swapped, or is ref_theta_rad positive to the right?"
-    )
+    text = f"""the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' counts
+        swapped, or is ref_theta_rad positive to the right?"""
     yield implausible_column("counts_left, counts_right", text)
 
 

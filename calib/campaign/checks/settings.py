@@ -42,7 +42,7 @@ MOST_SCATTER_COUNTS: Final = 1.0
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
     """Find counts per revolution one off a round number, and radii off together."""
     for side in SIDES if stated(campaign, "encoder.counts_per_rev") else ():
-        value = design.per_rev(campaign, side)
+        value = campaign.encoder.per_rev(side)
         near = [value + step for step in (-1.0, 1.0) if _is_round(value + step)]
         if near and not _is_round(value):
             text = f"found {value:.10g}, one off {near[0]:.10g}; encoders have a round number of counts; check it"
@@ -54,21 +54,18 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
         return
     over_model = np.stack([_over_model(campaign, side) for side in SIDES])
     for whose, radii in (("nominal one", ratios), ("model's", ratios * over_model)):
-        left, right = (float(value) for value in np.nanmedian(radii, axis=1))
+        left, right = np.nanmedian(radii, axis=1)
         if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
-            text = (
-                f"both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the {whose}; expected within "
-                f"{100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"
-            )
+            text = f"""both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the {whose}; expected
+                within {100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"""
             yield setting_note("encoder and vehicle", text, "counts_per_rev")
             return
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
     model, load = campaign.model, campaign.runs.number(f"load_{side}_N")
-    slope = model.slope_left_m_per_N if side == "left" else model.slope_right_m_per_N
-    radius = model.radius_left_m if side == "left" else model.radius_right_m
-    changes = slope * np.where(np.isfinite(load), load - model.reference_load_N, 0.0)
+    slope, radius = getattr(model, f"slope_{side}_m_per_N"), getattr(model, f"radius_{side}_m")
+    changes = slope * np.nan_to_num(load - model.reference_load_N)
     return np.asarray(campaign.vehicle.wheel_radius_m / np.maximum(radius + changes, 0.1 * radius))
 
 
@@ -86,22 +83,17 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
     if name is None or present.sum() < LEAST_RUNS:
         return
     distance = np.concatenate(([0.0], np.nancumsum(np.abs(np.diff(logs.columns[name])))))
-    speeds = np.full(len(campaign.runs), np.nan)
-    counts = distance[logs.offsets[1:][present] - 1] - distance[logs.offsets[:-1][present]]
-    speeds[present] = counts / duration_s[present]
+    ends, starts = np.maximum(logs.offsets[1:] - 1, 0), np.minimum(logs.offsets[:-1], len(distance) - 1)
+    speeds = np.where(present, distance[ends] - distance[starts], np.nan) / duration_s
     usual, usual_s = float(np.median(speeds[present])), float(np.median(duration_s[present]))
     for factor, unit in CLOCK_FACTORS.items() if usual > 0.0 else ():
         # a vehicle that mostly stands is slow, too, but its log is no longer
         long = duration_s > usual_s * factor / SPEED_FACTOR
-        slow = np.flatnonzero(
-            long & (np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual)) < np.log(SPEED_FACTOR))
-        )
-        if len(slow):
-            text = (
-                f"in {len(slow)} logs ({listed(campaign.runs.run_id[slow], 5)}) the wheels turn {factor:.0e} times "
-                f"slower than in the others: t_s looks like {unit}; name the column t_ms, t_us or t_ns there"
-            )
-            yield Note("suspicious", "logs, column t_s", text, "clock_unit")
+        apart = np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual))
+        if len(slow := np.flatnonzero(long & (apart < np.log(SPEED_FACTOR)))):
+            text = f"""in {len(slow)} logs ({listed(campaign.runs.run_id[slow], 5)}) the wheels turn {factor:.0e} times
+                slower than in the others: t_s looks like {unit}; name the column t_ms, t_us or t_ns there"""
+            yield column_note("t_s", text, "clock_unit", of="logs")
 
 
 def odd_lengths(campaign: Campaign) -> Iterator[Note]:
@@ -118,7 +110,7 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
     runs = np.unique(np.searchsorted(logs.offsets, np.setdiff1d(fell, logs.offsets), side="right") - 1)
     if len(runs):
         text = f"time runs backwards in {len(runs)} logs ({listed(campaign.runs.run_id[runs], 5)})"
-        yield Note("suspicious", "logs, column t_s", text, "clock")
+        yield column_note("t_s", text, "clock", of="logs")
 
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
@@ -139,13 +131,10 @@ def pose_resolution(campaign: Campaign) -> Iterator[Note]:
     """Find positions in steps coarser than the reference: single precision far from the origin."""
     for where, columns in (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns)):
         for name in ("ref_x_m", "ref_y_m"):
-            step_m = _coarse_step(columns.get(name, np.zeros(0)), campaign.reference.sigma_xy_m)
-            if step_m is not None:
-                text = (
-                    f"the positions come in steps of {1e3 * step_m:.3g} mm, far above the stated sigma_xy_m; single "
-                    "precision far from the origin does this: subtract the origin before the file is written"
-                )
-                yield Note("suspicious", f"{where}, column {name}", text, "pose_resolution")
+            if step_m := _coarse_step(columns.get(name, np.zeros(0)), campaign.reference.sigma_xy_m):
+                text = f"""the positions come in steps of {1e3 * step_m:.3g} mm, far above the stated sigma_xy_m; single
+                    precision far from the origin does this: subtract the origin before the file is written"""
+                yield column_note(name, text, "pose_resolution", of=where)
 
 
 def rounded_values(campaign: Campaign) -> Iterator[Note]:
@@ -155,12 +144,9 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
     resolutions |= {f"counts_{side}": sigma_m / float(design.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
     driven = campaign.runs.label("loop") != CLOSED
     for name, resolution in resolutions.items():
-        step = _coarse_step(campaign.runs.number(name)[driven], resolution)
-        if step is not None:
-            text = (
-                f"the values come in steps of {step:.4g}; expected steps below {COARSE * resolution:.2g}, {COARSE:g} "
-                "standard uncertainties; are they rounded, or nominal?"
-            )
+        if step := _coarse_step(campaign.runs.number(name)[driven], resolution):
+            text = f"""the values come in steps of {step:.4g}; expected steps below {COARSE * resolution:.2g},
+                {COARSE:g} standard uncertainties; are they rounded, or nominal?"""
             yield column_note(name, text, "rounded_values")
 
 
@@ -190,10 +176,8 @@ def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
             # the row shifted out of the table says nothing
             inner = slice(None, -1) if by == -1 else slice(1, None)
             if _constant_within(np.roll(session, by)[inner], group[inner]):
-                text = (
-                    f"each session has one {name} if its labels move by one row {'up' if by == -1 else 'down'}, and "
-                    "as they stand it has not; are the labels a row off?"
-                )
+                text = f"""each session has one {name} if its labels move by one row {"up" if by == -1 else "down"}, and
+                    as they stand it has not; are the labels a row off?"""
                 yield column_note("session", text, "shifted_sessions")
                 return
 
@@ -210,8 +194,6 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
         known = difference[np.isfinite(difference)]
         usual = float(np.median(known)) if len(known) >= LEAST_RUNS else 0.0
         if abs(usual) > MOST_SCATTER_COUNTS and np.mean(np.abs(known - usual) <= MOST_SCATTER_COUNTS) > 0.9:
-            text = (
-                f"the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another place "
-                "than the distance; let the log begin before the vehicle moves"
-            )
+            text = f"""the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another
+                place than the distance; let the log begin before the vehicle moves"""
             yield column_note(f"counts_{side}", text, "late_logs")

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.ingest.contents import grouped
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
 from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
@@ -27,12 +28,9 @@ from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
 from calib.types import Progress, silent, stepped
 
-RECORD: Final = "ingest.json"
 RECORDINGS: Final = "recordings"
 #: rows of a table that a merged note lists
 _LISTED_ROWS: Final = 8
-#: run names that an error lists
-_LISTED_RUNS: Final = 8
 _NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 
 
@@ -81,10 +79,9 @@ class _Ingestion:
 
     def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
         """Read logs of one run each, turned into its start frame where the mapping says so."""
-        columns = self.mapping.log.columns
-        distance = "range_m" in columns and columns["range_m"].from_start is True
-        stated = any(name.startswith("ref_") and line.from_start is True for name, line in columns.items())
-        poses = stated and self.settings.reference.frame != "map"
+        stated = [name for name, line in self.mapping.log.columns.items() if line.from_start is True]
+        distance = "range_m" in stated
+        poses = self.settings.reference.frame != "map" and any(name.startswith("ref_") for name in stated)
         logs = {}
         for index, files in stepped(list(logs_of_runs.items()), self.progress, "logs"):
             log = self.read_log(files)
@@ -121,10 +118,8 @@ def ingest(
     paths = [Path(source) for source in sources]
     for path in [*paths, *([mapping] if mapping else [])]:
         if path.resolve().is_relative_to(into.resolve()):
-            raise BadInputError(
-                f"{path}: found a source inside the campaign to be made; expected sources elsewhere, since they are "
-                "left untouched; give another folder to make"
-            )
+            expected = "sources elsewhere, since they are left untouched; give another folder to make"
+            raise BadInputError(f"{path}: found a source inside the campaign to be made; expected {expected}")
     if not dry_run:
         refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
@@ -138,7 +133,7 @@ def ingest(
     if not dry_run:
         whole = {name: log.columns | {"t_s": np.round(log.columns["t_s"], 9)} for name, log in work.recordings.items()}
         beside = {f"{RECORDINGS}/{name}.csv": csv_bytes(columns) for name, columns in whole.items()}
-        beside[RECORD] = to_json(_record(work)).encode("utf-8")
+        beside["ingest.json"] = to_json(_record(work)).encode("utf-8")
         write_campaign(campaign, into, force=force, beside=beside)
     return Ingested(into, campaign, work.hashes, tuple(work.border.notes), tuple(work.segments))
 
@@ -209,10 +204,9 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
     if named and not names_runs(raw, work.mapping):
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
-    if not mapped and not names_runs(raw, work.mapping):
-        log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}
-        if log_columns & set(raw.columns):
-            return None
+    log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}
+    if not mapped and not names_runs(raw, work.mapping) and log_columns & set(raw.columns):
+        return None
     work.hashes[str(path)] = sha256_file(path)
     if not sheets:
         work.border.notes.extend(raw.notes)
@@ -267,7 +261,7 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
     for run_id in work.mapping.log.swapped:
         log = logs.get(names.get(run_id, -1))
         if log is None or not {"counts_left", "counts_right"} <= set(log.columns):
-            known = f"one of {', '.join(list(names)[:_LISTED_RUNS])}, ... that has a log"
+            known = f"one of {', '.join(list(names)[:8])}, ... that has a log"
             raise bad_line(work.mapping.shown, "log", "swapped", run_id, known)
         exchanged = {"counts_left": log.columns["counts_right"], "counts_right": log.columns["counts_left"]}
         logs[names[run_id]] = replace(log, columns=log.columns | exchanged)
@@ -276,13 +270,10 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
 
 def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
     numbers = dict(runs.numbers)
-    ends = {index: end_values(log.columns) for index, log in logs.items() if log.from_start}
-    for name in dict.fromkeys(name for values in ends.values() for name in values):
-        column = runs.number(name).copy()
-        for index, values in ends.items():
-            if np.isnan(column[index]):
-                column[index] = round(values.get(name, np.nan), 9)
-        numbers[name] = column
+    for index, log in logs.items():
+        for name, value in end_values(log.columns).items() if log.from_start else ():
+            numbers[name] = column = numbers.get(name, np.full(len(runs), np.nan)).copy()
+            column[index] = round(value, 9) if np.isnan(column[index]) else column[index]
     return replace(runs, numbers=numbers)
 
 
@@ -295,8 +286,7 @@ def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Enco
         counted = [log.columns for log in logs.values() if name in log.columns]
         counts, time_s = (np.concatenate([columns[one] for columns in counted]) for one in (name, "t_s"))
         widths.append(detect_wrap_bits(counts, np.cumsum([0, *(len(columns[name]) for columns in counted)]), time_s))
-    bits = max(filter(None, widths), default=None)
-    if bits is None:
+    if (bits := max(filter(None, widths), default=None)) is None:
         return encoder
     text = f"counters overflow at {bits} bits, by their jumps; wrap_bits = {bits} is written into campaign.toml"
     work.border.say(f"{work.mapping.shown}, encoder.wrap_bits", text, "wrap_bits")
@@ -322,11 +312,12 @@ def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
 
     Each kind stands where its first did; numbers that differ are given as a range.
     """
-    groups: dict[tuple[str, str, str, str], list[Note]] = {}
-    for note in notes:
+
+    def kind(note: Note) -> tuple[str, ...]:
         file, column = _file_and_column(note.where)
-        key = (note.level, note.code, PurePath(file).suffix + column, _NUMBER.sub("#", note.text))
-        groups.setdefault(key, []).append(note)
+        return note.level, note.code, PurePath(file).suffix + column, _NUMBER.sub("#", note.text)
+
+    groups = grouped(notes, kind)
     return tuple(group[0] if len(group) == 1 else _merged(group) for group in groups.values())
 
 
@@ -337,9 +328,8 @@ def _file_and_column(where: str) -> tuple[str, str]:
 
 
 def _merged(group: Sequence[Note]) -> Note:
-    first = group[0]
+    first, column = group[0], _file_and_column(group[0].where)[1]
     files = list(dict.fromkeys(_file_and_column(note.where)[0] for note in group))
-    column = _file_and_column(first.where)[1]
     if len(files) > 1:
         where = f"{len(files)} files, {PurePath(files[0]).name} .. {PurePath(files[-1]).name}"
     else:
@@ -352,5 +342,5 @@ def _merged(group: Sequence[Note]) -> Note:
         texts = sorted(dict.fromkeys(next(spans)), key=float)
         return match[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}"
 
-    text = _NUMBER.sub(span, first.text)
-    return Note(first.level, where + (f", {column}" if column else ""), text, first.code)
+    where += f", {column}" if column else ""
+    return Note(first.level, where, _NUMBER.sub(span, first.text), first.code)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,21 +16,11 @@ from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.model import Note
-from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table
+from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table, table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
-from calib.campaign.readers.table import (
-    FORMAT_NAMES,
-    NS_PER_S,
-    comma_evidence,
-    filled_cells,
-    format_words,
-    is_number,
-    moments_ns,
-    numbers,
-)
 from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
-from calib.types import IntArray
+from calib.types import IntArray, Item
 
 #: different texts of a column that are listed
 _LISTED_TEXTS: Final = 6
@@ -38,14 +28,16 @@ _LISTED_TEXTS: Final = 6
 _FEW_ROWS: Final = 40
 #: share of numbers in a column of numbers, some of which cannot be read
 _MOSTLY_NUMBERS: Final = 0.8
-#: properties of a recording that are listed
-_LISTED_PROPERTIES: Final = 12
 #: names of a first column that calib knows by chance
 _LEAST_NAMES: Final = 2
-#: characters that list the columns of another sheet
-_LISTED_SHEET: Final = 200
-#: characters of a remark's line
-_WIDTH: Final = 78
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> dict[Hashable, list[Item]]:
+    """Return items by their key, in the order of the first of each."""
+    groups: dict[Hashable, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +82,7 @@ class ColumnContents:
             text += f"{self.texts[0]} and later, {self.form}" + span
         else:
             text += ", ".join(self.texts) if self.kind == "text" else "empty"
-        bits = next((c.wrap_bits for c in alike if c.wrap_bits), None)
-        if bits:
+        if bits := next((c.wrap_bits for c in alike if c.wrap_bits), None):
             text += f"; a counter that overflows at {bits} bits"
         return text + (f"; {self.n_empty} empty" if self.n_empty and self.kind != "empty" else "")
 
@@ -140,35 +131,25 @@ def file_contents(path: Path) -> FileContents:
         from calib.campaign.readers.workbook import sheet_names
 
         names = sheet_names(path, shown)
-    if len(names) < 2:
-        return _table_contents(path, shown, "")
+    contents = _table_contents(path, shown, "")
     sheets: dict[str, FileContents] = {}
-    for name in names:
+    for name in names if len(names) > 1 else ():
         # a sheet of notes is no table
         with suppress(BadFileError):
             sheets[name] = _table_contents(path, shown, name)
     usual = [name for name, sheet in sheets.items() if len(sheet.columns) > 1 and sheet.n_rows]
     runs = [name for name in usual if any(guessed_table_column(one.name) == "run_id" for one in sheets[name].columns)]
-    chosen = next(iter(runs or usual), None)
-    if chosen is None:
-        return _table_contents(path, shown, "")
+    if (chosen := next(iter(runs or usual), None)) is None:
+        return contents
     alike = tuple(name for name in usual if sheets[name].alike(sheets[chosen]))
-    sheets[chosen] = _with_texts_of([sheets[name] for name in (chosen, *alike)])
+    columns: tuple[ColumnContents, ...] = ()
+    for same in zip(*(sheets[name].columns for name in (chosen, *alike)), strict=True):
+        texts = dict.fromkeys(text for column in same for text in column.texts)
+        columns += (replace(same[0], texts=tuple(texts)[:_LISTED_TEXTS]),)
     others = {name: sheets[name].columns for name in usual if name != chosen}
-    contents = _table_contents(path, shown, "")
-    if contents.alike(sheets[chosen]):
-        contents = replace(contents, columns=sheets[chosen].columns)
-    else:
-        contents = replace(sheets[chosen], sheet=chosen)
+    first = contents.alike(sheets[chosen])
+    contents = replace(contents, columns=columns) if first else replace(sheets[chosen], columns=columns, sheet=chosen)
     return replace(contents, others=others, alike_sheets=alike if len(alike) > 1 else ())
-
-
-def _with_texts_of(sheets: Sequence[FileContents]) -> FileContents:
-    columns = []
-    for alike in zip(*(sheet.columns for sheet in sheets), strict=True):
-        texts = dict.fromkeys(text for column in alike for text in column.texts)
-        columns.append(replace(alike[0], texts=tuple(texts)[:_LISTED_TEXTS]))
-    return replace(sheets[0], columns=tuple(columns))
 
 
 def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
@@ -177,14 +158,14 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
         raw = read_table(path, shown, lambda _: True, layout)
     except BadFileError:
         layout, raw = _as_read(path, shown, layout)
-    evidence = comma_evidence(list(raw.columns.values()))
+    evidence = table.comma_evidence(list(raw.columns.values()))
     notes = list(raw.notes)
     columns = tuple(_column_contents(name, raw, shown, evidence, notes) for name in raw.columns)
     remarks = [one.text if one.where == shown else f"{one.where.partition(', ')[2]}: {one.text}" for one in notes]
-    turned = layout.runs_in_columns
-    if turned:
+    if layout.runs_in_columns:
         remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")
-    return FileContents(shown, False, len(raw.line), columns, tuple(remarks), runs_in_columns=turned)
+    rows = len(raw.line)
+    return FileContents(shown, False, rows, columns, tuple(remarks), runs_in_columns=layout.runs_in_columns)
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
@@ -192,54 +173,48 @@ def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
 
     It is where the first column has more names of what a run table holds than the header.
     """
-    turned = replace(layout, runs_in_columns=True)
-    other = None
+    turned, n_turned = replace(layout, runs_in_columns=True), 0
     with suppress(BadFileError):
         other = read_table(path, shown, None, turned)
+        n_turned = _n_known(other.columns)
     try:
         raw = read_table(path, shown, None, layout)
     except BadFileError:
         # a first row's values may repeat, a first column's names do not
-        if other is None or len(_known(other.columns)) <= _LEAST_NAMES:
+        if n_turned <= _LEAST_NAMES:
             raise
         return turned, other
-    if other is not None and len(_known(other.columns)) > max(_LEAST_NAMES, len(_known(raw.columns))):
-        return turned, other
-    return layout, raw
+    return (turned, other) if n_turned > max(_LEAST_NAMES, _n_known(raw.columns)) else (layout, raw)
 
 
-def _known(names: Iterable[str]) -> set[str]:
-    return {target for name in names if (target := guessed_table_column(name))}
+def _n_known(names: Iterable[str]) -> int:
+    return len({target for name in names if (target := guessed_table_column(name))})
 
 
 def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None, notes: list[Note]) -> ColumnContents:
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
-        first, words = raw.written.get(name, (str(cells[0]), FORMAT_NAMES["iso8601"]))
+        first, words = raw.written.get(name, (str(cells[0]), table.FORMAT_NAMES["iso8601"]))
         high, step = float(np.nanmax(cells)), usual_step(cells.astype(np.float64))
         return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,), step=step)
     if cells.dtype == object:
-        filled = filled_cells(cells.tolist())
+        filled = table.filled_cells(cells.tolist())
         n_empty = len(cells) - len(filled)
-        if not filled:
-            return ColumnContents(name, "empty", n_empty=n_empty)
-        first = str(filled[0])
-        if form := format_words(filled):
-            step = usual_step(moments_ns(filled)[0] / NS_PER_S)
-            return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(first,), step=step)
+        if filled and (form := table.format_words(filled)):
+            step = usual_step(table.moments_ns(filled)[0] / table.NS_PER_S)
+            return ColumnContents(name, "time", n_empty=n_empty, form=form, texts=(str(filled[0]),), step=step)
     try:
-        values, _ = numbers(cells, shown=shown, column=name, line=raw.line, decimal_comma=evidence, notes=notes)
+        values, _ = table.numbers(cells, shown, name, raw.line, evidence, notes)
     except BadFileError as error:
         if cells.dtype != object:
             return ColumnContents(name, "text", n_empty=len(cells))
-        if sum(map(is_number, filled)) > _MOSTLY_NUMBERS * len(filled):
+        if sum(map(table.is_number, filled)) > _MOSTLY_NUMBERS * len(filled):
             text = f"found {error.found}; expected {error.expected}; {error.remedy}"
             notes.append(Note("suspicious", f"{shown}, row {error.row}, column {name}", text, "text_column"))
             return ColumnContents(name, "number", n_empty=n_empty)
         different = list(dict.fromkeys(str(cell).strip() for cell in filled))
         return ColumnContents(name, "text", texts=tuple(different[:_LISTED_TEXTS]), n_empty=n_empty)
-    known = values[np.isfinite(values)]
-    if not len(known):
+    if not len(known := values[np.isfinite(values)]):
         return ColumnContents(name, "empty", n_empty=len(cells))
     whole = bool((known == np.rint(known)).all())
     bits = detect_wrap_bits(values, np.asarray([0, len(values)])) if whole and len(values) > _FEW_ROWS else None
@@ -282,12 +257,12 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"
     count += " samples" if file.recording else " rows" if min(rows) else " rows: a header alone, export it again"
     lines = wrapped(f"{title}: {what}, {count}", "# ")
-    properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:_LISTED_PROPERTIES]]
+    properties = [f"{key} = {value}" for key, value in list(file.properties.items())[:12]]
     streams = [f"{stream.name} ({stream.kind}): {stream.words()}" for stream in file.streams]
     for text in (*dict.fromkeys(file.remarks), *properties, *streams):
         lines += wrapped(text, "#   ")
     for sheet, columns in file.others.items():
-        lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:_LISTED_SHEET]}", "#   ")
+        lines += wrapped(f"sheet {sheet!r}: {', '.join(column.name for column in columns)[:200]}", "#   ")
     for number, column in enumerate(file.columns):
         lines += wrapped(column.words([member.columns[number] for member in group]), "#     ")
     return [*lines, "#"]
@@ -295,7 +270,5 @@ def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]
 
 def wrapped(text: str, lead: str, hanging: str = "  ") -> list[str]:
     """Return a text as remarks, further lines indented."""
-    further = lead + hanging
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent=lead, subsequent_indent=further, break_long_words=False, break_on_hyphens=False
-    )
+    lines = textwrap.TextWrapper(78, lead, lead + hanging, break_long_words=False, break_on_hyphens=False)
+    return lines.wrap(text)

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest.contents import FileContents, described, file_contents, wrapped
+from calib.campaign.ingest.contents import FileContents, described, file_contents, grouped, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, table_lines
@@ -33,8 +34,6 @@ _OF_RUNS: Final = frozenset(
 )
 #: times further apart are those of runs: none takes less, no log is sampled as seldom
 _SHORTEST_RUN_S: Final = 5.0
-#: sections whose keys only the laboratory knows
-_STATED_SECTIONS: Final = ("vehicle", "encoder", "rangefinder")
 #: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "counts_rear_left": {
@@ -86,10 +85,8 @@ class Description:
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
-        groups: dict[tuple[object, ...], list[FileContents]] = {}
-        for file in self.files:
-            # logs alike are described once
-            groups.setdefault((file is self.table, *(column.name for column in file.columns)), []).append(file)
+        # logs alike are described once
+        groups = grouped(self.files, lambda file: (file is self.table, *(one.name for one in file.columns)))
         for group in groups.values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
@@ -105,27 +102,18 @@ def describe(sources: Sequence[Path]) -> Description:
 
     Raises BadInputError where a source cannot be read.
     """
-    paths = listed_files([Path(source) for source in sources])
-    if not paths:
-        raise BadInputError(
-            f"sources: found no file to read{_folders_inside(sources)}; expected tables, logs or recordings; name them,"
-            " or the folder that holds them itself"
-        )
-    kinds: dict[str, list[Path]] = {}
-    for path in paths:
-        kinds.setdefault(re.sub(r"\d+", "#", str(path)), []).append(path)
+    if not (paths := listed_files([Path(source) for source in sources])):
+        remedy = "name them, or the folder that holds them itself"
+        found = f"no file to read{_folders_inside(sources)}"
+        raise BadInputError(f"sources: found {found}; expected tables, logs or recordings; {remedy}")
+    kinds = grouped(paths, lambda path: re.sub(r"\d+", "#", str(path)))
     if len(kinds) > _ALL_READ:
-        kinds = {}
-        for path in paths:
-            kinds.setdefault(f"{path.parent}/*{path.suffix.lower()}", []).append(path)
-    chosen: list[Path] = []
-    for members in kinds.values():
-        chosen += members if len(members) <= _ALL_READ else [members[0], members[-1]]
-    files = [file_contents(path) for path in chosen]
+        kinds = grouped(paths, lambda path: f"{path.parent}/*{path.suffix.lower()}")
+    chosen = (members if len(members) <= _ALL_READ else [members[0], members[-1]] for members in kinds.values())
+    files = [file_contents(path) for path in chain.from_iterable(chosen)]
     if not any(file.n_rows for file in files):
-        raise BadInputError(
-            f"{files[0].name}: found a header and no rows; expected a row a run, or a row a sample; export it again"
-        )
+        expected = "a row a run, or a row a sample"
+        raise BadInputError(f"{files[0].name}: found a header and no rows; expected {expected}; export it again")
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
     lines = _mapping_lines(table, logs)
@@ -138,10 +126,8 @@ def describe(sources: Sequence[Path]) -> Description:
 
 def _folders_inside(sources: Sequence[Path]) -> str:
     folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
-    if not folders:
-        return ""
     names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
-    return f" in {sources[0]}, which holds folders ({', '.join(names)})"
+    return f" in {sources[0]}, which holds folders ({', '.join(names)})" if folders else ""
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
@@ -177,30 +163,23 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
     named_by = Path((table or logs[0]).name)
     # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem
-    lines = [f"name = {toml_value(title)}"]
-    counters = [column for log in logs for column in log.columns if guessed_log_column(column.name) != "t_s"]
-    bits = next((column.wrap_bits for column in counters if column.wrap_bits), None)
+    columns = [column for log in logs for column in log.columns]
+    widths = (column.wrap_bits for column in columns if guessed_log_column(column.name) != "t_s")
     own = log_lines(logs) if logs else []
-    named = {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
-    named |= {line.partition(" ")[0] for line in own}
-    lines += _settings_lines(bits, named, own)
+    named = {recognise(column.name, LOG_COLUMNS).name for column in columns} | {line.partition(" ")[0] for line in own}
+    lines = [f"name = {toml_value(title)}", *_settings_lines(next(filter(None, widths), None), named, own)]
     if "ref_x_m" in named:
         lines += ["", "[reference]", "#sigma_xy_m =   # standard uncertainty of a position"]
         lines += ["#sigma_theta_rad =   # standard uncertainty of a heading"]
     if table is not None:
-        lines += [
-            "",
-            "[table]" + " " * 20 + "# calib's column = the table's column",
-            *table_lines(table, numbered=not logs),
-        ]
+        lines += ["", f"{'[table]':27}# calib's column = the table's column", *table_lines(table, numbered=not logs)]
     if logs:
-        lines += ["", "[log]" + " " * 22 + "# the same for logs and recordings", *file_lines(table, logs)]
-        lines += own
+        lines += ["", f"{'[log]':27}# the same for logs and recordings", *file_lines(table, logs), *own]
     recordings = [log for log in logs if log.recording]
     if len(recordings) > 1 and table is None:
-        lines += ["", "#[cut]" + " " * 21 + "# each recording is a run; where one holds many:", '#by = "stops"']
+        lines += ["", f"{'#[cut]':27}# each recording is a run; where one holds many:", '#by = "stops"']
     elif recordings and (table is None or len(logs) == 1):
-        lines += ["", "[cut]" + " " * 22 + "# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
+        lines += ["", f"{'[cut]':27}# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
         lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
     return lines
 
@@ -213,18 +192,18 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     turned = [line for line in own if line.startswith("counts_")]
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
     drives = '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"'
-    others = {"drive": (drives,), **_OTHER_WHEELS.get(wheels, {})}
+    others = {"drive": (drives,), "counts_per_rev": ("",), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
         others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
     as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
     if as_angles and wheels != "speed_rear_mps":
-        text = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
-        others["counts_per_rev"] = (text,)
+        resolution = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
+        others["counts_per_rev"] = (resolution,)
     if bits:
-        text = f"wrap_bits = {bits}   # found in the jumps of the counters"
-        others["counts_per_rev"] = (*others.get("counts_per_rev", ("",)), text)
+        others["counts_per_rev"] += (f"wrap_bits = {bits}   # found in the jumps of the counters",)
     lines: list[str] = []
-    for section in _STATED_SECTIONS:
+    # what only the laboratory knows
+    for section in ("vehicle", "encoder", "rangefinder"):
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
         for key in (*(("drive",) if section == "vehicle" else ()), *STATED[section]):
@@ -238,10 +217,9 @@ def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
 
     `folder`: its name becomes the campaign's. Raises BadInputError where a campaign exists there and `force` is False.
     """
-    settings, runs = folder / "campaign.toml", folder / "runs.csv"
+    settings, runs, logs = (folder / name for name in ("campaign.toml", "runs.csv", "logs"))
     refuse_existing([settings, runs], force=force)
-    head = to_toml({"format": FORMAT, "name": folder.resolve().name})
-    write_text(settings, head + blank_settings(), force=force)
+    write_text(settings, to_toml({"format": FORMAT, "name": folder.resolve().name}) + blank_settings(), force=force)
     write_text(runs, RUNS_HEADER + "\n", force=force)
-    (folder / "logs").mkdir(exist_ok=True)
-    return settings, runs, folder / "logs"
+    logs.mkdir(exist_ok=True)
+    return settings, runs, logs

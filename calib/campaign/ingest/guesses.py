@@ -38,19 +38,12 @@ _SIDES: Final = {
     "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"),
 }
 
-#: directions along a corridor, in words: plain, or as `plain_text` gives them
-_DIRECTIONS: Final = (
-    ("out", r"out|hin(fahrt|weg)?|vor(waerts)?|forward|fwd|there|forth|outbound|a|ab|a->b|aller|ida|andata|>|\+"),
-    ("back", r"backward(s)?|bwd|back|(zu)?rueck(waerts|fahrt|weg)?|her|ret(urn|our)?|inbound|vuelta|ritorno|reverse"),
-    ("back", r"b|ba|b->a|<"),
-)
-
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 
 
 @cache
 def _names() -> dict[str, dict[str, str]]:
-    """Return ``names.toml``: columns of run table and log -> patterns of their names."""
+    """Return ``names.toml``: columns of run table and log, and directions -> patterns of their names."""
     document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
     parts = document.pop("parts")
     columns = {
@@ -70,7 +63,8 @@ def plain_text(text: str) -> str:
 
 def direction_of(text: str) -> str | None:
     """Return ``out`` or ``back`` where a text names a direction along a corridor."""
-    return next((way for way, pattern in _DIRECTIONS if re.fullmatch(pattern, plain_text(text))), None)
+    plain = plain_text(text)
+    return next((way for way, pattern in _names()["direction"].items() if re.fullmatch(pattern, plain)), None)
 
 
 def mass_of(text: str) -> float | None:
@@ -121,11 +115,10 @@ def reading_of(name: str) -> tuple[str, str] | None:
     parts, words = _names()["parts"], stem.split("_")
     for moment in ("start", "end"):
         rest = [word for word in words if not re.fullmatch(parts[moment], word)]
-        if 0 < len(rest) == len(words) - 1:
-            plain = "_".join(rest)
-            target = "distance_m" if re.fullmatch(parts["rangefinder"], plain) else _matching(plain, unit, "table")
-            if target in {"distance_m", "counts_left", "counts_right"}:
-                return target, moment
+        plain = "_".join(rest)
+        target = "distance_m" if re.fullmatch(parts["rangefinder"], plain) else _matching(plain, unit, "table")
+        if 0 < len(rest) == len(words) - 1 and target in {"distance_m", "counts_left", "counts_right"}:
+            return target, moment
     return None
 
 
@@ -215,10 +208,9 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
     `values` (shape (n_rows,)): finite; `whole`: all are integers.
     """
     steps, span = np.diff(values), float(np.ptp(values))
-    total = float(np.abs(steps).sum())
     if not span:
         return ""
-    if abs(values[-1] - values[0]) > _RISES * total:
+    if abs(values[-1] - values[0]) > _RISES * float(np.abs(steps).sum()):
         return RISES
     for turn, words in _TURNS.items():
         jumps = np.abs(steps) > _JUMP * turn
@@ -263,9 +255,7 @@ class Lag:
     ci95_s: tuple[float, float]
 
 
-def continuous_counts(
-    counts: FloatArray, bits: int | None = None, time_s: FloatArray | None = None
-) -> tuple[FloatArray, int | None]:
+def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
     """Return counts without overflows, and the counter's width, if seen."""
     offsets = np.asarray([0, len(counts)])
     width = bits or detect_wrap_bits(counts, offsets, time_s)
@@ -313,14 +303,12 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
         if stream.time_ns is None or len(stream) < _LEAST_LAG_SAMPLES:
             continue
         other = _travelled(stream, np.column_stack([stream.columns[source] for source in sources]))
-        lag = estimate_lag(time, travelled, (stream.time_ns - origin) / NS_PER_S, other)
-        if lag is None:
-            continue
-        lags[name] = lag
-        low, high = lag.ci95_s
-        text = f"the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels"
-        text += f" (95 %: {1e3 * low:+.1f} .. {1e3 * high:+.1f}, by their speeds)"
-        border.say(f"{shown}, {stream.name}", text, "lag")
+        if lag := estimate_lag(time, travelled, (stream.time_ns - origin) / NS_PER_S, other):
+            lags[name] = lag
+            low, high = lag.ci95_s
+            text = f"""the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels (95 %: {1e3 * low:+.1f} ..
+                {1e3 * high:+.1f}, by their speeds)"""
+            border.say(f"{shown}, {stream.name}", text, "lag")
     return lags
 
 
@@ -328,8 +316,7 @@ def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
     stride = max(1, round(_POSE_SPACING_S * stream.contents().rate_Hz))
     index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
     steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
-    total = np.concatenate(([0.0], np.cumsum(steps)))
-    return floats(np.interp(np.arange(len(positions)), index, total))
+    return floats(np.interp(np.arange(len(positions)), index, np.concatenate(([0.0], np.cumsum(steps)))))
 
 
 def estimate_lag(
@@ -358,9 +345,8 @@ def estimate_lag(
     if not end - start > 4 * _LARGEST_LAG_S:
         return None
     # an interpolated distance is less noisy between samples: a grid in step with a stream would prefer such a lag
-    grid = np.arange(
-        start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
-    )
+    grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
+    grid = np.arange(start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, grid_step)
     half_window = max(_SPEED_WINDOW_S, step)
 
     def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
@@ -379,12 +365,11 @@ def estimate_lag(
 
     everything = np.ones(len(grid), dtype=np.bool_)
     candidates = np.arange(-_LARGEST_LAG_S, _LARGEST_LAG_S + step, max(step, 0.01))
-    rough = candidates[int(np.argmax([correlation(lag, everything) for lag in candidates]))]
+    rough = max(candidates, key=lambda lag: correlation(lag, everything))
     bounds = (rough - max(0.05, 2.0 * step), rough + max(0.05, 2.0 * step))
 
     def peak(keep: BoolArray) -> float:
-        found = minimize_scalar(lambda lag: -correlation(lag, keep), bounds=bounds, options={"xatol": 1e-6})
-        return float(found.x)
+        return float(minimize_scalar(lambda lag: -correlation(lag, keep), bounds=bounds, options={"xatol": 1e-6}).x)
 
     lag = peak(everything)
     if correlation(lag, everything) < _LEAST_CORRELATION:

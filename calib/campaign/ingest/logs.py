@@ -161,11 +161,9 @@ def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> R
 
 
 def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
-    for name in LOG_COLUMNS:
-        if name.startswith("counts_") and name in lines:
-            stream = recording.stream_of(lines[name].column)
-            if stream is not None:
-                return stream
+    wheels = (lines[name].column for name in LOG_COLUMNS if name.startswith("counts_") and name in lines)
+    if stream := next(filter(None, map(recording.stream_of, wheels)), None):
+        return stream
     check_not_empty(recording, shown)
     return max(recording.streams, key=len)
 
@@ -190,15 +188,12 @@ def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[s
         mapped = name == line.column
         match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
         if mapped and line.w in columns:
-            cells, match = _heading_of(cells, columns[line.w]), Recognised(name, "ref_theta_rad")
+            w, match = columns[line.w], Recognised(name, "ref_theta_rad")
+            cells = np.arctan2(2.0 * w * cells, w * w - cells * cells)
         if match.name == "ref_theta_rad":
             scale = match.factor * (line.scale(match.name) if mapped else 1.0)
             out[name] = continuous_angle(cells, 2.0 * np.pi / abs(scale))
     return out
-
-
-def _heading_of(z: FloatArray, w: FloatArray) -> FloatArray:
-    return np.arctan2(2.0 * w * z, w * w - z * z)
 
 
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
@@ -216,25 +211,22 @@ def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingTy
 
 def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[dict[str, FloatArray], int | None]:
     columns: dict[str, FloatArray] = {}
-    time_column = "t_s"
     for name, line in lines.items():
-        cells = raw.columns.get(line.column)
-        if cells is None:
+        if line.column not in raw.columns:
             continue
-        time_column = line.column if name == "t_s" else time_column
+        cells = raw.columns[line.column]
         if name == CUT_COLUMN or (name == "t_s" and line.column in raw.epochs):
             columns[name] = floats(cells)
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
-    recognised = add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
-    time_column = recognised if "t_s" not in lines else time_column
+    time_column = add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
+    time_column = lines["t_s"].column if "t_s" in lines else time_column
     order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)
 
 
 def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -> None:
-    time = columns["t_s"]
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         kind, turns = COUNT_UNITS[lines[name].wheel_unit]
         values, per_rev = columns[name], encoder.per_rev(name)
@@ -243,14 +235,13 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -
         elif kind == "angle":
             columns[name] = continuous_angle(values, 1.0 / turns) * turns * per_rev
         elif kind != "counts":
-            steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-            total = np.concatenate(([0.0], np.cumsum(steps)))
-            columns[name] = total * (turns * per_rev if kind == "rate" else 1.0)
+            steps = 0.5 * (values[1:] + values[:-1]) * np.diff(columns["t_s"])
+            factor = turns * per_rev if kind == "rate" else 1.0
+            columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * factor
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:
-    again = np.append(np.diff(columns["t_s"]) == 0, False)
-    if not again.any():
+    if not (again := np.append(np.diff(columns["t_s"]) == 0, False)).any():
         return columns
     text = f"{int(again.sum())} sample(s) whose time stamp comes again were omitted; the last of each was kept"
     border.say(shown, text, "repeated_stamp")

@@ -20,8 +20,6 @@ from calib.units import split_suffix, unit_named
 
 #: letters that alone are no evidence of a wheel: l, r, li, re
 _SHORT_NAME: Final = 2
-#: characters of a remark that lists files
-_LISTED_FILES: Final = 110
 #: message types with poses from outside, best first; wheel odometry is no reference
 _POSES: Final = (
     "geometry_msgs/msg/PoseStamped",
@@ -64,12 +62,10 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
 
     `logs`: all logs and recordings; a counter's width counts where any log alike shows it.
     """
-    several = {tag: part for tag, (_, part) in files_of_a_run(logs).items()}
-    if several:
+    if several := {tag: part for tag, (_, part) in files_of_a_run(logs).items()}:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
-    columns = _with_bits(log, [other for other in logs if other.alike(log)])
-    lines, found = _column_lines(log, columns)
+    lines, found = _column_lines(log, _with_bits(log, [other for other in logs if other.alike(log)]))
     return [*lines, *_missing(lines, found, logs), *_kinds(logs)]
 
 
@@ -80,8 +76,8 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
     for tag, part in parts.items():
         alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
         of_part = _with_bits(part, alike)
-        time = next((c for c in of_part if guessed_log_column(c.name) == "t_s"), None)
-        time = time or next((c for c in of_part if c.even), None)
+        clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"] + [c for c in of_part if c.even]
+        time = next(iter(clocks), None)
         clock = clock or time
         own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
@@ -118,9 +114,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
         columns.remove(clock)
     for target, column in found.items():
-        if target == "ref_x_m" and (
-            "pose.pose" in column.name or (reference is not None and reference.kind == _ODOMETRY)
-        ):
+        if target == "ref_x_m" and ("pose.pose" in column.name or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
@@ -133,17 +127,15 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
     """Drop speeds of one wheel or beside counts, in place; return a bearing beside x and y that is taken as heading."""
     counted = any(name.startswith("counts_") for name in found)
-    if counted or not {*_SPEEDS} <= set(found):
-        for name in _SPEEDS:
-            found.pop(name, None)
+    for name in _SPEEDS if counted or not {*_SPEEDS} <= set(found) else ():
+        found.pop(name, None)
     bearing = found.pop("bearing_rad", None)
     # beside a steered wheel an angle may be the steering's
     steers = "counts_front" in found and "steer_rad" not in found
     if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(found) or "ref_theta_rad" in found or steers:
         return None
-    if bearing.name in streams and streams[bearing.name].kind not in _UNTYPED:
-        return None
-    return found.setdefault("ref_theta_rad", bearing)
+    typed = bearing.name in streams and streams[bearing.name].kind not in _UNTYPED
+    return None if typed else found.setdefault("ref_theta_rad", bearing)
 
 
 def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
@@ -172,13 +164,10 @@ def _may_be(
 
 
 def _line(target: str, column: ColumnContents, log: FileContents) -> str:
-    needs, remark = split_suffix(target)[1], ""
-    own = unit_named(column.unit)
+    needs, own, remark = split_suffix(target)[1], unit_named(column.unit), ""
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
-        unit, remark = needs, unit_remark(target)
-        if target == "t_s":
-            unit = _time_unit(column)
+        unit, remark = _time_unit(column) if target == "t_s" else needs, unit_remark(target)
     return entry(target, column, unit, {"from_start": True} if log.recording and target == "range_m" else None) + remark
 
 
@@ -202,10 +191,9 @@ def _wheel_lines(
         remark = _folded(found, corners)
     elif len(set(_PAIR) & set(found)) < 2 and not {"counts_front", *corners, *_SPEEDS} & set(found):
         remark = _by_behaviour(found, [column for column in columns if column.name not in taken])
-    one = [name for name in _PAIR if name in found]
-    if len(one) == 1 and "counts_front" not in found:
-        [name] = one
-        other = _PAIR[1 - _PAIR.index(name)]
+    for name, other in (_PAIR, _PAIR[::-1]):
+        if name not in found or other in found or "counts_front" in found:
+            continue
         lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
     for wheel in (name for name in LOG_COLUMNS if name.startswith("counts_") and name in found):
         column, stream = found[wheel], streams.get(found[wheel].name)
@@ -243,20 +231,18 @@ def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
     """Find two counters in place, by overflows or whole steps; return what to check."""
-    counters = [column for column in columns if column.whole and column.wrap_bits]
-    what = "overflows"
-    if not counters:
-        counters = [column for column in columns if column.whole and column.does == RISES and not column.even]
-        what = "rises in whole numbers"
-    if not counters and all(UNNAMED.fullmatch(column.name) for column in columns):
-        counters = [column for column in columns if column.does == RISES]
-        what = "rises"
+    rising = [column for column in columns if column.does == RISES]
+    kinds = {
+        "overflows": [column for column in columns if column.whole and column.wrap_bits],
+        "rises in whole numbers": [column for column in rising if column.whole and not column.even],
+        "rises": rising if all(UNNAMED.fullmatch(column.name) for column in columns) else [],
+    }
+    what, counters = next(((what, found) for what, found in kinds.items() if found), ("", []))
     if len(counters) != 2:
         return ""
     sides = [side_of(column.name) for column in counters]
-    if sides == ["right", "left"] or (None in sides and (sides[0] == "right" or sides[1] == "left")):
-        counters.reverse()
-    found |= dict(zip(_PAIR, counters, strict=True))
+    exchanged = sides in (["right", "left"], ["right", None], [None, "left"])
+    found |= dict(zip(_PAIR, counters[::-1] if exchanged else counters, strict=True))
     unclear = None in sides or sides[0] == sides[1]
     return f"   # {what}, as a counter does; which side it is on is not said: check" if unclear else ""
 
@@ -271,21 +257,19 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
         return "", ""
     if unit:
         return unit, f"   # {column.does}"
-    if column.kind == "number" and not column.whole and not column.wrap_bits:
-        if column.does:
-            return "rad", "   # no whole numbers: an angle; rad, deg or turns"
-        return "rad/s", "   # neither whole nor rising: a rate; or rad, an angle"
-    return "", ""
+    if column.kind != "number" or column.whole or column.wrap_bits:
+        return "", ""
+    if column.does:
+        return "rad", "   # no whole numbers: an angle; rad, deg or turns"
+    return "rad/s", "   # neither whole nor rising: a rate; or rad, an angle"
 
 
 def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
     named = {line.partition(" ")[0] for line in lines} | set(found)
     named |= {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
-    out = []
     clocked = any(stream.start_ns is not None for log in logs for stream in log.streams)
-    timed = any(column.kind == "time" for log in logs for column in log.columns)
-    if not clocked and not timed and "t_s" not in named:
-        out.append('#t_s = ""   # no column looks like times; every log needs them')
+    timed = clocked or "t_s" in named or any(column.kind == "time" for log in logs for column in log.columns)
+    out = [] if timed else ['#t_s = ""   # no column looks like times; every log needs them']
     if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
         out += [
             '#counts_left = ""   # no column looks like a wheel: name those of the encoders (unit = "rad/s", ...',
@@ -299,7 +283,7 @@ def _kinds(logs: Sequence[FileContents]) -> list[str]:
     kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
     if len(kinds) < 2:
         return []
-    names = ", ".join(Path(log.name).name for log in kinds.values())[:_LISTED_FILES]
+    names = ", ".join(Path(log.name).name for log in kinds.values())[:110]
     return [
         f"# {len(kinds)} kinds of logs ({names}): one file a run is read.",
         "# Where each holds a part of a run, join them by time first, or record them in one bag, TDMS or .mat file:",

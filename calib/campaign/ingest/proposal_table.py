@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents
+from calib.campaign.ingest.contents import ColumnContents, FileContents, grouped
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
@@ -17,9 +17,6 @@ from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.settings import bracketed, recognise
 from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix
-
-#: characters of a remark that lists units
-_LISTED_UNITS: Final = 40
 
 
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:
@@ -33,14 +30,12 @@ def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str
 
 def unit_remark(name: str) -> str:
     """Return the remark on a column without unit: those it may have."""
-    return f"   # names no unit: {', '.join(units_for(name))[:_LISTED_UNITS]}"
+    return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
 #: what a column may mean that holds the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 _WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
-#: characters of a remark that lists columns
-_LISTED_COLUMNS: Final = 110
 #: date and time in a file's name -> how a mapping writes them
 _MOMENTS: Final = (
     (
@@ -83,9 +78,13 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
             (unused if column.kind == "number" else texts).append(column.name)
             continue
         named |= {name, *(_WHEEL_LOADS if name == _AXLE else ())}
-        proposed = _axle_lines(column) if name == _AXLE else [_column_line(column, name)]
-        lines += filter(None, proposed)
-        own += [] if any(proposed) else [column.name]
+        if name == _AXLE:
+            halves = (_column_line(column, wheel, {"factor": 0.5}) for wheel in _WHEEL_LOADS)
+            lines += [f"{line}   # half of the axle's" for line in halves]
+        elif line := _column_line(column, name):
+            lines.append(line)
+        else:
+            own.append(column.name)
     lines += _lookup_lines(table, named)
     if table.alike_sheets and not sided:
         lines.append(_sheet_line(table.alike_sheets, named))
@@ -94,18 +93,9 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         lines.append(number if numbered else '#run_id = ""   # the column that names the runs')
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
-    if own:
-        lines.append(f"# recognised by their names: {', '.join(own)[:_LISTED_COLUMNS]}")
-    if unused:
-        lines.append(f"# kept as covariates: {', '.join(unused)[:_LISTED_COLUMNS]}")
-    if texts:
-        lines.append(f"# not used: {', '.join(texts)[:_LISTED_COLUMNS]}")
+    for what, names in {"recognised by their names": own, "kept as covariates": unused, "not used": texts}.items():
+        lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
-
-
-def _axle_lines(column: ColumnContents) -> list[str]:
-    lines = [_column_line(column, name, {"factor": 0.5}) for name in _WHEEL_LOADS]
-    return [f"{line}   # half of the axle's" for line in lines]
 
 
 def _place_lines(table: FileContents) -> list[str]:
@@ -130,9 +120,12 @@ def _of_wheel(column: ColumnContents, side: str) -> str | None:
     return target if target and side in target else None
 
 
+def _run_column(table: FileContents) -> ColumnContents | None:
+    return next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
+
+
 def _sided_lines(table: FileContents) -> dict[str, list[str]]:
-    sides = _sheets_of_sides(table)
-    runs = next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
+    sides, runs = _sheets_of_sides(table), _run_column(table)
     if not sides or runs is None:
         return {}
     other: dict[str, object] = {"sheet": sides["right"], "by": runs.name}
@@ -155,8 +148,7 @@ def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
 def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
     found: dict[str, dict[str, ColumnContents]] = {}
     for column in columns:
-        reading = guesses.reading_of(column.name)
-        if reading and column.kind == "number":
+        if (reading := guesses.reading_of(column.name)) and column.kind == "number":
             found.setdefault(reading[0], {}).setdefault(reading[1], column)
     lines = {}
     for target, ends in found.items():
@@ -202,30 +194,25 @@ def _may_be(target: str, column: ColumnContents) -> bool:
 def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
     lines = []
     for sheet, columns in table.others.items():
-        if sheet in table.alike_sheets:
-            # runs, or of a wheel
+        pairs = ((by, key) for by in table.columns for key in columns if _same_labels(by, key))
+        # alike sheets hold runs, or those of a wheel
+        if sheet in table.alike_sheets or (pair := next(pairs, None)) is None:
             continue
-        pairs = [(by, key) for by in table.columns for key in columns if _same_labels(by, key)]
-        if not pairs:
-            continue
-        by, key = pairs[0]
+        by, key = pair
         looked_up: dict[str, object] = {"sheet": sheet, "by": by.name}
         if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
             looked_up["key"] = key.name
-        for column in columns:
+        for column in (column for column in columns if column is not key):
             name = guessed_table_column(column.name)
-            if column is key or name is None or name in {*named, *LABEL_COLUMNS} or not _may_be(name, column):
-                continue
-            named.add(name)
-            lines.append(_column_line(column, name, looked_up))
+            if name and name not in {*named, *LABEL_COLUMNS} and _may_be(name, column):
+                named.add(name)
+                lines.append(_column_line(column, name, looked_up))
     return lines
 
 
 def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
-    if by.kind != "text" or key.kind != "text":
-        return False
-    shared = {plain_text(text) for text in by.texts} & {plain_text(text) for text in key.texts}
-    return len(shared) >= min(2, len(by.texts)) > 0
+    shared = set(map(plain_text, by.texts)) & set(map(plain_text, key.texts))
+    return by.kind == key.kind == "text" and len(shared) >= min(2, len(by.texts)) > 0
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
@@ -233,18 +220,15 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
 
     Empty where a run has one file, or the names do not say which belong together.
     """
-    groups: dict[str, list[FileContents]] = {}
-    for log in logs if not any(log.recording for log in logs) else ():
-        groups.setdefault(re.sub(r"\d+", "#", Path(log.name).name), []).append(log)
-    patterns = {name: name_pattern([Path(log.name).stem for log in group]) for name, group in groups.items()}
-    whole = [pattern for pattern in patterns.values() if pattern]
+    if any(log.recording for log in logs):
+        return {}
+    groups = list(grouped(logs, lambda log: re.sub(r"\d+", "#", Path(log.name).name)).values())
+    whole = [pattern for group in groups if (pattern := name_pattern([Path(log.name).stem for log in group]))]
     # files that each hold the wheels are separate runs: run_1_out, run_1_back
-    wheels = sum(
-        "counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups.values()
-    )
+    wheels = sum("counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups)
     if not 1 < len(groups) == len(whole) or wheels > 1:
         return {}
-    pairs = zip(whole, groups.values(), strict=True)
+    pairs = zip(whole, groups, strict=True)
     if not set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs)):
         return {}
     before = len(_common_start(whole))
@@ -252,31 +236,24 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     tags = [re.sub(r"\W+", "_", pattern[before : len(pattern) - behind]).strip("_") for pattern in whole]
     if len({*tags, ""}) != len(tags) + 1:
         tags = [f"file{number}" for number in range(1, len(tags) + 1)]
-    return {
-        tag: (pattern + Path(group[0].name).suffix, group[0])
-        for tag, pattern, group in zip(tags, whole, groups.values(), strict=True)
-    }
+    firsts = [group[0] for group in groups]
+    return {tag: (pattern + Path(log.name).suffix, log) for tag, pattern, log in zip(tags, whole, firsts, strict=True)}
 
 
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
     """Return the patterns of the logs' names, where the runs' names do not say them."""
-    several = files_of_a_run(logs)
-    if several:
+    column = _run_column(table) if table else None
+    run_ids = column.texts if column is not None and column.kind == "text" else ()
+    stems = [Path(log.name).stem for log in logs]
+    if several := files_of_a_run(logs):
         files = {tag: pattern for tag, (pattern, _) in several.items()}
         lines = [f"files = {toml_value(files)}   # the files of a run, joined by time"]
-    elif table is None or len(logs) < 2:
+    elif table is None or len(logs) < 2 or (run_ids and run_ids[0] in stems):
         return []
-    columns = table.columns if table is not None else ()
-    column = next((part for part in columns if guessed_table_column(part.name) == "run_id"), None)
-    run_ids = column.texts if column is not None and column.kind == "text" else ()
-    if not several:
-        stems = [Path(log.name).stem for log in logs]
-        if run_ids and run_ids[0] in stems:
-            return []
-        pattern = name_pattern(stems)
-        if pattern is None:
-            return ['#file = "{run_id}.csv"   # the log of a run']
+    elif pattern := name_pattern(stems):
         lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}"]
+    else:
+        return ['#file = "{run_id}.csv"   # the log of a run']
     if run_ids and run_number(run_ids[0], None) is not None:
         pattern = re.sub(r"\d+(?!.*\d)", "{n}", run_ids[0])
         lines.append(f"run = {toml_value(pattern)}   # the number in a run's name")

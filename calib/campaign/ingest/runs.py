@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from collections.abc import Mapping as MappingType
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,9 +54,8 @@ def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) ->
     `path`: the workbook. Raises BadFileError where a sheet, column or label is missing.
     """
     shown = str(path)
-    lines = dict(mapping.table.columns)
+    lines, columns = dict(mapping.table.columns), dict(raw.columns)
     lines |= resolved({target: line for target, line in lines.items() if not line.sheet}, raw.columns)
-    columns = dict(raw.columns)
     wanted = {line.sheet for line in lines.values() if line.sheet}
     sheets = {name: read_table(path, shown, None, Layout(sheet=name, lab=True)) for name in sorted(wanted)}
     for target, line in lines.items():
@@ -63,9 +63,9 @@ def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) ->
             sheet = sheets[line.sheet]
             column = whole_name(line.column, sheet.columns)
             line = line.model_copy(update={"column": column})
-            cells = _looked_up(raw, sheet, line, f"{shown}, sheet {line.sheet!r}", f"{mapping.shown}, {target}")
             name = column if column not in raw.columns else f"{line.sheet}: {column}"
-            columns[name] = cells
+            shown_sheet, where = f"{shown}, sheet {line.sheet!r}", f"{mapping.shown}, {target}"
+            columns[name] = _looked_up(raw, sheet, line, shown_sheet, where)
             plain = {"column": name, "sheet": "", "by": "", "unit": line.unit_for(target)}
             lines[target] = line.model_copy(update=plain)
         elif line.fill_down and line.column in columns:
@@ -105,20 +105,15 @@ def _label(cell: Any) -> str:
 
 
 def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    out, last = [], None
-    for cell in cells:
-        last = cell if is_filled(cell) else last
-        out.append(last)
-    return object_array(out)
+    with_none: list[Any] = [None, *cells]
+    return object_array(list(accumulate(with_none, lambda last, cell: cell if is_filled(cell) else last))[1:])
 
 
 def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:
     rows = [str(int(row)) for cell, row in zip(cells, raw.line, strict=True) if not is_filled(cell)]
     if 0 < len(rows) < len(cells):
-        text = (
-            f"{len(rows)} of {len(cells)} rows name no session; they count as one of their own: name it, or write "
-            'session = {column = "...", fill_down = true} where an empty cell means the one above'
-        )
+        text = f"""{len(rows)} of {len(cells)} rows name no session; they count as one of their own: name it, or write
+            session = {{column = "...", fill_down = true}} where an empty cell means the one above"""
         listed = ", ".join(rows[:_LISTED]) + (" ..." if len(rows) > _LISTED else "")
         border.say(f"{shown}, rows {listed}", text, "no_session", level="suspicious")
 
@@ -169,32 +164,22 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
 
 
 def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: str, border: Border) -> RawTable:
-    names = raw.columns.get(lines["run_id"].column if "run_id" in lines else "run_id")
-    if names is None:
-        return raw
-    last = max((at for at, cell in enumerate(names) if is_filled(cell)), default=-1)
-    for row in raw.line[last + 1 :] if last >= 0 else ():
+    names = raw.columns.get(lines["run_id"].column if "run_id" in lines else "run_id", ())
+    end = max((at for at, cell in enumerate(names, start=1) if is_filled(cell)), default=len(raw.line))
+    for row in raw.line[end:]:
         border.say(f"{shown}, row {int(row)}", "names no run, at the end of the table; omitted", "remark")
-    return raw.select(slice(0, last + 1)) if last >= 0 else raw
+    return raw.select(slice(0, end))
 
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
-    for column in line.sources:
-        if column not in raw.columns:
-            raise BadFileError(
-                shown,
-                row=1 if not len(raw.line) else max(1, int(raw.line[0]) - 1),
-                column=column,
-                found=f"only {', '.join(raw.columns)[:200]}",
-                expected="the column that the mapping names",
-                remedy=f"correct table.{name} in {mapping.shown}",
-            )
+    for column in (column for column in line.sources if column not in raw.columns):
+        found, remedy = f"only {', '.join(raw.columns)[:200]}", f"correct table.{name} in {mapping.shown}"
+        row = max(1, int(raw.line[0]) - 1) if len(raw.line) else 1
+        raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=column)
     if line.minus:
         comma = comma_evidence(list(raw.columns.values()))
-        end, start = (
-            numbers(raw.columns[column], shown=shown, column=column, line=raw.line, decimal_comma=comma)[0]
-            for column in (line.column, line.minus)
-        )
+        sources = (line.column, line.minus)
+        end, start = (numbers(raw.columns[column], shown, column, raw.line, comma)[0] for column in sources)
         return end - start
     cells = raw.columns[line.column]
     if not line.values:
@@ -235,8 +220,7 @@ def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
         earlier = first.setdefault(tuple("" if cell is None else str(cell).strip() for cell in row), line)
         if earlier != line:
             keep[index] = False
-            text = f"repeats row {earlier} in every cell and was dropped"
-            border.say(f"{shown}, row {line}", text, "repeated_row")
+            border.say(f"{shown}, row {line}", f"repeats row {earlier} in every cell and was dropped", "repeated_row")
     return raw.select(keep)
 
 
@@ -294,10 +278,8 @@ def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> s
     `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
     """
     pattern = pattern or log.file
-    if pattern is None:
-        return None
-    name = pattern.replace("{run_id}", run_id)
-    if "{n" not in name:
+    name = None if pattern is None else pattern.replace("{run_id}", run_id)
+    if name is None or "{n" not in name:
         return name
     number = run_number(run_id, log.run)
     return None if number is None else with_number(name, number)
@@ -311,8 +293,7 @@ def with_number(pattern: str, number: int) -> str:
 def fits_name(name: str, wanted: str) -> bool:
     """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
     parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
-    pattern = "".join(_PARTS.get(part, re.escape(part)) for part in parts)
-    return re.fullmatch(pattern, name, re.IGNORECASE) is not None
+    return re.fullmatch("".join(_PARTS.get(part, re.escape(part)) for part in parts), name, re.IGNORECASE) is not None
 
 
 def match_logs(
@@ -368,10 +349,10 @@ def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None
     digests = {sha256_file(path): path.name for path in used if path.is_file()} if unused else {}
     for path in unused:
         twin = digests.get(sha256_file(path)) if path.is_file() else None
+        text, code = "belongs to no run of the table", "unused_source"
         if twin is not None:
-            border.say(str(path), f"holds the same bytes as {twin} and was omitted", "repeated_log")
-        else:
-            border.say(str(path), "belongs to no run of the table and was omitted", "unused_source")
+            text, code = f"holds the same bytes as {twin}", "repeated_log"
+        border.say(str(path), f"{text} and was omitted", code)
 
 
 def run_in(name: str, pattern: str) -> str | None:

@@ -13,12 +13,11 @@ import numpy as np
 
 from calib.campaign.ingest.guesses import continuous_counts
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
-from calib.campaign.ingest.mapping import Mapping, Segmentation
+from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, with_number
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
-from calib.campaign.settings import Encoder
 from calib.errors import BadFileError
 from calib.types import BoolArray, FloatArray
 
@@ -30,8 +29,6 @@ _STANDING_COUNTS: Final = 1.5
 _WINDOW_S: Final = 0.5
 #: a run keeps so much of the standstill beside it, so that both its ends stand
 _STANDSTILL_S: Final = 0.5
-#: runs whose times an error lists
-_LISTED_RUNS: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +75,7 @@ def segment_recordings(
         cut = cut.model_copy(update={"times": _table_times(table, cut, mapping.shown)})
     m_per_count = 2.0 * np.pi * settings.vehicle.wheel_radius_m / settings.encoder.counts_per_rev_left
     poses = settings.reference.frame != "map"
-    range_column = mapping.log.columns.get("range_m")
-    distance = range_column is None or range_column.from_start is not False
+    distance = mapping.log.columns.get("range_m", MappedColumn(column="range_m")).from_start is not False
     logs: dict[int, MappedLog] = {}
     whole: dict[str, MappedLog] = {}
     segments: list[Segment] = []
@@ -92,18 +88,20 @@ def segment_recordings(
             columns = from_start(_columns_of(log.columns, part), poses=poses, distance=distance)
             logs[len(logs)] = replace(log, columns=columns, from_start=True)
             names.append(name)
-            start, end = (float(log.columns["t_s"][index]) for index in (part.start, part.stop - 1))
-            start_ns, end_ns = (log.start_ns + round(seconds * NS_PER_S) for seconds in (start, end))
-            segments.append(Segment("", str(path), start, end, start_ns, end_ns))
+            span_s = log.columns["t_s"][[part.start, part.stop - 1]].tolist()
+            segments.append(Segment("", str(path), *span_s, *(log.start_ns + round(s * NS_PER_S) for s in span_s)))
     shown = ", ".join(map(str, recordings))
     if not logs:
         expected = f"drives of at least {cut.min_length_m:g} m"
         remedy = "see what moves with 'calib ingest --describe', or cut by times"
         raise BadFileError(shown, f"no run, cut by {cut.by}", expected, remedy)
     if runs is None:
-        runs = _numbered(cut, names, mapping, settings.encoder, border)
+        numbered = {"run_id": object_array([with_number(cut.run_id, n) for n in range(1, len(names) + 1)])}
+        sessions = {} if "session" in mapping.table.columns else {"session": object_array(names)}
+        raw = RawTable(numbered | sessions, np.arange(2, len(names) + 2, dtype=np.int64))
+        runs = mapped_runs(raw, mapping, settings.encoder, "the runs cut", border)
     elif len(runs) != len(logs):
-        spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:_LISTED_RUNS])
+        spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:12])
         found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
         raise BadFileError(shown, found, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
     segments = [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
@@ -125,19 +123,10 @@ def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str,
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
 
 
-def _numbered(cut: Segmentation, names: list[str], mapping: Mapping, encoder: Encoder, border: Border) -> RunTable:
-    columns = {"run_id": object_array([with_number(cut.run_id, number) for number in range(1, len(names) + 1)])}
-    if "session" not in mapping.table.columns:
-        columns["session"] = object_array(names)
-    raw = RawTable(columns, np.arange(2, len(names) + 2, dtype=np.int64))
-    return mapped_runs(raw, mapping, encoder, "the runs cut", border)
-
-
 def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[Any]]:
-    for name in (cut.start, cut.end):
-        if name not in table.columns:
-            found = f"the table's columns {', '.join(table.columns)[:200]}"
-            raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
+    for name in (name for name in (cut.start, cut.end) if name not in table.columns):
+        found = f"the table's columns {', '.join(table.columns)[:200]}"
+        raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
     return [list(pair) for pair in zip(table.columns[cut.start], table.columns[cut.end], strict=True)]
 
 
@@ -162,7 +151,7 @@ def find_runs(
     time = log["t_s"]
     if cut.by == "times":
         return [_between(pair, time, start_ns, shown) for pair in cut.times]
-    wheels = [column for name, column in log.items() if name.startswith("counts_")]
+    wheels = _wheels(log)
     steps = [np.abs(np.nan_to_num(np.diff(counts, prepend=counts[:1]))) for counts in wheels]
     counted: FloatArray = np.cumsum(np.mean(steps, axis=0)) if wheels else np.arange(len(time), dtype=np.float64)
     travelled = counted * m_per_count
@@ -188,7 +177,7 @@ def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
 
 
 def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: float) -> list[slice]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], moving(time, wheels).astype(np.int8), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], moving(time, wheels), [False]))))
     starts, ends = edges[::2], edges[1::2] - 1
     # the window looks ahead: a drive ends up to half a second after its last flag
     ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)
@@ -238,14 +227,13 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
     `columns` (shape (n_samples,)): of one run; `poses`, `distance`: whether to change these.
     """
     out = dict(columns)
-    time, wheels = _time_and_wheels(columns)
-    driving = np.flatnonzero(moving(time, wheels))
-    before = slice(0, max(1, int(driving[0]))) if len(driving) else slice(0, 1)
+    # the number of samples before the wheels turn
+    before = max(1, int(np.argmax(moving(columns["t_s"], _wheels(columns)))))
 
     def start(values: FloatArray) -> float:
         """Return the median before the start, or the first known value where the sensor starts after the wheels."""
         known = values[np.isfinite(values)]
-        value = _median(values[before])
+        value = _median(values[:before])
         return float(known[0]) if np.isnan(value) and len(known) else value
 
     if poses and all(name in out for name in REFERENCE_POSE):
@@ -265,7 +253,7 @@ def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
 
     `columns` (shape (n_samples,)): of one run, its poses and range from the start.
     """
-    time, wheels = _time_and_wheels(columns)
+    time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
     if moving(time, wheels).any():
         turning = [np.flatnonzero(np.abs(values - values[-1]) > _STANDING_COUNTS) for values in wheels]
@@ -275,8 +263,8 @@ def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
     return {name: value for name, value in ends.items() if np.isfinite(value)}
 
 
-def _time_and_wheels(columns: MappingType[str, FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
-    return columns["t_s"], [values for name, values in columns.items() if name.startswith("counts_")]
+def _wheels(columns: MappingType[str, FloatArray]) -> list[FloatArray]:
+    return [values for name, values in columns.items() if name.startswith("counts_")]
 
 
 def _median(values: FloatArray) -> float:

@@ -85,8 +85,7 @@ def is_bag_folder(path: Path) -> bool:
 
 
 def _name(path: Path) -> str:
-    suffix = ".bag" if path.name == BAG_METADATA or is_bag_folder(path) else path.suffix.lower()
-    return READERS.get(suffix, "")
+    return READERS.get(".bag" if path.name == BAG_METADATA or is_bag_folder(path) else path.suffix.lower(), "")
 
 
 def _reader(path: Path, shown: str) -> Callable[..., Any]:

@@ -27,8 +27,11 @@ from calib.types import FloatArray, IntArray, floats
 if TYPE_CHECKING:
     from nptdms import TdmsChannel
 
-_NUMERIC: Final = frozenset(
-    {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+_NUMERIC: Final = (
+    "double",
+    "single",
+    "logical",
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 )
 
 _HEADER_BYTES: Final = 128
@@ -63,9 +66,9 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
         elif kind in {"V", "O"}:
             what = "structures" if kind == "V" else "objects"
             notes.append(Note("info", f"{shown}, {name}", f"an array of {what} was omitted", "skipped"))
-        elif kind and kind in "iufb" and value.size == 1:
+        elif kind in {*"iufb"} and value.size == 1:
             properties[name] = repr(float(value.flat[0]))
-        elif kind and kind in "iufb" and value.size:
+        elif kind in {*"iufb"} and value.size:
             columns.update(matrix_columns(name, value))
 
     for name, value in loaded.items():
@@ -74,11 +77,14 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
     for name, values in columns.items():
         if wanted is None or wanted(name):
             by_length.setdefault(len(values), {})[name] = values
-    streams = tuple(
-        Stream("variables" if number == 0 else f"variables#{number + 1}", "variables", members, None, "none")
-        for number, (_, members) in enumerate(sorted(by_length.items(), reverse=True))
-    )
-    return Recording(streams, tuple(notes), properties)
+    longest_first = [by_length[length] for length in sorted(by_length, reverse=True)]
+    streams = [Stream(_numbered("variables", at), "variables", of, None, "none") for at, of in enumerate(longest_first)]
+    return Recording(tuple(streams), tuple(notes), properties)
+
+
+def _numbered(name: str, index: int) -> str:
+    """Return the name of one of several streams that have it."""
+    return f"{name}#{index + 1}" if index else name
 
 
 def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: list[Note]) -> dict[str, object]:
@@ -120,8 +126,7 @@ def check_elements(data: bytes) -> None:
 
     `data`: the whole file with its header of 128 bytes. A header of another version than 5 is left to the reader.
     """
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
-    if order is None:
+    if (order := {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])) is None:
         raise ValueError("no header of version 5")
     if struct.unpack(f"{order}H", data[124:126])[0] >> 8 == 1:
         _elements(memoryview(data)[_HEADER_BYTES:], order, 0)
@@ -133,11 +138,9 @@ def _elements(data: memoryview, order: str, depth: int) -> list[tuple[int, memor
     elements, position = [], 0
     while position + _TAG_BYTES <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
-        small = kind >> 16
-        if small:
+        start = position + _TAG_BYTES
+        if small := kind >> 16:
             kind, size, start = kind & 0xFFFF, small, position + 4
-        else:
-            start = position + _TAG_BYTES
         if kind not in _ELEMENT_TYPES or (kind == _COMPRESSED and depth) or (small and size > 4):
             raise ValueError(f"an element of type {kind} and {size} bytes")
         if start + size > len(data):
@@ -253,19 +256,17 @@ def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
         track = tuple(str(channel.properties.get(key)) for key in ("wf_start_time", "wf_increment", "wf_start_offset"))
         together.setdefault((len(channel), *track), {})[name] = channel
     streams = []
-    for number, members in enumerate(together.values(), start=1):
-        time, clock, columns, units = _time(next(iter(members.values()))), "waveform properties", {}, {}
+    for number, members in enumerate(together.values()):
+        time, clock, columns = _time(next(iter(members.values()))), "waveform properties", {}
         for name, channel in members.items():
             if channel[0:1].dtype.names:
                 # a channel of time stamps is the clock of those beside it
                 time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
-                continue
-            columns[name] = _values(channel)
-            if unit := channel.properties.get("unit_string"):
-                units[name] = str(unit)
-        if columns:
-            name = group if number == 1 else f"{group}#{number}"
-            streams.append(Stream(name, "channels", columns, time, clock if time is not None else "none", units))
+            else:
+                columns[name] = _values(channel)
+        units = {name: str(unit) for name in columns if (unit := members[name].properties.get("unit_string"))}
+        clock = "none" if time is None else clock
+        streams += [Stream(_numbered(group, number), "channels", columns, time, clock, units)] if columns else []
     return streams
 
 

@@ -6,6 +6,8 @@ import csv
 import io
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +15,7 @@ import numpy as np
 
 from calib.campaign.model import Note
 from calib.campaign.readers import table
-from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
+from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
 from calib.campaign.readers.table import LARGEST_VALUE, Layout, RawTable, Wanted, check_header, find_header, is_number
 from calib.campaign.readers.text import find_delimiter, split_cells, tidy, utf8
 from calib.errors import BadFileError
@@ -22,7 +24,6 @@ from calib.types import FloatArray
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
-_MAX_BYTES: Final = 4 << 30
 #: bytes in which the header is looked for
 _HEAD_BYTES: Final = 1 << 16
 #: numpy reads tables of numbers up to so many bytes: as fast as pandas, whose import takes as long as two hundred of
@@ -40,8 +41,7 @@ _EXACT_WHOLE: Final = 2.0**53
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
     """Read a delimited text file; see `calib.campaign.readers.read_table`."""
-    size = path.stat().st_size
-    if size > _MAX_BYTES:
+    if (size := path.stat().st_size) > 4 << 30:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
     data, notes = utf8(path.read_bytes(), shown)
     if layout.lab:
@@ -68,7 +68,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
             lines = skipped + 1 + n_rows
             return RawTable(columns, np.arange(lines, lines + rows, dtype=np.int64), tuple(notes))
-    return _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, notes, skipped, layout, above)
+    cells = _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, skipped, layout, above)
+    return replace(cells, notes=(*notes, *cells.notes))
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
@@ -80,8 +81,7 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
     tables: list[RawTable | None] = [None] * len(files)
     groups: dict[str, list[tuple[int, bytes]]] = {}
     for index, (path, shown) in enumerate(files):
-        plain = _plain_csv(path, shown)
-        if plain is not None:
+        if (plain := _plain_csv(path, shown)) is not None:
             groups.setdefault(plain[0], []).append((index, plain[1]))
     for header, group in groups.items():
         names = [name.strip() for name in header.split(",")]
@@ -100,29 +100,23 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
 
 
 def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
-    if path.suffix.lower() != ".csv":
-        return None
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
+    data = b""
+    with suppress(OSError):
+        data = path.read_bytes() if path.suffix.lower() == ".csv" else data
     start = data.find(b"\n") + 1
     if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
         return None
     # one sign is found at the speed of memory, several not
     if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
         return None
-    if not data.endswith(b"\n"):
-        data += b"\n"
+    data = data if data.endswith(b"\n") else data + b"\n"
     header = data[: start - 1].decode("ascii")
     names = [name.strip() for name in header.split(",")]
-    if not of_one_width(data[start:], len(names), ",") or _locate_header(data, Layout(), shown) != (",", 0):
-        return None
-    try:
-        check_header(names, shown)
-    except BadFileError:
-        return None
-    return header, data[start:]
+    if of_one_width(data[start:], len(names), ",") and _locate_header(data, Layout(), shown) == (",", 0):
+        with suppress(BadFileError):
+            check_header(names, shown)
+            return header, data[start:]
+    return None
 
 
 def _check_names(names: list[str], shown: str, row: int) -> None:
@@ -167,9 +161,7 @@ def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
     The text without its cells has to be one line over and over, which a row too long beside one too short is not.
     """
     line = delimiter.encode() * (width - 1) + b"\n"
-    marks = body.translate(None, _CELL_BYTES[delimiter])
-    if not body.endswith(b"\n"):
-        marks += b"\n"
+    marks = body.translate(None, _CELL_BYTES[delimiter]) + (b"" if body.endswith(b"\n") else b"\n")
     return marks == line * (len(marks) // len(line))
 
 
@@ -200,16 +192,13 @@ def _read_numeric(
     # with a point or an ambiguous 1,234 among the commas, only reading cell by cell can tell
     if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
-    values = numpy_table(body, rows, len(names), delimiter)
-    if values is not None:
+    if (values := numpy_table(body, rows, len(names), delimiter)) is not None:
         values = values[:, [names.index(name) for name in keep]]
-        if values.size and np.abs(values).max() > LARGEST_VALUE:
-            return None
-    else:
-        parsed = _parsed(body, rows, names, keep, delimiter, "," if comma else ".")
-        if parsed is None:
-            return None
+        values = None if values.size and np.abs(values).max() > LARGEST_VALUE else values
+    elif parsed := _parsed(body, rows, names, keep, delimiter, "," if comma else "."):
         values = parsed[0]
+    if values is None:
+        return None
     return {name: values[:, index] for index, name in enumerate(keep)}, rows, comma
 
 
@@ -261,30 +250,21 @@ def _parsed(
 
 
 def _read_cells(
-    text: str,
-    shown: str,
-    delimiter: str,
-    wanted: Wanted | None,
-    notes: list[Note],
-    skipped: int,
-    layout: Layout,
-    above: Sequence[str],
+    text: str, shown: str, delimiter: str, wanted: Wanted | None, skipped: int, layout: Layout, above: Sequence[str]
 ) -> RawTable:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: Rows = []
+    lines: list[int] = []
     try:
-        numbered = [(row, reader.line_num + skipped) for row in reader]
+        for row in reader:
+            rows.append(row)
+            lines.append(reader.line_num + skipped)
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
-    rows: list[Sequence[str]] = [row for row, _ in numbered]
-    lines = [line for _, line in numbered]
     names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
-    notes += recognised
-    header, rows, lines = rows[:n_rows], rows[n_rows:], lines[n_rows:]
-    if layout.lab:
-        names, rows, lines, omitted = table_rows(names, rows, lines, shown, header)
-        notes += omitted
+    names, rows, lines, omitted = table_rows(names, rows, lines, n_rows, layout, shown)
     filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
     rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]
     for at, cells in enumerate(rows):
@@ -294,11 +274,9 @@ def _read_cells(
             expected = f"{len(names)}, as the header in row {skipped + 1} has"
             remedy = _remedy(cells, names, delimiter)
             raise BadFileError(shown, f"{len(cells)} cells", expected, remedy, row=lines[at])
-    grid = np.empty((len(rows), len(names)), dtype=object)
-    for index, cells in enumerate(rows):
-        grid[index] = cells
+    grid = np.array(rows, dtype=object).reshape(len(rows), len(names))
     columns = {name: grid[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
-    return finished(columns, lines, wanted, notes, shown)
+    return finished(columns, lines, wanted, [*recognised, *omitted], shown)
 
 
 def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:

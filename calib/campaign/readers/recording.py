@@ -17,7 +17,7 @@ import numpy.typing as npt
 from calib.campaign.model import Note
 from calib.campaign.readers.table import NS_PER_S, RawTable
 from calib.errors import BadFileError
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, unwrapped
 
 #: a gap exceeds so many usual steps
 GAP_STEPS: Final = 5.0
@@ -88,13 +88,10 @@ class Stream:
             steps_s = np.diff(self.time_ns) / NS_PER_S
             usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
             gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
+            span_s, start_ns = float(np.ptp(self.time_ns)) / NS_PER_S, int(self.time_ns.min())
+            rate_Hz, longest_s = 1.0 / usual_s if usual_s > 0 else 0.0, float(gaps_s.max(initial=0.0))
             return replace(
-                found,
-                span_s=float(np.ptp(self.time_ns)) / NS_PER_S,
-                rate_Hz=1.0 / usual_s if usual_s > 0 else 0.0,
-                n_gaps=len(gaps_s),
-                longest_gap_s=float(gaps_s.max(initial=0.0)),
-                start_ns=int(self.time_ns.min()),
+                found, span_s=span_s, rate_Hz=rate_Hz, n_gaps=len(gaps_s), longest_gap_s=longest_s, start_ns=start_ns
             )
         return found
 
@@ -146,8 +143,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
-    steps = np.diff(since)
-    if len(steps):
+    if len(steps := np.diff(since)):
         step = steps[np.clip(np.searchsorted(since, wanted), 1, len(steps)) - 1]
         out[(step > max(GAP_STEPS * float(np.median(steps)), 1.0)) & ~np.isin(wanted, since)] = np.nan
     return out
@@ -169,8 +165,7 @@ def joined_table(
     epochs: dict[str, int] = {}
     time = base.time_ns if clock else None
     if time is not None and len(time) and "t_s" not in recording.column_names:
-        columns["t_s"] = (time - time[0]) / NS_PER_S
-        epochs["t_s"] = int(time[0])
+        columns["t_s"], epochs["t_s"] = (time - time[0]) / NS_PER_S, int(time[0])
     for stream in recording.streams:
         for name, values in stream.columns.items():
             if stream is base or (len(values) == len(base) and (stream.time_ns is None or time is None)):
@@ -204,9 +199,7 @@ def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     qx, qy, qz, qw = (columns[name] for name in POSE[3:])
     size = qx * qx + qy * qy + qz * qz + qw * qw
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), size - 2.0 * (qy * qy + qz * qz))
-    known = size > _LEAST_QUATERNION
-    yaw = np.where(known, yaw, np.nan)
-    yaw[known] = np.unwrap(yaw[known])
+    yaw = unwrapped(np.where(size > _LEAST_QUATERNION, yaw, np.nan))
     out = {name: values for name, values in columns.items() if name not in POSE[3:]} | {"yaw": yaw}
     # yaw follows the place, further columns both
     order = [*POSE[:3], "yaw", *(name for name in out if name not in (*POSE, "yaw"))]
@@ -219,8 +212,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
     poses: list[list[float]] = []
     with path.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
-            cells = line.split("#", 1)[0].replace(",", " ").split()
-            if not cells:
+            if not (cells := line.split("#", 1)[0].replace(",", " ").split()):
                 continue
             try:
                 if len(cells) != 1 + len(POSE):
@@ -248,8 +240,7 @@ def decimal_ns(text: str) -> int:
 
     Raises ValueError where the text is no such number.
     """
-    match = re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)
-    if match is None:
+    if (match := re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)) is None:
         return round(float(text) * NS_PER_S)
     digits = (match[3] or "")[:10].ljust(10, "0")
     nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10

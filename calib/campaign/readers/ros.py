@@ -18,7 +18,6 @@ from calib.campaign.model import Note
 from calib.campaign.readers.recording import POSE, UNREAD_TYPES, Recording, Stream, WantedColumns, planar_pose
 from calib.campaign.readers.table import NS_PER_S
 from calib.errors import BadFileError, error_words, missing_reader
-from calib.types import IntArray
 
 #: stamps are the clock where this share of the messages has them set
 _STAMPED_SHARE: Final = 0.99
@@ -75,12 +74,10 @@ class _Buffer:
     def stream(self, shown: str, notes: list[Note]) -> Stream:
         """Return what came, by the stamps where messages carry them, else by arrival."""
         table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
-        arrival: IntArray = np.frombuffer(self.arrival, dtype=np.int64)
-        stamp: IntArray = np.frombuffer(self.stamp, dtype=np.int64)
+        arrival, stamp = (np.frombuffer(times, dtype=np.int64) for times in (self.arrival, self.stamp))
         stamped = self.unstamped < (1.0 - _STAMPED_SHARE) * len(arrival)
         time = stamp if stamped else arrival
-        backward = int((np.diff(time) < 0).sum())
-        if backward:
+        if backward := int((np.diff(time) < 0).sum()):
             order = np.argsort(time, kind="stable")
             time, table = time[order], table[order]
             text = f"{backward} message(s) out of order were sorted by time"
@@ -102,12 +99,9 @@ def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1
-        if number == 1:
-            yield stream
-            continue
         name = f"{stream.name}#{number}"
         columns = {name + column[len(stream.name) :]: values for column, values in stream.columns.items()}
-        yield replace(stream, name=name, columns=columns, units={})
+        yield stream if number == 1 else replace(stream, name=name, columns=columns, units={})
 
 
 @contextmanager
@@ -182,19 +176,14 @@ def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tu
 
 def _joint_state(message: Any) -> list[Part]:
     values = message.position, message.velocity, message.effort
-    names, given = _joint_columns(tuple(message.name), (len(values[0]), len(values[1]), len(values[2])))
-    numbers = [number for part in compress(values, given) for number in part.tolist()]
-    return [("", names, numbers, message.header)]
+    names, given = _joint_columns(tuple(message.name), tuple(map(len, values)))
+    return [("", names, [number for part in compress(values, given) for number in part.tolist()], message.header)]
 
 
 def _transform(message: Any) -> Part:
     place, turn = message.transform.translation, message.transform.rotation
     numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
     return f"[{message.header.frame_id}>{message.child_frame_id}]", POSE, numbers, message.header
-
-
-def _transforms(message: Any) -> list[Part]:
-    return [_transform(transform) for transform in message.transforms]
 
 
 def _laser_scan(message: Any) -> list[Part]:
@@ -216,8 +205,7 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "geometry_msgs/msg/PoseStamped": lambda m: [("", POSE, _pose(m.pose), m.header)],
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: [("", POSE, _pose(m.pose.pose), m.header)],
     "geometry_msgs/msg/TransformStamped": lambda m: [_transform(m)],
-    "tf2_msgs/msg/TFMessage": _transforms,
-    "tf/msg/tfMessage": _transforms,
+    **dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), lambda m: list(map(_transform, m.transforms))),
     "geometry_msgs/msg/Twist": lambda m: [("", _TWIST, _twist(m), None)],
     "geometry_msgs/msg/TwistStamped": lambda m: [("", _TWIST, _twist(m.twist), m.header)],
     "sensor_msgs/msg/Range": lambda m: [("", ("range",), (_finite(m.range),), m.header)],

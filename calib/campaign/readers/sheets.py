@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain, repeat
+from itertools import chain, repeat, zip_longest
 from math import pi
 from typing import Any, Final
 
@@ -18,9 +18,10 @@ from calib.campaign.model import Note
 from calib.campaign.readers import table
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, is_filled, is_number
 from calib.errors import BadFileError
-from calib.types import IntArray
 from calib.units import SUFFIXES, unit_named
 
+#: cells of rows, as read
+Rows = list[Sequence[Any]]
 #: unit of a wheel's column -> what its numbers are, and turns (or counts) a unit
 COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "counts": ("counts", 1.0),
@@ -46,10 +47,10 @@ _COUNT_SPELLINGS: Final = (
     ("rpm", r"(1|u|rev)/min"),
     ("rad/s", r"(radian|rad)s/s"),
 )
-#: units of what calib does not use: they show a row of units, and their numbers are not converted
-_OTHER_UNITS: Final = re.compile(r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²", re.IGNORECASE)
-#: forms of dates and times: hh:mm:ss,f, dd.mm.yyyy
-_CLOCK_FORM: Final = re.compile(r"[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE)
+#: units of what calib does not use, and forms of times as hh:mm:ss,f: they show a row of units, nothing is converted
+_OTHER_UNITS: Final = re.compile(
+    r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²|[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE
+)
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
 #: an unknown unit in a row of units is no longer
 _SHORT: Final = 8
@@ -63,6 +64,7 @@ LOOKED_AT: Final = 20
 _LEAST_COLUMNS: Final = 3
 #: what columns are called that no row names
 UNNAMED: Final = re.compile(r"column \d+")
+_BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
@@ -130,8 +132,9 @@ def looks_like_units(row: Sequence[Any]) -> bool:
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
-    good = [_is_unit(cell) or bool(re.fullmatch(r"[\[(].*[\])]", cell)) or _is_other(bare(cell)) for cell in cells]
-    known = sum(good)
+    known = sum(
+        bool(_is_unit(cell) or _BRACKETED.fullmatch(cell) or _OTHER_UNITS.fullmatch(bare(cell))) for cell in cells
+    )
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
 
 
@@ -154,27 +157,19 @@ def _is_unit(text: str) -> bool:
     return unit_spelled(word) in {*COUNT_UNITS, *SUFFIXES} or word in _NO_UNIT
 
 
-def _is_other(word: str) -> bool:
-    return bool(_OTHER_UNITS.fullmatch(word) or _CLOCK_FORM.fullmatch(word))
-
-
 def _texts(row: Sequence[Any]) -> list[str]:
     return ["" if cell is None else " ".join(str(cell).split()) for cell in row]
 
 
 def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
     body = list(rows[_HEADER_ROWS - 1 : LOOKED_AT]) or list(rows[1:])
-    width = max(map(len, rows))
-    numeric = []
-    for column in range(width):
-        cells = [row[column] for row in body if column < len(row) and is_filled(row[column])]
-        if cells and 2 * sum(map(is_number, cells)) >= len(cells):
-            numeric.append(column)
+    columns = [filled_cells(column) for column in zip_longest(*body)]
+    numeric = [at for at, cells in enumerate(columns) if cells and 2 * sum(map(is_number, cells)) >= len(cells)]
     last = 0
     for at, row in enumerate(rows[1 : min(_HEADER_ROWS, len(rows) - 1)], start=1):
         filled = [column for column, cell in enumerate(row) if is_filled(cell)]
         over = [str(row[column]).strip() for column in filled if column in numeric]
-        if any(is_number(cell) for cell in over):
+        if any(map(is_number, over)):
             break
         texts = [cell for cell in over if cell.lower() not in table.EMPTY]
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
@@ -191,9 +186,8 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
-        for at in range(len(names)):
-            # merged last cells end a row early
-            cell = group[at] if at < len(group) else ""
+        # merged last cells end a row early
+        for at, cell in enumerate([*group, *[""] * len(names)][: len(names)]):
             last = cell or last
             spread[at] = last or spread[at]
             own[at] = cell or own[at]
@@ -209,15 +203,11 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple[list[str], Note]:
-    out, unknown = [], []
-    for at, name in enumerate(names):
-        unit = bare(units[at]) if at < len(units) else ""
+    out, unknown = list(names), []
+    for at, (name, unit) in enumerate(zip(names, map(bare, units), strict=False)):
         if name and unit not in _NO_UNIT and not _UNIT_AT_END.search(name):
-            out.append(f"{name} [{unit}]")
-            if not _is_unit(unit):
-                unknown.append(f"{unit} ({name})")
-        else:
-            out.append(name)
+            out[at] = f"{name} [{unit}]"
+            unknown += [] if _is_unit(unit) else [f"{unit} ({name})"]
     text = "the row beneath the header names units"
     if unknown:
         text += f"; not known, so their numbers are not converted: {', '.join(unknown)[:200]}"
@@ -227,7 +217,9 @@ def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple
 def finished(
     columns: dict[str, npt.NDArray[Any]], lines: Sequence[int], wanted: Wanted | None, notes: Sequence[Note], shown: str
 ) -> RawTable:
-    """Return a table of cells as read, its columns made numeric where they are wanted.
+    """Return a table of cells as read; where `wanted` is given of numbers, times of the clock in s since the first.
+
+    Raises BadFileError where a cell is no number.
 
     Parameters
     ----------
@@ -236,37 +228,27 @@ def finished(
     wanted
         As `calib.campaign.readers.read_table` takes it.
     notes, shown
-        What was recognised so far; the file's name in messages.
+        What was recognised so far, to which is added where commas were read as points, and in which format times were
+        read; the file's name in messages.
     """
-    line = np.asarray(lines, dtype=np.int64)
-    return RawTable(columns, line, tuple(notes)) if wanted is None else with_numbers(columns, shown, line, notes)
-
-
-def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArray, notes: Sequence[Note]) -> RawTable:
-    """Return a table of columns made numeric; times of the clock become seconds since the first.
-
-    `columns` (shape (n_rows,)): cells as read, by name; `line` (shape (n_rows,)): line of each row in the file;
-    `notes`: what was recognised so far, to which is added where commas were read as points, and in which format times
-    were read. Raises BadFileError where a cell is no number.
-    """
-    evidence = table.comma_evidence(list(columns.values()))
+    line, notes = np.asarray(lines, dtype=np.int64), list(notes)
+    if wanted is None:
+        return RawTable(columns, line, tuple(notes))
+    mark = table.comma_evidence(list(columns.values()))
     values: dict[str, npt.NDArray[Any]] = {}
     used_comma = False
-    notes = list(notes)
     epochs: dict[str, int] = {}
     written: dict[str, tuple[str, str]] = {}
     for name, cells in columns.items():
-        first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
+        first = next(filter(is_filled, cells), None)
         form = table.time_format(first) if isinstance(first, str) else None
         if form is None:
-            values[name], comma = table.numbers(
-                cells, shown=shown, column=name, line=line, decimal_comma=evidence, notes=notes
-            )
+            values[name], comma = table.numbers(cells, shown, name, line, mark, notes)
             used_comma = used_comma or comma
             continue
         time_ns, bad = table.moments_ns(cells)
         if bad is not None:
-            found = repr(str(cells[bad])[:40]) if cells[bad] is not None else "an empty cell"
+            found = "an empty cell" if cells[bad] is None else repr(str(cells[bad])[:40])
             expected, remedy = f"a time as {table.TIME_FORMATS[form]}", "correct the cell, or remove the row"
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
@@ -281,39 +263,43 @@ def with_numbers(columns: dict[str, npt.NDArray[Any]], shown: str, line: IntArra
 
 
 def table_rows(
-    names: Sequence[str],
-    rows: Sequence[Sequence[Any]],
-    lines: Sequence[int],
-    shown: str,
-    header: Sequence[Sequence[Any]] = (),
-) -> tuple[list[str], list[Sequence[Any]], list[int], list[Note]]:
-    """Return names, rows and lines without remarks, means, sums and repeated headers, and a note on each omitted.
+    names: list[str], rows: Rows, lines: list[int], n_rows: int, layout: Layout, shown: str
+) -> tuple[list[str], Rows, list[int], list[Note]]:
+    """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
     A row of one text is a remark, unless it is written as other cells of its column are; one that begins with
-    ``mean``, ``sum``, ... is a summary. A unit that all cells of a column repeat goes into its name.
+    ``mean``, ``sum``, ... is a summary; so is a repeated header none. A unit that all cells of a column repeat goes
+    into its name.
 
     Parameters
     ----------
-    names, shown
-        Of the columns, and of the file in messages.
-    rows, lines, header
-        Cells as read, their rows in the file, and the rows of the header.
+    names, n_rows
+        Of the columns, and how many of the rows are the header.
+    rows, lines
+        Cells as read, the header's first; their rows in the file.
+    layout, shown
+        Whether the file is a laboratory's, and its name in messages.
     """
-    kept: list[Sequence[Any]] = []
+    heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
+    if not layout.lab:
+        return names, rows, lines, []
+    kept: Rows = []
     kept_lines, notes = [], []
-    shapes: Mapping[int, set[str]] = {}
-    heads = [_without_end(_texts(row)) for row in header]
+    shapes: set[tuple[int, str]] = set()
     for row, line in zip(rows, lines, strict=True):
-        filled = [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]
-        if not filled:
+        if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
             continue
         at, first = filled[0]
         text = " ".join(str(first).split())
         why = ""
         if len(filled) == 1 and len(names) >= _LEAST_COLUMNS and not is_number(first):
-            shapes = shapes or _shapes(rows)
-            shape = _shape(text)
-            why = "" if "0" in shape and shape in shapes.get(at, set()) else "a remark"
+            shapes = shapes or {
+                (column, _shape(str(cell).strip()))
+                for other in rows
+                if len(filled_cells(other)) > 1
+                for column, cell in enumerate(other)
+            }
+            why = "" if "0" in _shape(text) and (at, _shape(text)) in shapes else "a remark"
         elif isinstance(first, str) and _SUMMARY.fullmatch(text) and not is_number(text):
             why = "a mean, a sum or the like"
         elif len(filled) > 1 and _without_end(_texts(row)) in heads:
@@ -353,12 +339,3 @@ def _unit_of_cells(cells: Iterable[Any]) -> str:
 
 def _shape(text: str) -> str:
     return re.sub(r"\d+", "0", text)
-
-
-def _shapes(rows: Sequence[Sequence[Any]]) -> dict[int, set[str]]:
-    out: dict[int, set[str]] = {}
-    for row in rows:
-        if len(filled_cells(row)) > 1:
-            for at, cell in enumerate(row):
-                out.setdefault(at, set()).add(_shape(str(cell).strip()))
-    return out

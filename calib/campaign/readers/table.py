@@ -17,6 +17,9 @@ from calib.errors import COLUMNS, BadFileError, refuse_beyond
 from calib.types import BoolArray, FloatArray, IntArray
 
 Wanted = Callable[[str], bool]
+#: cells as read, shape (n_rows,), and what takes notes
+Cells = npt.NDArray[Any]
+Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
 #: largest number of a cell; no measurement is larger, and squares would overflow
@@ -183,22 +186,14 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
         if len(cells) < _HEADER_SHARE * usual or texts < _HEADER_SHARE * len(cells):
             continue
         following = [row for row in filled[index + 1 : index + 4] if row]
-        if not any(is_number(cell) for row in following for cell in row):
-            continue
-        if len(following[0]) > len(rows[index]) and len(cells) < usual:
-            continue
-        return index
+        wide = following and (len(following[0]) <= len(rows[index]) or len(cells) >= usual)
+        if wide and any(map(is_number, itertools.chain.from_iterable(following))):
+            return index
     return None
 
 
 def numbers(
-    cells: npt.NDArray[Any],
-    *,
-    shown: str,
-    column: str,
-    line: IntArray,
-    decimal_comma: bool | None = None,
-    notes: list[Note] | None = None,
+    cells: Cells, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None, notes: Notes = None
 ) -> tuple[FloatArray, bool]:
     """Turn cells into numbers without guessing.
 
@@ -221,9 +216,8 @@ def numbers(
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
-        too_large = np.flatnonzero(np.abs(values) > LARGEST_VALUE)
-        if len(too_large):
-            raise _no_number(shown, column, int(line[too_large[0]]), str(values[too_large[0]]))
+        for row in np.flatnonzero(np.abs(values) > LARGEST_VALUE):
+            raise _no_number(shown, column, int(line[row]), str(values[row]))
         return values, False
     out, used_comma = np.full(len(cells), np.nan), False
     notes = [] if notes is None else notes
@@ -242,8 +236,7 @@ def numbers(
             unclear = (comma != (decimal_comma is True) or decimal_comma is None) and _AMBIGUOUS.fullmatch(text)
             if unclear or not (comma or _POINT.fullmatch(text)):
                 marks = _thousands(cells, decimal_comma) if marks is None else marks
-                plain = _without_marks(text, marks)
-                if plain:
+                if plain := _without_marks(text, marks):
                     odd.setdefault("thousands", []).append((text, plain))
                     text, comma = plain, "," in plain
                 elif not unclear or comma or "?" in marks:
@@ -316,22 +309,16 @@ def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, lin
     for name, cells in columns.items():
         for mark, form in ((",", _COMMA), (".", _POINT)):
             for row, cell in zip(line.tolist(), cells, strict=True):
-                if (
-                    isinstance(cell, str)
-                    and mark in cell
-                    and form.fullmatch(cell.strip())
-                    and not _AMBIGUOUS.fullmatch(cell.strip())
-                ):
+                text = cell.strip() if isinstance(cell, str) and mark in cell else ""
+                if form.fullmatch(text) and not _AMBIGUOUS.fullmatch(text):
                     first[mark] = min(first.get(mark, (row, name, cell)), (row, name, cell))
                     break
     if len(first) < 2:
         return []
     (row, name, cell), (other_row, other_name, other_cell) = first[","], first["."]
-    text = (
-        f"a decimal comma ({cell.strip()!r:.40}) and, in row {other_row}, column {other_name}, a decimal point "
-        f"({other_cell.strip()!r:.40}); both were read as decimal marks: look whether one of them separates thousands"
-    )
-    return [Note("suspicious", f"{shown}, row {row}, column {name}", text, "decimal_marks")]
+    text = f"""a decimal comma ({cell.strip()!r:.40}) and, in row {other_row}, column {other_name}, a decimal point
+        ({other_cell.strip()!r:.40}); both were read as decimal marks: look whether one of them separates thousands"""
+    return [Note.of(f"{shown}, row {row}, column {name}", text, "decimal_marks")]
 
 
 def time_format(text: str) -> str | None:
@@ -348,23 +335,20 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
     `TIME_FORMATS`, or names no day of the calendar.
     """
     clean = text.strip()
-    match = next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)
-    if match is None:
+    if (match := next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)) is None:
         raise ValueError(f"{clean[:40]!r} is no time")
     part = match.groupdict()
     hour, minute, second = (int(part[name] or 0) for name in ("hour", "minute", "second"))
-    half = (part.get("half") or "").upper()
-    if half:
-        hour = hour % 12 + (12 if half == "PM" else 0)
+    if half := part.get("half"):
+        hour = hour % 12 + (12 if half.upper() == "PM" else 0)
     if hour > 24 or minute > 59 or second > 60:
         raise ValueError("no time of day")
     since_midnight = (hour * 3600 + minute * 60 + second) * NS_PER_S + int((part["fraction"] or "").ljust(9, "0"))
     if "year" not in part:
         return since_midnight
-    year, month, day = (int(part[name]) for name in ("year", "month", "day"))
-    if month_first and match.re is _TIMES["slashes"]:
-        month, day = day, month
-    days = date(year, month, day).toordinal() - _DAYS_TO_1970
+    exchanged = month_first and match.re is _TIMES["slashes"]
+    names = ("year", "day", "month") if exchanged else ("year", "month", "day")
+    days = date(*(int(part[name]) for name in names)).toordinal() - _DAYS_TO_1970
     zone_s = 0
     if part["zone"] not in {None, "Z", "UTC"}:
         digits = part["zone"][1:].replace(":", "").ljust(4, "0")

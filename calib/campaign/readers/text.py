@@ -8,6 +8,7 @@ import io
 import itertools
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final
 
 from calib.campaign.model import Note
@@ -82,14 +83,10 @@ def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
 
 def _without_remarks(data: bytes) -> tuple[bytes, int]:
     head = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
-    first = next((at for at, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")), None)
-    names = None
-    if first:
-        above = max((at for at, line in enumerate(head[:first]) if line.strip()), default=None)
-        if above is not None and _names(head[above], head[first]):
-            names = above
+    first = next((at for at, line in enumerate(head) if line.strip() and not line.lstrip().startswith("#")), 0)
+    names = max((at for at, line in enumerate(head[:first]) if line.strip()), default=None)
     remarks = _REMARK.findall(data)
-    if names is None:
+    if names is None or not _names(head[names], head[first]):
         return _REMARK.sub(b"", data), len(remarks)
     lines = data.split(b"\n", names + 1)
     text = lines[names].lstrip()[1:].lstrip(b" ") + b"\n"
@@ -99,10 +96,9 @@ def _without_remarks(data: bytes) -> tuple[bytes, int]:
 
 def _names(remark: str, below: str) -> bool:
     for separator in (";", "\t", ",", None):
-        cells = [cell.strip() for cell in remark.strip()[1:].strip().split(separator)]
-        numbers = [cell.strip() for cell in below.strip().split(separator)]
+        cells, numbers = (line.strip().split(separator) for line in (remark.strip()[1:], below))
         if len(cells) == len(numbers) > 1 and any(map(is_number, numbers)):
-            return not any(is_number(cell) for cell in cells if cell)
+            return not any(is_number(cell) for cell in cells if cell.strip())
     return False
 
 
@@ -115,19 +111,17 @@ def _by_blanks(data: bytes) -> bool:
     if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
         return False
     rows = [line.split() for line in lines]
-    widths = {len(row) for row in rows}
-    return (
-        widths != {1} and len(widths) == 1 and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
-    )
+    alike = len(rows[0]) > 1 and all(len(row) == len(rows[0]) for row in rows)
+    return alike and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
 
 
 def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     """Return the cells of lines; a cell over several lines would shift the numbers of the rows."""
-    try:
+    with suppress(csv.Error):
         rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
-    except csv.Error:
-        rows = []
-    return rows if len(rows) == len(lines) else [line.split(delimiter) for line in lines]
+        if len(rows) == len(lines):
+            return rows
+    return [line.split(delimiter) for line in lines]
 
 
 def find_delimiter(lines: Sequence[str]) -> str:

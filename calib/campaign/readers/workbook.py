@@ -18,31 +18,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib import errors
 from calib.campaign.model import Note
-from calib.campaign.readers.sheets import LOOKED_AT, finished, heading, table_rows
-from calib.campaign.readers.table import (
-    HEADER_ROWS,
-    NS_PER_S,
-    Layout,
-    RawTable,
-    Wanted,
-    check_header,
-    filled_cells,
-    find_header,
-    numbers,
-    object_array,
-    turned,
-)
-from calib.errors import (
-    SHEET_CELLS,
-    SHEET_EMPTY,
-    SHEET_UNPACKED_BYTES,
-    SHEETS,
-    BadFileError,
-    error_words,
-    missing_reader,
-    refuse_beyond,
-)
+from calib.campaign.readers import table
+from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
+from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, object_array
+from calib.errors import BadFileError, error_words, missing_reader, refuse_beyond
 
 #: the archive's parts with cells and their texts; all others are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
@@ -63,7 +44,6 @@ _LISTED: Final = re.compile(rb"<(?:\w{1,20}:)?sheet\s")
 _TEXT: Final = re.compile(rb"<(?:\w{1,20}:)?si\b")
 _DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, NotImplementedError, EOFError, RuntimeError)
 _REMEDY: Final = "export the table as CSV or Parquet"
-_HEADER_ROW_REMEDY: Final = "correct header_row of the mapping"
 
 
 def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -80,15 +60,10 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
     at, rows, lines = sheet.header_at, sheet.rows, sheet.lines
     above = rows[at - 1] if at and lines[at - 1] == lines[at] - 1 else ()
     names, n_rows, recognised = heading(rows[at : at + LOOKED_AT], lines[at : at + LOOKED_AT], layout, shown, above)
-    header = list(names)
-    while header and not header[-1]:
-        header.pop()
-    check_header(header, shown, row=lines[at])
-    notes += [*recognised, *sheet.notes]
-    head, rows, lines = rows[at : at + n_rows], rows[at + n_rows :], lines[at + n_rows :]
-    if layout.lab:
-        header, rows, lines, omitted = table_rows(header, rows, lines, shown, head)
-        notes += omitted
+    header = names[: max((at for at, name in enumerate(names, start=1) if name), default=0)]
+    table.check_header(header, shown, row=lines[at])
+    header, rows, lines, omitted = table_rows(header, rows[at:], lines[at:], n_rows, layout, shown)
+    notes += [*recognised, *sheet.notes, *omitted]
     notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
     columns = {
         name: object_array(_dated([row[index] if index < len(row) else None for row in rows]))
@@ -127,7 +102,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 @dataclass(slots=True)
 class _Sheet:
     name: str = ""
-    rows: list[Sequence[Any]] = field(default_factory=list)
+    rows: Rows = field(default_factory=list)
     lines: list[int] = field(default_factory=list)
     header_at: int = 0
     notes: list[Note] = field(default_factory=list)
@@ -138,21 +113,17 @@ def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> 
         found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
     first = _Sheet()
-    for sheet in book.worksheets:
-        if layout.sheet is not None and sheet.title != layout.sheet:
-            continue
+    for sheet in (sheet for sheet in book.worksheets if layout.sheet in (None, sheet.title)):
         sheet.reset_dimensions()
         numbered = {
             number: [_cell(value) for value in values]
             for number, values in enumerate(sheet.iter_rows(max_row=last_row or None, values_only=True), start=1)
             if number not in layout.skip_rows
         }
-        notes: list[Note] = []
-        if layout.lab:
-            part = getattr(sheet, "_worksheet_path", "")
-            notes = _fill_merged(numbered, path, part, shown, across=layout.runs_in_columns)
+        part = getattr(sheet, "_worksheet_path", "")
+        notes = _fill_merged(numbered, path, part, shown, across=layout.runs_in_columns) if layout.lab else []
         if layout.runs_in_columns:
-            numbered = dict(enumerate(turned(list(numbered.values())), start=1))
+            numbered = dict(enumerate(table.turned(list(numbered.values())), start=1))
         filled = [(number, cells) for number, cells in numbered.items() if any(cell is not None for cell in cells)]
         header_at = _header_index(filled, layout, shown)
         if header_at is None and (first.rows or not filled):
@@ -165,11 +136,11 @@ def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> 
 
 def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: str) -> int | None:
     if layout.header_row is None:
-        return find_header([cells for _, cells in filled[:HEADER_ROWS]])
+        return table.find_header([cells for _, cells in filled[: table.HEADER_ROWS]])
     index = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
     if index is None:
-        expected = "the header, as the mapping says"
-        raise BadFileError(shown, "no cells", expected, _HEADER_ROW_REMEDY, row=layout.header_row)
+        expected, remedy = "the header, as the mapping says", "correct header_row of the mapping"
+        raise BadFileError(shown, "no cells", expected, remedy, row=layout.header_row)
     return index
 
 
@@ -187,7 +158,7 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
         merges = [match for block in blocks for match in _MERGED.findall(block)]
     bottom = max(rows, default=0)
     places = sum(max(0, min(int(last), bottom) - int(first)) for _, first, _, last in merges)
-    refuse_beyond(places, SHEET_CELLS, shown=shown, what="merged cells", remedy=_REMEDY)
+    refuse_beyond(places, errors.SHEET_CELLS, shown=shown, what="merged cells", remedy=_REMEDY)
     titles = {number for number, cells in rows.items() if len(filled_cells(cells)) < 2}
     for letters, first, last_letters, last in merges:
         top, (left, right) = int(first), (column_index_from_string(one.decode()) - 1 for one in (letters, last_letters))
@@ -202,18 +173,16 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
     return [Note("info", shown, text, "merged_cells")] if n_filled else []
 
 
-def _beside(
-    rows: Sequence[Sequence[Any]], lines: Sequence[int], width: int, shown: str, layout: Layout, header_row: int
-) -> list[Note]:
+def _beside(rows: Rows, lines: list[int], width: int, shown: str, layout: Layout, header_row: int) -> list[Note]:
     notes = []
     for number, cells in zip(lines, rows, strict=True):
-        extra = [cell for cell in cells[width:] if cell is not None]
+        extra = next((f"{str(cell)[:40]!r}" for cell in cells[width:] if cell is not None), None)
         if extra and not layout.lab:
             expected = f"at most {width} cells, as the header in row {header_row} has"
             remedy = "name the column, remove the cell, or name the header's row (header_row)"
-            raise BadFileError(shown, f"{str(extra[0])[:40]!r} beside the table", expected, remedy, row=number)
+            raise BadFileError(shown, f"{extra} beside the table", expected, remedy, row=number)
         if extra:
-            text = f"{str(extra[0])[:40]!r} stands beside the table, under no name; omitted"
+            text = f"{extra} stands beside the table, under no name; omitted"
             notes.append(Note("info", f"{shown}, row {number}", text, "beside"))
     return notes
 
@@ -251,24 +220,27 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
         refuse_beyond(count, most, shown=shown, what=what, remedy=remedy)
 
     entries = archive.infolist()
-    check(sum(entry.file_size for entry in entries), SHEET_UNPACKED_BYTES, "bytes unpacked")
-    sheets = [entry for entry in entries if _SHEET_PART.fullmatch(entry.filename)]
+    check(sum(entry.file_size for entry in entries), errors.SHEET_UNPACKED_BYTES, "bytes unpacked")
+    sheets, books, texts, others = (
+        [entry for entry in entries if part.fullmatch(entry.filename)]
+        for part in (_SHEET_PART, _BOOK_PART, _TEXTS_PART, _OTHER_PART)
+    )
+
+    def count(element: re.Pattern[bytes], parts: Sequence[zipfile.ZipInfo]) -> int:
+        return sum(len(element.findall(block)) for entry in parts for block in _blocks(archive, entry))
+
     # a part may be listed as many sheets
-    books = [entry for entry in entries if _BOOK_PART.fullmatch(entry.filename)]
-    listed = sum(len(_LISTED.findall(block)) for entry in books for block in _blocks(archive, entry))
-    check(max(len(sheets), listed), SHEETS, "sheets", "keep the sheet with the table")
-    texts = [entry for entry in entries if _TEXTS_PART.fullmatch(entry.filename)]
-    others = [entry for entry in entries if _OTHER_PART.fullmatch(entry.filename) and entry not in (*sheets, *texts)]
-    check(sum(entry.file_size for entry in others), _OTHER_BYTES, "bytes of styles and the like")
-    n_texts = sum(len(_TEXT.findall(block)) for entry in texts for block in _blocks(archive, entry))
-    check(n_texts, SHEET_CELLS, "texts")
+    check(max(len(sheets), count(_LISTED, books)), errors.SHEETS, "sheets", "keep the sheet with the table")
+    size = sum(entry.file_size for entry in others if entry not in (*sheets, *texts))
+    check(size, _OTHER_BYTES, "bytes of styles and the like")
+    check(count(_TEXT, texts), errors.SHEET_CELLS, "texts")
     cells = empty = last_row = 0
     for entry in sheets:
         sheet_cells, sheet_empty, sheet_last = _extent(archive, entry)
         cells, empty, last_row = cells + sheet_cells, empty + sheet_empty, max(last_row, sheet_last)
-        check(cells, SHEET_CELLS, "cells")
+        check(cells, errors.SHEET_CELLS, "cells")
         remedy = f"delete rows and columns that hold nothing, or {_REMEDY}"
-        check(empty, SHEET_EMPTY, "empty places between the cells", remedy)
+        check(empty, errors.SHEET_EMPTY, "empty places between the cells", remedy)
     return last_row
 
 
@@ -335,7 +307,7 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
         # exact: nanoseconds as recorded, known by the note of their epoch
         moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
         epoch = int(moments[0]) if len(moments) else 0
-        return (moments - epoch) / NS_PER_S, epoch
+        return (moments - epoch) / table.NS_PER_S, epoch
     if pa.types.is_string(column.type):
         return object_array(column.to_pylist()), None
     cells = (float(cell) if isinstance(cell, bool) else cell for cell in column.to_pylist())
@@ -358,25 +330,25 @@ def read_parquet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) 
         with pq.ParquetFile(path) as source:
             names = list(source.schema_arrow.names)
             rows = int(source.metadata.num_rows)
-            check_header(names, shown)
+            table.check_header(names, shown)
             if not 0 <= rows <= _MAX_ROWS:
                 raise BadFileError(shown, f"{rows} rows promised", f"at most {_MAX_ROWS}", "split the file")
             kept = [name for name in names if wanted is None or wanted(name)]
-            table = source.read(columns=kept, use_threads=rows > _THREADS_ROWS)
+            read = source.read(columns=kept, use_threads=rows > _THREADS_ROWS)
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         raise _damaged(shown, error) from error
-    line = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    line = np.arange(1, read.num_rows + 1, dtype=np.int64)
     columns: dict[str, np.ndarray[Any, Any]] = {}
     epochs: dict[str, int] = {}
     for name in kept:
         try:
-            cells, epoch = _cells(table.column(name))
+            cells, epoch = _cells(read.column(name))
         except (pa.ArrowException, ValueError, OverflowError) as error:
             # bytes that are no text, dates beyond the calendar: found only where a column is looked into
             raise _damaged(shown, error, name) from error
         if epoch is not None:
             epochs[name] = epoch
         if wanted is not None:
-            cells, _ = numbers(cells, shown=shown, column=name, line=line)
+            cells, _ = table.numbers(cells, shown, name, line)
         columns[name] = cells
     return RawTable(columns, line, (), epochs)
