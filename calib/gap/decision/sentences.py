@@ -225,7 +225,7 @@ def _moves(diagnosis: Diagnosis) -> str:
             moved[name] = f"{HIDES_IN[name]} by {value} % ({low} to {high} %)"
     kinds = ((cause.effect, effect_class(cause.effect)) for cause in diagnosis.causes)
     like = joined((name for name, kind in kinds if kind is not None and moved.keys() & kind.shifts), "or")
-    why = f", as another zero point of {like} would" if like else ""
+    why = f": these runs do not tell that from another zero point of {like}" if like else ""
     return f" The fix changes {joined(moved.values(), 'and')}, too{why}." if moved else ""
 
 

@@ -143,8 +143,8 @@ def test_what_the_fix_changes_of_the_calibration_beyond_chance_is_said_with_its_
     known = diagnosis("explained", ("load_dependent_track", 0.96), ("speed_radius", 0.96), recommended=True)
     said = advice(replace(known, fix=replace(known.fix, moves=moves)))
     assert said.endswith(
-        " The fix changes the track width by -0.28 % (-0.31 to -0.25 %), too, as another zero point of "
-        "load_dependent_track would."
+        " The fix changes the track width by -0.28 % (-0.31 to -0.25 %), too: these runs do not tell that from "
+        "another zero point of load_dependent_track."
     )
     assert "The fix changes" not in advice(known)
 
