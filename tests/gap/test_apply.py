@@ -89,6 +89,18 @@ def test_what_is_left_with_the_written_model_is_what_the_fit_left(tmp_path: Path
     assert np.abs(moved[:, :4]).max() < 0.01
 
 
+def test_what_is_written_of_the_calibration_and_is_no_cause_is_stated_with_its_size() -> None:
+    """Temperatures are counted from their mean on the runs: the radius there, other than believed, is written, too."""
+    campaign, found = campaign_with("temperature_radius", seed=3), diagnosed("temperature_radius", 3)
+    law, before = applied_model(found, campaign).law, campaign.model
+    written = law.left.radius_ref_m / before.radius_left_m - 1.0, law.right.radius_ref_m / before.radius_right_m - 1.0
+    assert [cause.effect for cause in found.causes] == ["temperature_radius"]
+    assert [*found.fix.moves] == ["radius_scale"]
+    size = found.fix.moves["radius_scale"]
+    assert written == pytest.approx((size.value, size.value), rel=1e-6)
+    assert size.ci95[0] < size.value < size.ci95[1]
+
+
 def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> None:
     campaign, found = campaign_with("load_radius", seed=4), diagnosed("load_radius", 4)
     file = applied_model(found, campaign)

@@ -14,7 +14,7 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
-from calib.gap.decision.part import as_delivered, is_named_beside, sure_part
+from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NAMED_PROBABILITY, SMALL_SHARE
 from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
 from calib.gap.effects.effect import Family
@@ -83,7 +83,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
-        fix=fix,
+        fix=replace(fix, moves=moved(evidence, fix, causes)),
         notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
         noise_level=NoiseSummary.about(evidence.noise),
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),

@@ -211,6 +211,8 @@ class Fix:
     parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
     corrects: tuple[str, ...] | None = None  #: the causes that it corrects, blunders apart; None: all that are named
     leaves: tuple[str, ...] = ()  #: why it leaves the other named causes as they are
+    #: relative changes of the calibration that it makes beside its causes: what another zero point of one looks like
+    moves: Mapping[str, Quantity] = field(default_factory=dict)
     #: what it corrects by; None where that is the fit of all causes
     fitted: Fitted | None = field(default=None, metadata={"json": False})
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from calib.gap.decision import confounding
 from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding
-from calib.gap.decision.diagnosis import Cause, Evidence, Fix
+from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.sentences import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
@@ -21,6 +22,9 @@ from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
 from calib.types import FloatArray
+
+#: a relative change of the calibration that is none
+ROUNDING: Final = 1e-12
 
 
 def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
@@ -151,6 +155,25 @@ def _tried(
     as_is, alone = (float(np.sqrt(left_out.squares(gap).mean())) for gap in (before, fitted.left + steps))
     text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
     return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
+
+
+def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Quantity]:
+    """Return what the fix changes of radii and track without naming it, by effect; nothing without a cause."""
+    from scipy.special import stdtrit
+
+    fitted = fix.fitted or evidence.fitted
+    to_sizes = np.linalg.inv(DIRECTIONS[:, :3].T)
+    values = to_sizes @ fitted.calibration[:3]
+    free = np.flatnonzero(np.abs(values) > ROUNDING)
+    if not causes or not len(free):
+        return {}
+    # what the fit held is known
+    inverse = np.linalg.inv(to_sizes @ fitted.covariance[:3, :3] @ to_sizes.T)
+    sd = np.sqrt(np.diag(np.linalg.inv(inverse[np.ix_(free, free)])))
+    half = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975)) * sd
+    named = {cause.effect for cause in causes}
+    sizes = {NAMES[k]: (float(values[k]), float(h)) for k, h in zip(free, half, strict=True) if NAMES[k] not in named}
+    return {name: Quantity(value, (value - h, value + h), "1") for name, (value, h) in sizes.items()}
 
 
 def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:

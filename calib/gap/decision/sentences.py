@@ -213,9 +213,23 @@ def _unexplained(diagnosis: Diagnosis) -> str:
 
 
 def advice(diagnosis: Diagnosis) -> str:
-    """Return whether the fix is recommended, and if not why; empty without a cause."""
-    if not diagnosis.causes:
-        return ""
+    """Return whether the fix is recommended, if not why, and what it changes unnamed; empty without a cause."""
+    return f"{_advised(diagnosis)}{_moves(diagnosis)}" if diagnosis.causes else ""
+
+
+def _moves(diagnosis: Diagnosis) -> str:
+    moved = dict[str, str]()
+    for name, size in diagnosis.fix.moves.items():
+        value, low, high = (f"{100 * each:+.2g}" for each in (size.value, *size.ci95))
+        if low[0] == high[0]:
+            moved[name] = f"{HIDES_IN[name]} by {value} % ({low} to {high} %)"
+    kinds = ((cause.effect, effect_class(cause.effect)) for cause in diagnosis.causes)
+    like = joined((name for name, kind in kinds if kind is not None and moved.keys() & kind.shifts), "or")
+    why = f": these runs do not tell that from another zero point of {like}" if like else ""
+    return f" The fix changes {joined(moved.values(), 'and')}, too{why}." if moved else ""
+
+
+def _advised(diagnosis: Diagnosis) -> str:
     if diagnosis.recommended and diagnosis.fix.parameters:
         return f"Recommended: set {joined(diagnosis.fix.parameters, 'and')}; your simulator ran again with it."
     if diagnosis.recommended and diagnosis.fix.corrects is not None:

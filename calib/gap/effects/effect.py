@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import inf
 from typing import ClassVar
 
 import numpy as np
@@ -109,6 +110,8 @@ class Form:
     centre: Centre | None = None
     #: centre -> `perturbations` with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Perturbations] | None = None
+    #: lowest and highest value of what its single parameter multiplies at which it may truly be zero
+    zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
     #: whether `perturbations` takes everything per step from its path, which may then be that of some observations
@@ -173,7 +176,7 @@ class Effect(ABC):
     #: whether it is sought at every place of the floor, and so follows what other forms leave
     by_place: ClassVar[bool] = False
     #: relative size beyond which it is a wrong unit, count or setting of no vehicle
-    wrong_beyond: ClassVar[float] = float("inf")
+    wrong_beyond: ClassVar[float] = inf
     #: whether it is about two wheels on one axle: not where a front wheel alone drives the odometry
     of_rear_wheels: ClassVar[bool] = False
     #: whether it is found by trial before the search; it offers no forms

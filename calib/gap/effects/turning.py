@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -80,11 +81,14 @@ class LoadDependentTrack(Effect):
         axle = observations.wheel_loads_N.sum(axis=0)
         if not varies(axle, 10.0, observations) or not quantities.shows_curves(observations):
             return []
-        over = axle - 2.0 * observations.model.reference_load_N
+        believed_N = 2.0 * observations.model.reference_load_N
+        over = axle - believed_N
         # up to 1 % for 1000 N
         soft = quantities.softness(observations)
         parameter = Parameter("per_N", "1/N", typical=5e-6 * soft, largest=5e-5 * soft)
-        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=over)])]
+        # the load of the track as believed: none, as drawn, to the permissible one; not known where none is stated
+        within = (-believed_N, 2.0 * observations.vehicle.max_wheel_load_N - believed_N) if believed_N else (-inf, inf)
+        return [Form(self.id, "", (parameter,), lambda _: [Perturbation(track=over)], zero_within=within)]
 
 
 class SideSlip(Effect):

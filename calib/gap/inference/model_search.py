@@ -271,8 +271,8 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         # nothing of it can be off beside any model
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
-        sizes, values = free_estimates(local.system, models[n], weighting)
-        subsets = weigh_subsets(local.system, models[n], sizes, values, local.settings, shifts)
+        free = free_estimates(local.system, models[n], weighting)
+        subsets = weigh_subsets(local.system, models[n], *free, local.settings, shifts)
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.gap.effects.effect import Form
 from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
@@ -31,6 +32,10 @@ SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(r
 #: one wheel's radius, left (3) or right (4), is as likely off by itself: radii are then off in scale and ratio; alone,
 #: or beside the track (2)
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
+#: half a 95 % interval, in standard deviations
+_COVERAGE_SD: Final = 1.96
+#: (left, right, track) -> size of each of the calibration's parameters, shape (3, 3)
+_OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
 #: an alternative set is as likely as the best above this share of its probability
 ALTERNATIVE_ODDS: Final = 0.1
 #: a calibration parameter less probable beside an alternative set is needless there
@@ -98,12 +103,33 @@ def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
 
 def free_estimates(
     system: LinearSystem, model: Sequence[int], weighting: Weighting
-) -> tuple[list[FloatArray], FloatArray]:
-    """Return the size of each form of a model in typical sizes, and the relative calibration (3,), all free."""
+) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """Return the size of each form of a model in typical sizes, the relative calibration (3,), and their covariance.
+
+    All are free. The covariance is that of left radius, right radius, track and front radius, relative, and the sizes.
+    """
     columns = system.columns_of(model)
-    estimates, _ = weighting.solve(columns, prior_precision(columns.shape[1]))
+    estimates, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
     sizes = by_form([system.forms[k] for k in model], estimates)
-    return sizes, np.linalg.solve(DIRECTIONS[:, :3].T, estimates[:3] * CALIBRATION_SD[:3])
+    units = np.concatenate([CALIBRATION_SD, np.ones(len(estimates) - 4)])
+    return sizes, _OF_WHEELS @ (estimates[:3] * CALIBRATION_SD[:3]), covariance * np.outer(units, units)
+
+
+def _reaches(form: Form, shift: FloatArray, size: float, value: float, covariance: FloatArray) -> bool:
+    """Return whether a zero point where a form of one parameter may have it can make a shift, by its 95 % interval.
+
+    At the lower end the effect and the shift together are on the one side of zero, at the upper end on the other.
+
+    `shift`: of left radius, right radius and track, per unit; `size`, `value`: of the effect and of the shift;
+    `covariance`: (4, 4), of the three and the size.
+    """
+    for end, side in zip(form.zero_within, (-1.0, 1.0), strict=True):
+        if np.isfinite(end):
+            slope = np.append(shift, end * form.typical)
+            beyond = -side * np.sign(size) * (value + slope[-1] * size)
+            if beyond > _COVERAGE_SD * np.sqrt(slope @ covariance @ slope):
+                return False
+    return True
 
 
 def weigh_subsets(
@@ -111,13 +137,15 @@ def weigh_subsets(
     model: Sequence[int],
     sizes: Sequence[FloatArray],
     values: FloatArray,
+    covariance: FloatArray,
     settings: SearchSettings,
     shifts: Mapping[str, tuple[str, ...]],
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
     An effect may be centred elsewhere than assumed, or deviate from its form; a shift of the calibration up to
-    `ATTRIBUTED_SHIFT_SHARE` times the effect's own size counts as part of the effect.
+    `ATTRIBUTED_SHIFT_SHARE` times the effect's own size counts as part of the effect, where its zero can
+    lie so far off.
 
     Parameters
     ----------
@@ -129,6 +157,8 @@ def weigh_subsets(
         Size of each, in typical sizes.
     values : array of float, shape (3,)
         Relative size of each calibration parameter beside them, all free.
+    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
+        Of left radius, right radius, track and front radius, relative, and the sizes.
     settings : SearchSettings
         Assumptions of the search.
     shifts : mapping of str to tuple of str
@@ -138,12 +168,17 @@ def weigh_subsets(
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
     fixed = [system.calibration[:, 3:]]
     deviations = np.zeros((len(system.gap), len(model)))
+    first = 4
     for place, (number, size) in enumerate(zip(model, sizes, strict=True)):
         form = system.forms[number]
         contribution = system.of(number) @ size
         fixed.append(system.of(number) * max(effect_scale(size, form), MIN_EFFECT_SD))
         deviations[:, place] = settings.tolerance * contribution
         looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
+        of_both = covariance[np.ix_([0, 1, 2, first], [0, 1, 2, first])]
+        first += len(size)
+        if looks_like and not _reaches(form, _OF_WHEELS[looks_like[0]], size[0], values[looks_like[0]], of_both):
+            continue
         fixed.append((directions / norm)[:, looks_like] * (ATTRIBUTED_SHIFT_SHARE * np.sqrt((contribution**2).sum())))
     ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])
     typical = np.concatenate([TYPICAL, TYPICAL[:1], TYPICAL[:1]])
@@ -231,11 +266,12 @@ def judge_recalibration(
         return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
     system = LinearSystem(fitted, nominal, noise, fitted.forms)
     own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
-    inverse = np.linalg.inv(DIRECTIONS[:, :3].T)
-    values = np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3])
-    sd = np.sqrt(np.diag(inverse @ fitted.covariance[:3, :3] @ inverse.T))
+    values = _OF_WHEELS @ fitted.calibration[:3]
+    sd = np.sqrt(np.diag(_OF_WHEELS @ fitted.covariance[:3, :3] @ _OF_WHEELS.T))
     shifts = shifts or {}
-    weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, settings, shifts).probabilities)]
+    units = np.concatenate([np.ones(4), *(form.typical for form in fitted.forms)])
+    covariance = fitted.covariance / np.outer(units, units)
+    weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, covariance, settings, shifts).probabilities)]
     if search is not None:
         for model, weight in search.alternatives:
             free = free_estimates(search.system, model, search.weighting)

@@ -91,6 +91,7 @@ def test_the_fields_are_those_of_the_contract() -> None:
         "parameters": {},
         "corrects": None,
         "leaves": [],
+        "moves": {},
     }
     assert document["recommended"] is document["fix"]["recommended"]
     assert document["judged_against"] == BY_MODEL

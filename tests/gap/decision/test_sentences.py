@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
 from calib.gap.localise.result import ChannelGap, GapLocation, RunDeviation
@@ -133,6 +133,20 @@ def test_what_a_cause_cannot_be_told_from_is_said_of_that_cause() -> None:
 def test_the_advice_gives_the_reasons(given: Diagnosis, text: str) -> None:
     assert text in advice(given)
     assert advice(given).startswith("Recommended") == given.recommended
+
+
+def test_what_the_fix_changes_of_the_calibration_beyond_chance_is_said_with_its_size() -> None:
+    moves = {
+        "radius_scale": Quantity(1e-5, (-2e-5, 4e-5), "1"),
+        "track_width": Quantity(-0.0028, (-0.0031, -0.0025), "1"),
+    }
+    known = diagnosis("explained", ("load_dependent_track", 0.96), ("speed_radius", 0.96), recommended=True)
+    said = advice(replace(known, fix=replace(known.fix, moves=moves)))
+    assert said.endswith(
+        " The fix changes the track width by -0.28 % (-0.31 to -0.25 %), too: these runs do not tell that from "
+        "another zero point of load_dependent_track."
+    )
+    assert "The fix changes" not in advice(known)
 
 
 def test_without_a_cause_there_is_nothing_to_recommend() -> None:

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.effects.effect import Effect
 from calib.gap.effects.radii import DIRECTIONS, TYPICAL, TemperatureRadius
+from calib.gap.effects.turning import LoadDependentTrack
 from calib.gap.inference.fit import CALIBRATION_SD, fit
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import SearchSettings
@@ -32,7 +34,10 @@ SHIFTS = {"temperature_radius": ("radius_scale",)}
 
 
 def judged(
-    truth: Callable[[Run, Motion], None], *, temperature: bool = False, shifts: dict[str, tuple[str, ...]] | None = None
+    truth: Callable[[Run, Motion], None],
+    *,
+    effect: Effect | None = None,
+    shifts: dict[str, tuple[str, ...]] | None = None,
 ) -> Recalibration:
     """The judgement on rich runs with instruments that scatter as stated."""
     rng = np.random.default_rng(1)
@@ -46,7 +51,7 @@ def judged(
     s = situation([replace(run, front=False) for run in rich_runs()], truth=shaken)
     nominal = predict(s)
     noise = noise_at(nominal, {})
-    forms = TemperatureRadius().forms(s) if temperature else []
+    forms = [] if effect is None else effect.forms(s)
     return judge_recalibration(fit(nominal, noise, forms, steps=8), nominal, noise, SearchSettings(), shifts)
 
 
@@ -95,9 +100,9 @@ def warm(run: Run, now: Motion) -> None:
 
 def test_a_temperature_counted_from_another_zero_is_no_recalibration() -> None:
     """Counted from 15 degrees instead of the mean, both radii are off by a constant that belongs to the effect."""
-    assert judged(warm, temperature=True, shifts=SHIFTS).subsets[0] == ()
+    assert judged(warm, effect=TemperatureRadius(), shifts=SHIFTS).subsets[0] == ()
     # the control: unless the effect says so, the constant is named
-    assert judged(warm, temperature=True).subsets[0] == ("radius_scale",)
+    assert judged(warm, effect=TemperatureRadius()).subsets[0] == ("radius_scale",)
 
 
 def test_a_shift_beyond_the_effect_is_a_recalibration_all_the_same() -> None:
@@ -107,7 +112,23 @@ def test_a_shift_beyond_the_effect_is_a_recalibration_all_the_same() -> None:
         warm(run, now)
         now.left = now.right = now.left + 0.015
 
-    assert judged(more, temperature=True, shifts=SHIFTS).subsets[0] == ("radius_scale",)
+    assert judged(more, effect=TemperatureRadius(), shifts=SHIFTS).subsets[0] == ("radius_scale",)
+
+
+@pytest.mark.parametrize(("zero_N", "named"), [(600.0, ()), (0.0, ()), (1000.0, ()), (-300.0, ("track_width",))])
+def test_a_track_is_that_of_a_load_which_a_vehicle_can_bear_or_off_by_itself(
+    zero_N: float, named: tuple[str, ...]
+) -> None:
+    """The model may hold at another load than its reference load (600 N), but at none below zero."""
+
+    def loaded(run: Run, now: Motion) -> None:
+        now.track = 4e-5 * (run.load_left_N + run.load_right_N - zero_N)
+
+    shifts = {"load_dependent_track": ("track_width",)}
+    made = judged(loaded, effect=LoadDependentTrack(), shifts=shifts)
+    assert made.likeliest == named
+    # all of it is in the fit, named or not
+    assert made.values[2] == pytest.approx(4e-5 * (600.0 - zero_N), abs=4 * made.sd[2])
 
 
 #: rounding of sums over some hundred rows, in log-evidence units
@@ -152,7 +173,7 @@ def test_each_subset_weighs_what_its_density_says() -> None:
     """Log weights beside a form are those of the dense normal model, up to one constant; so is the free calibration."""
     system = _system()
     size, values = np.array([2.0]), np.array([0.002, 0.001, 0.02])
-    weights = weigh_subsets(system, [0], [size], values, PLAIN, {"temperature_radius": ("radius_scale",)})
+    weights = weigh_subsets(system, [0], [size], values, np.eye(5), PLAIN, {"temperature_radius": ("radius_scale",)})
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     contribution = system.of(0) @ size
     excused = (
