@@ -21,17 +21,10 @@ import numpy as np
 
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
+from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import (
-    STEERING_SCALE,
-    Drive,
-    Parameters,
-    first_scales,
-    moved_between,
-    nominal_turn,
-    parameters_of,
-)
+from calib.kinematics.drives import Drive, Parameters, moved_between, nominal_turn
 from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
@@ -119,23 +112,22 @@ def find_blunder(
 
 
 def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
-    items = parameters_of(drive, campaign.reference)
+    items = drives.parameters_of(drive, campaign.reference)
     parameters = Parameters.of(items, [item.name for item in drive.parameters])
+    scales = drives.first_scales(campaign.reference)
+    rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
     try:
-        segments = divide(campaign, recording)
-        model = Model(drive, recording, segments)
+        model = Model(drive, recording, divide(campaign, recording))
         with np.errstate(all="ignore"):
-            scales = first_scales(campaign.reference)
-            rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
-            values = solve(model, parameters, parameters.nominal, scales, *rounds).values
-            residuals = model.predict(values).residuals
+            solution = solve(model, parameters, parameters.nominal, scales, *rounds)
+            values, residuals = solution.values, solution.prediction.residuals
             path, rotation = travelled(model, values)
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
-    told = segments.measured - residuals
-    ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
+    measured = model.segments.measured
+    ahead, seen = (part[:, 0] + 1j * part[:, 1] for part in (measured - residuals, measured))
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
     found = dict(zip(parameters.names, values.tolist(), strict=True))
@@ -146,7 +138,7 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         if item.nominal and not item.name.startswith(("steering", "slope"))
     )
     scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
-    return Trial(_trimmed(share), near, turned, (scale, found.get(STEERING_SCALE, 1.0)))
+    return Trial(_trimmed(share), near, turned, (scale, found.get(drives.STEERING_SCALE, 1.0)))
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -255,9 +247,9 @@ def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Se
     if after is before:
         return segments
     ends = segments.first, segments.last
-    known = np.asarray(np.isfinite(after[:, np.stack(ends)]).all(axis=(0, 1)))
+    known = segments.seen & np.asarray(np.isfinite(after[:, ends]).all(axis=(0, 1)))[:, None]
     added = moved_between(np.nan_to_num(after), *ends) - moved_between(np.nan_to_num(before), *ends)
-    return replace(segments, measured=segments.measured + np.where(segments.seen & known[:, None], added, 0.0))
+    return replace(segments, measured=segments.measured + np.where(known, added, 0.0))
 
 
 def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
@@ -276,7 +268,7 @@ def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
         if not whole:
             yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
         if misfit and not whole:
-            for change in (_wound, _wound_since_start):
+            for change in (partial(_stretched, axis=2), _wound_since_start):
                 yield Departure(change, sign * HEADING_SCALE, _heading_scale, LEAD)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
             change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
@@ -303,14 +295,11 @@ def _slip(slip_s_per_rad: float) -> Fault:
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:
-    sensor = np.asarray(recording.steps.steer_rad)
-    wheel = sensor.copy()
-    half = 0.5 * play_rad
+    wheel, half = np.array(recording.steps.steer_rad), 0.5 * play_rad
     for first, last in pairwise(recording.offsets.tolist()):
-        angle = float(sensor[first])
+        angle = float(wheel[first])
         for at in range(first, last):
-            angle = min(max(angle, sensor[at] - half), sensor[at] + half)
-            wheel[at] = angle
+            wheel[at] = angle = min(max(angle, wheel[at] - half), wheel[at] + half)
     return recording.with_steering(wheel)
 
 
@@ -328,28 +317,19 @@ def _shifted(recording: Recording, shift_s: float) -> Recording:
 
 
 def _shift(shift_s: float) -> Fault:
-    late = "after it: the wheels follow a command late"
-    late = late if shift_s > 0.0 else "before it: it is filtered or stamped late"
-    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late}; log the angle of the wheels by the clock of "
-    return Fault("steering_shift", f"{text}the counts")
+    late = "after it: the wheels follow a command" if shift_s > 0.0 else "before it: it is filtered or stamped"
+    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late} late"
+    return Fault("steering_shift", f"{text}; log the angle of the wheels by the clock of the counts")
 
 
 def _stretched(recording: Recording, share: float, axis: int) -> Recording:
-    factors = np.ones(3)
-    factors[axis] += share
-    return recording.with_reference((recording.reference.T * factors).T)
-
-
-def _wound(recording: Recording, share: float) -> Recording:
-    reference = recording.reference.copy()
-    reference[2] *= 1.0 + share
-    return recording.with_reference(reference)
+    return recording.with_reference((recording.reference.T * (1.0 + share * np.eye(3)[axis])).T)
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
     """Return headings that turn more by a share from each run's start, as a gyro's do."""
     begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
-    wound = _wound(recording, share)
+    wound = _stretched(recording, share, 2)
     return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
 
 
