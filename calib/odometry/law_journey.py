@@ -165,9 +165,8 @@ def law_journey(
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
     left, right, track = wheel_travel(route, believed, real)
-    real_left, real_right, _ = real.arrays()
-    path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)
-    by_radius = jacobian(path)[-1][:, [0, 2]]
+    radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
+    by_radius = jacobian(steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2]]
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])
