@@ -54,9 +54,8 @@ def render(file: CoefficientFile, options: formats.ExportOptions) -> tuple[Artif
     controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
     unknown = [name for name in controllers if name not in CONTROLLERS]
     if unknown:
-        raise BadInputError(
-            f"controller: found {unknown[0]!r}; expected one of {', '.join(CONTROLLERS)}; choose one of them"
-        )
+        found = f"controller: found {unknown[0]!r}"
+        raise BadInputError(f"{found}; expected one of {', '.join(CONTROLLERS)}; choose one of them")
     values = {
         "file": file,
         "options": options,
