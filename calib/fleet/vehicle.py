@@ -20,7 +20,6 @@ from calib.radius.sessions import LARGEST, MIN_DOF, PRECISION, WIDENED_BELOW, St
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
-COVERAGE: Final = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +129,7 @@ def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
         return None
     estimate, autocorrelation = widened(estimate, sums)
     radius, slope = (float(value) for value in estimate.coefficients)
-    half_radius, half_slope = (float(value) for value in estimate.half_width(np.eye(2), COVERAGE))
+    half_radius, half_slope = (float(value) for value in estimate.half_width(np.eye(2)))
     std = np.sqrt(np.diag(estimate.covariance))
     return WheelLine(
         radius_ref_m=nominal_m + radius,
