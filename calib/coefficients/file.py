@@ -202,16 +202,9 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
         front = FrontModel(*(values[name] for name in names), *slips)
     if source == "wheels":
         mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])
-    return OdometryModel(
-        radius_left_m=float(law.left.radius_m(reference_load_N)),
-        radius_right_m=float(law.right.radius_m(reference_load_N)),
-        track_m=file.geometry.track_m,
-        reference_load_N=reference_load_N,
-        slope_left_m_per_N=law.left.slope_m_per_N,
-        slope_right_m_per_N=law.right.slope_m_per_N,
-        front=front,
-        mecanum=mecanum,
-    )
+    left_m, right_m = (float(wheel.radius_m(reference_load_N)) for wheel in (law.left, law.right))
+    slopes = law.left.slope_m_per_N, law.right.slope_m_per_N
+    return OdometryModel(left_m, right_m, file.geometry.track_m, reference_load_N, *slopes, front, mecanum)
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:

@@ -146,8 +146,7 @@ class WheelSection(Section):
         if (strata := self.law.strata) is not None:
             if not np.allclose(strata.covariance, _matrix(self), rtol=1e-6, atol=0.0):
                 raise ValueError("strata that add up to the covariance")
-            variance = strata.run_variance + strata.session_variance
-            if not np.isclose(variance, self.residual_std.value**2, rtol=1e-6):
+            if not np.isclose(strata.run_variance + strata.session_variance, self.residual_std.value**2, rtol=1e-6):
                 raise ValueError("strata whose scatters add up to residual_std in squares")
         return self
 

@@ -6,22 +6,19 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
 from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import solve
-from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
 from calib.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: a residual of so many times the noise is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
@@ -245,8 +242,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
     """Return a number for each segment, the same for replicates by their wheels."""
-    measured = whole.segments.measured
-    told = measured - whole.predict(nominal_values(whole.drive)).residuals
+    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
     group = np.full(len(path), -1, dtype=np.int64)
     while (group < 0).any():
         at = int(np.argmin(group))

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
@@ -28,9 +29,6 @@ from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual,
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 
 def route_table(

@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
 from calib.kinematics import drives
@@ -33,10 +34,6 @@ from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-
 
 #: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter in
 #: squares
@@ -208,8 +205,7 @@ def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
     middle_s = 0.5 * recording.t_s[recording.offsets[1:] - 1]
     if len(recording) < FEWEST_OF_A_CLOCK or np.ptp(middle_s) < OF_TWO_LENGTHS * middle_s.max():
         return None
-    rate = float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
-    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), rate
+    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
 
 
 def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
@@ -260,9 +256,8 @@ def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
-    begin_rad = model.recording.reference[2, model.segments.first]
     # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
-    if whole and not abs(np.mean(np.exp(2j * begin_rad))) < ALONG_ONE:
+    if whole and not abs(np.mean(np.exp(2j * model.recording.reference[2, model.segments.first]))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):
         if not whole:

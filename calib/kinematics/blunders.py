@@ -49,7 +49,10 @@ class Fault:
     seen: bool = False  #: whether the readings alone show it, well fitted or not
 
 
-def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
+Corrected = tuple[Recording, tuple[Fault, ...]]
+
+
+def rear_faults(recording: Recording, segments: Segments) -> Corrected:
     """Return the recording of two wheels with signs and sides corrected, and the fault.
 
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
@@ -103,9 +106,7 @@ def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
     return np.asarray(slope) if np.all(np.abs(slope) > CLEAR * std) else None
 
 
-def front_faults(
-    recording: Recording, segments: Segments, *, by_shaft: bool = False
-) -> tuple[Recording, tuple[Fault, ...]]:
+def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = False) -> Corrected:
     """Return the recording with steering angles from straight ahead and signs not mirrored, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
@@ -215,9 +216,7 @@ ALIKE: Final = 1.1
 LEAST_TURN_RAD: Final = 0.05
 
 
-def corrected(
-    recording: Recording, segments: Segments, source: str, drive: Drive
-) -> tuple[Recording, tuple[Fault, ...]]:
+def corrected(recording: Recording, segments: Segments, source: str, drive: Drive) -> Corrected:
     """Return the recording with blunders of the wheels corrected, and these faults.
 
     `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
@@ -264,7 +263,7 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
                 yield Fault("counter_still", text, seen=True)
 
 
-def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
+def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> Corrected:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
     `drive`: its nominal values tell which reading of the four columns fits the reference.

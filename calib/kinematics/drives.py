@@ -227,8 +227,7 @@ class MeanHeld:
         """Return the motion of the axle's middle."""
         left, track = values
         full = self.wheels.motion(np.array([left, 2.0 * self.mean_m - left, track]), steps)
-        by_left = full.by_parameter[0] - full.by_parameter[1]
-        return Motion(full.body, np.stack([by_left, full.by_parameter[2]]))
+        return Motion(full.body, np.stack([full.by_parameter[0] - full.by_parameter[1], full.by_parameter[2]]))
 
 
 @dataclass(frozen=True, slots=True)

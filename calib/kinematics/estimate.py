@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics import joint_fit
@@ -22,12 +23,8 @@ from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
-from calib.kinematics.sessions import left_within
-from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
 from calib.types import Progress, silent, stepped
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 Using = Literal["end_poses", "windows"]
 

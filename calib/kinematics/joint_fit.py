@@ -10,10 +10,11 @@ is part of the uncertainty.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
@@ -23,9 +24,6 @@ from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
 from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
 from calib.types import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
@@ -205,8 +203,7 @@ def sought_delays(fitted: Fitted) -> FloatArray:
     losses = []
     for offset in offsets:
         residuals = model.predict(solution.values + offset * delay).residuals
-        white = np.einsum("nij,nj->ni", solution.whitener, residuals)
-        loss = np.log1p(np.square(white).sum(axis=1) / DEGREES)
+        loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
     best = offsets[np.argmin(losses, axis=0)]
     return nothing if np.ptp(best) < 1.5 * (offsets[1] - offsets[0]) else nothing + best[group]
@@ -315,8 +312,7 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
     # a deviation is added to the angle before its scale
     by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
     change = np.einsum("nij,nj->ni", solution.whitener, by_zero * spread)
-    weighted = change * np.sqrt(solution.weights)[:, None]
-    return Shared(group[fitted.model.segments.run], weighted, deviation / spread)
+    return Shared(group[fitted.model.segments.run], change * np.sqrt(solution.weights)[:, None], deviation / spread)
 
 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:

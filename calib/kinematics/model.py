@@ -60,17 +60,9 @@ def end_pose_segments(recording: Recording) -> Segments:
     runs = np.flatnonzero(np.isfinite(recording.end_pose).any(axis=1))
     if not len(runs):
         raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
-    measured = recording.end_pose[runs]
-    return Segments(
-        run=runs,
-        first=recording.offsets[runs],
-        last=recording.offsets[runs + 1] - 1,
-        measured=np.nan_to_num(measured),
-        seen=np.isfinite(measured),
-        block=np.arange(len(runs)),
-        level=np.zeros(len(runs), dtype=np.int64),
-        gyro=recording.by_gyro[runs],
-    )
+    measured, block, level = recording.end_pose[runs], np.arange(len(runs)), np.zeros_like(runs)
+    first, last, gyro = recording.offsets[runs], recording.offsets[runs + 1] - 1, recording.by_gyro[runs]
+    return Segments(runs, first, last, np.nan_to_num(measured), np.isfinite(measured), block, level, gyro)
 
 
 def window_segments(recording: Recording, blocks: int) -> Segments:
@@ -158,8 +150,7 @@ class Model:
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
         scale = np.where(self.segments.gyro, values[n_drive], 1.0)
-        others = np.arange(len(values)) != n_drive
-        jacobian[:, 2, others] *= scale[:, None]
+        jacobian[:, 2, np.arange(len(values)) != n_drive] *= scale[:, None]
         seen[:, 2] *= scale
         residuals = self.segments.measured - seen
         unseen = ~self.segments.seen

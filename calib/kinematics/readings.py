@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import LARGEST_STEERING_RAD, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.factors import SKID_HINT
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: axes turned by less are a sensor's mounting, which is estimated
 LEAST_ANGLE_RAD: Final = 0.02
@@ -52,6 +50,7 @@ ALIKE: Final = 0.1
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
 Change = Callable[[Recording], Recording]
+OfArray = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,7 @@ def readings(
         yield from _steering(recording.steps.steer_rad)
 
 
-def _referred(change: Callable[[FloatArray], FloatArray]) -> Change:
+def _referred(change: OfArray) -> Change:
     """Return a change of every reference pose, given as columns of x, y, theta, shape (3, n)."""
 
     def changed(recording: Recording) -> Recording:
@@ -137,7 +136,7 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
 
 
-def _rolled(change: Callable[[FloatArray], FloatArray]) -> Change:
+def _rolled(change: OfArray) -> Change:
     """Return a change of the wheels' turns, shape (n_wheels, n_samples)."""
     return lambda recording: recording.with_turned(change(recording.steps.turned_rad))
 
@@ -220,9 +219,7 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
             yield Reading(Fault(code, text), _rolled(partial(np.multiply, np.where(which, 1.0 / factor, 1.0))))
 
 
-def _geared(
-    code: str, text: str, change: Callable[[Callable[[FloatArray], FloatArray]], Change], scale: int
-) -> Iterator[Reading]:
+def _geared(code: str, text: str, change: Callable[[OfArray], Change], scale: int) -> Iterator[Reading]:
     """Yield readings of gears; `text` has a place for the ratio, `scale` says which factor of a fit tells its rest."""
 
     def reading(ratio: float) -> Reading:
@@ -282,7 +279,7 @@ def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
 
 def _steering(steer: FloatArray) -> Iterator[Reading]:
 
-    def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
+    def steered(change: OfArray) -> Change:
         return lambda recording: recording.with_steering(change(np.asarray(recording.steps.steer_rad)))
 
     for unit, radians in ANGLE_UNITS.items():

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 #: why a run with positions alone may not be used

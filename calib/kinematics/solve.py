@@ -223,8 +223,7 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     jacobian, residuals = problem.whitened(whitener)
     step, moved = np.zeros(jacobian.shape[1]), np.zeros(len(residuals))
     for _ in range(INNER):
-        weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
-        step = _weighted(jacobian, residuals, weights)
+        step = _weighted(jacobian, residuals, _weights((residuals - moved).reshape(3, -1), problem.size)[0])
         before, moved = moved, jacobian @ step
         if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
@@ -346,6 +345,5 @@ def _advance(
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
     from scipy.special import chdtri
 
-    expected = chdtri(np.maximum(size, 1), 0.5)
-    ratio = float(np.median(squares / expected))
+    ratio = float(np.median(squares / chdtri(np.maximum(size, 1), 0.5)))
     return squares / ratio if ratio > 0.0 else squares

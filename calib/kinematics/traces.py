@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import corrected
 from calib.kinematics.drives import GYRO_SCALE, Drive, parameters_of
 from calib.kinematics.estimate import divisions
@@ -15,9 +15,6 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunTrace
 from calib.types import FloatArray, IntArray, in_frame
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 
 def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
@@ -53,24 +50,15 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
     before, after = paths = [path[:, part] for path in paths]
     if len(seen) > 1:
         # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
-        every = np.arange(len(seen))
-        measured = _aligned(reference[:, seen], after[:, seen], every)
+        measured = _aligned(reference[:, seen], after[:, seen], np.arange(len(seen)))
         aligned = [_aligned(before, measured, seen), after]
     else:
         seen = np.array([reference.shape[1] - 1], dtype=np.int64)
         measured, aligned = recording.end_pose[run][:, None], paths
     residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
-    return RunTrace(
-        run_id=str(recording.run_id[run]),
-        kind=str(recording.kind[run]),
-        before_m=aligned[0][:2].T,
-        after_m=aligned[1][:2].T,
-        seen=seen,
-        t_s=recording.t_s[part][seen],
-        reference_m=measured[:2].T,
-        residual_before=residuals[0],
-        residual_after=residuals[1],
-    )
+    names = str(recording.run_id[run]), str(recording.kind[run])
+    before_m, after_m = (path[:2].T for path in aligned)
+    return RunTrace(*names, before_m, after_m, seen, recording.t_s[part][seen], measured[:2].T, *residuals)
 
 
 def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
@@ -87,6 +75,5 @@ def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
     if np.isfinite(apart).any():
         turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
     cosine, sine = np.cos(turn), np.sin(turn)
-    rotate = np.array([[cosine, -sine], [sine, cosine]])
-    place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
+    place = np.array([[cosine, -sine], [sine, cosine]]) @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
     return np.concatenate([place, path[2:] + turn])

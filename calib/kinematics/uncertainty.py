@@ -1,4 +1,4 @@
-"""Covariance of the parameters from clusters of runs or blocks along the path (sandwich), and degrees of freedom."""
+"""Covariance of the parameters from clusters of runs or blocks (sandwich), and whether sessions differ."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import DEGREES, Shared, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
@@ -156,12 +155,6 @@ class Uncertainty:
         """Standard deviations, shape (n_free,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def half_widths(self, level: float = 0.95) -> FloatArray:
-        """Return the half widths of intervals of probability `level`, shape (n_free,)."""
-        from scipy.special import stdtrit
-
-        return np.asarray(self.std * stdtrit(self.dof, 0.5 + 0.5 * level))
-
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted.
@@ -211,8 +204,7 @@ def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, Floa
 
 def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
     order = np.argsort(np.repeat(cluster, 3), kind="stable")
-    ends = np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))
-    for low, high in pairwise(ends):
+    for low, high in pairwise(np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))):
         yield order[low:high]
 
 
@@ -237,9 +229,7 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
     )
 
 
-def sandwich(
-    solution: Solution, free: BoolArray, cluster: IntArray, by: str, *, power: float = UNBIASED
-) -> Uncertainty:
+def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, power: float = UNBIASED) -> Uncertainty:
     """Return the covariance of the free parameters.
 
     Parameters
@@ -295,6 +285,55 @@ def _influence(solution: Solution) -> float:
     return float(np.mean(solution.weights) / max(np.mean(slope), 0.2 * np.mean(solution.weights)))
 
 
+#: chance of taking sessions that are alike for ones that differ: a campaign is judged once
+SESSIONS_CHANCE: Final = 1e-4
+#: columns that depend on the others by more than this part tell nothing of their own
+DEPENDENT: Final = 1e-6
+
+
+def left_within(solution: Solution, free: BoolArray, segments: Segments, labels: StrArray) -> tuple[float, float]:
+    """Return root mean squares of position (m) and heading (rad) that a fit of each session leaves.
+
+    Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
+    its own parameters, start heading of the reference, and yaw of its axes.
+
+    `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
+    """
+    from scipy.special import fdtrc
+
+    turned = np.zeros((len(segments), 3, 2))
+    turned[:, 0], turned[:, 1] = segments.measured[:, 1:2], -segments.measured[:, :1]
+    turned[:, 2, 0] = -1.0
+    turned[~segments.seen] = 0.0
+    columns, rest = (
+        np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2),
+        solution.prediction.residuals,
+    )
+    white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
+    session = labels[segments.run]
+    squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+    for label in np.unique(session):
+        at = (session == label) & (segments.level == 0)
+        flat, seen = white[at].reshape(-1, columns.shape[2]), segments.seen[at]
+        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        step, _, rank, _ = np.linalg.lstsq(flat / scale, white_rest[at].ravel(), rcond=DEPENDENT)
+        size = int(seen.sum())
+        if size < 2 * rank:
+            continue
+        own, after = rest[at] - columns[at] @ (step / scale), white_rest[at].ravel() - flat @ (step / scale)
+        squares += np.square(white_rest[at]).sum(), np.square(after).sum()
+        dof += size, size - rank
+        left += np.array([np.square(own[:, :2]).sum(), np.square(own[:, 2]).sum()]) * size / (size - rank)
+        n_segments += seen[:, :2].any(axis=1).sum(), seen[:, 2].sum()
+    more = dof[0] - dof[1] - free.sum()
+    if more > 0.0 and squares[1] > 0.0:
+        ratio = (squares[0] - squares[1]) / more / (squares[1] / dof[1])
+        if fdtrc(more, dof[1], ratio) <= SESSIONS_CHANCE:
+            position, heading = np.sqrt(left / np.maximum(n_segments, 1.0))
+            return float(position), float(heading)
+    return np.inf, np.inf
+
+
 #: groups that a covariance needs
 FEWEST: Final = 4
 #: so many runs are the groups; of fewer, blocks within them
@@ -329,7 +368,9 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
 
 
 def _width(uncertainty: Uncertainty) -> float:
-    return float(np.mean(np.log(uncertainty.half_widths())))
+    from scipy.special import stdtrit
+
+    return float(np.mean(np.log(uncertainty.std * stdtrit(uncertainty.dof, 0.975))))
 
 
 def _codes(labels: StrArray) -> IntArray:

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
 from typing import Any, Final
 
@@ -279,11 +279,6 @@ def _halved(flat: Flat) -> tuple[Flat, ...]:
     )
 
 
-def _fill_compiled(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, loop: Callable[..., None]) -> None:
-    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
-    loop((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
-
-
 def integrate(
     travel_left_m: ArrayLike,
     travel_right_m: ArrayLike,
@@ -334,16 +329,21 @@ def integrate(
         compiled = n >= MANY_STEPS and is_installed()
     if threads is None:
         threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
-    fill: Callable[..., None] = partial(fill_arrays, scheme=scheme)
-    if compiled and scheme == "exact":
-        # asked for here: no two threads compile it
-        fill = partial(_fill_compiled, loop=machine_code())
+    # asked for here: no two threads compile it
+    loop = machine_code() if compiled and scheme == "exact" else None
+
+    def fill(part: Flat, *out: FloatArray) -> None:
+        if loop is None:
+            fill_arrays(part, *out, scheme=scheme)
+        else:
+            loop((part.left, part.right), part.per_m, part.starts, np.ascontiguousarray(part.pose[:, part.runs]), out)
+
     halves = _halved(flat) if threads == 2 else (flat,)
     middle = len(halves[0].left)
-    x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))
+    poses = [part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad)]
     with ThreadPoolExecutor(2) as pool:
         places = zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
-        waiting = [pool.submit(fill, half, x[where], y[where], theta[where]) for half, where in places]
+        waiting = [pool.submit(fill, half, *(part[where] for part in poses)) for half, where in places]
         for half in waiting:
             half.result()
     return out

@@ -76,20 +76,12 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
 
     source = coefficients_of(path)
     file = source.file
-    return AxleLaw(
-        file.law,
-        file.geometry.track_m if track_m is None else track_m,
-        file.vehicle.track_std.value,
-        RandomWalk(
-            sigma_along_m_per_sqrt_m=file.noise.along.value,
-            sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
-            count_std=file.noise.count_std.value,
-            counts_per_rev_left=file.encoder.counts_per_rev_left.value,
-            counts_per_rev_right=file.encoder.counts_per_rev_right.value,
-        ),
-        file.geometry,
-        (*source.notes, *effects_left_out(file, "not simulated")),
-    )
+    noise, encoder = file.noise, file.encoder
+    per_rev = encoder.counts_per_rev_left.value, encoder.counts_per_rev_right.value
+    walk = RandomWalk(noise.along.value, noise.heading.value, noise.count_std.value, *per_rev)
+    notes = (*source.notes, *effects_left_out(file, "not simulated"))
+    track_m = file.geometry.track_m if track_m is None else track_m
+    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.geometry, notes)
 
 
 def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:

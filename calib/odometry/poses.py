@@ -193,17 +193,10 @@ def steps(
     ahead = np.stack([np.cos(theta - half), np.sin(theta - half)])
     dx, dy = path * ratio * ahead
     by_heading = np.stack([-dy, dx])
-    return PathSteps(
-        left_m=left,
-        right_m=right,
-        radius_left_m=floats(radius_left_m),
-        radius_right_m=floats(radius_right_m),
-        track_m=track,
-        by_path=ratio * ahead,
-        by_turn=0.5 * path * slope * ahead + 0.5 * by_heading,
-        by_heading=by_heading,
-        poses=Poses(np.cumsum(dx, axis=-1), np.cumsum(dy, axis=-1), theta),
-    )
+    by_turn = 0.5 * path * slope * ahead + 0.5 * by_heading
+    poses = Poses(np.cumsum(dx, axis=-1), np.cumsum(dy, axis=-1), theta)
+    radii = floats(radius_left_m), floats(radius_right_m)
+    return PathSteps(left, right, *radii, track, ratio * ahead, by_turn, by_heading, poses)
 
 
 def jacobian(
@@ -281,8 +274,7 @@ class RandomWalk:
 
 def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
     """Return running sums of variances (..., n) along directions (k, ..., n), shape (..., n, k, k)."""
-    products = variance * direction[:, None] * direction
-    return np.moveaxis(np.cumsum(products, axis=-1), (0, 1), (-2, -1))
+    return np.moveaxis(np.cumsum(variance * direction[:, None] * direction, axis=-1), (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

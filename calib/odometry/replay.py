@@ -264,8 +264,7 @@ def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
 
     The geometry of the coefficient file says where on the vehicle the sensor sits, X.
     """
-    sensor = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
-    x, y, yaw = (coefficients.together.get(name, 0.0) for name in sensor)
+    x, y, yaw = (coefficients.together.get(name, 0.0) for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"))
     cosine, sine = np.cos(yaw), np.sin(yaw)
     back = Poses.from_stacked([-cosine * x - sine * y, sine * x - cosine * y, -yaw])
     return back.moved(ends.moved(Poses.from_stacked([x, y, yaw])))

@@ -79,8 +79,7 @@ class Route:
     def cut(self, at_m: ArrayLike) -> Route:
         """Return the same route with a border between two segments at each of these distances along it."""
         wanted, edges, pieces = np.unique(floats(at_m)), self.distance_m(), []
-        rows = zip(self.length_m, self.turn_rad, edges, edges[1:], strict=False)
-        for length, turn, first, last in rows:
+        for length, turn, first, last in zip(self.length_m, self.turn_rad, edges, edges[1:], strict=False):
             inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
             shares = np.diff([first, *inside, last]) / (last - first) if len(inside) else np.ones(1)
             pieces.append(np.outer([length, turn], shares))

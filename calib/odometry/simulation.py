@@ -153,17 +153,9 @@ def run_sweep(
     fine = way.divided(SPACING_M)
     what = f"poses of {len(cases)} vehicles along {way.name}"
     refuse_more(what, len(cases) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
-    reference, poses = fine.poses(), follow(fine, believed, real)
-    return Sweep(
-        route=way,
-        track_m=track_m,
-        cases=tuple(cases),
-        distance_m=fine.distance_m(),
-        reference=reference,
-        poses=poses,
-        errors=pose_errors(poses, reference),
-        corners=follow(way, believed, real),
-    )
+    reference, poses, corners = fine.poses(), follow(fine, believed, real), follow(way, believed, real)
+    errors = pose_errors(poses, reference)
+    return Sweep(way, track_m, tuple(cases), fine.distance_m(), reference, poses, errors, corners)
 
 
 #: end error along the route without and with the load correction, as printed (Sect. 7.3)
@@ -264,8 +256,7 @@ class Simulation(Result):
         """The end of every vehicle's drive as a table; SI units."""
         from pandas import DataFrame
 
-        rows = [{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()]
-        return DataFrame(rows)
+        return DataFrame([{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the simulation as plain values, the points along the routes aside: ``calib simulate --json``."""

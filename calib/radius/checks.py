@@ -157,8 +157,7 @@ def _equal_scatter(runs: _Residuals) -> Check:
     if runs.fit.design == "confounded":
         hold = "the intervals rest on session means and hold"
     finding = f"The scatter changes with load; {hold}, the prediction band is too narrow at one end."
-    sentences = ("The scatter is the same at every load.", finding)
-    return tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
+    return tested("equal_scatter", statistic, "chi2(1)", p_value, ("The scatter is the same at every load.", finding))
 
 
 def _influence(runs: _Residuals) -> Check | None:

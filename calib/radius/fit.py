@@ -89,6 +89,9 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
         wheels[name] = wheel
     static, notes = _static(campaign, reference)
+    stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
+    driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
+    conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
     return replace(
         fit,
         left=wheels["left"],
@@ -96,19 +99,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*notes_for_results(campaign), *fit.notes, *notes),
-        setup=Setup(
-            vehicle=campaign.vehicle,
-            encoder=campaign.encoder,
-            model=campaign.model,
-            rangefinder=campaign.rangefinder,
-            reference=campaign.reference,
-            conditions={
-                name: (float(np.nanmin(column)), float(np.nanmax(column)))
-                for name in CONDITIONS
-                if np.isfinite(column := used.number(name)).any()
-            },
-            assumed=assumed_settings(campaign),
-        ),
+        setup=Setup(*stated, conditions, assumed_settings(campaign)),
     )
 
 

@@ -71,8 +71,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
         "Check the rangefinder's zero, and slip at start and stop; correct distance_m, or drive long runs alone.",
     )
     fails = abs(offset * mean) > float(fit.estimate.half_width((1.0, 0.0)))
-    p_value = p_of_t(statistic, carrying)
-    yield tested("run_length", statistic, f"t({carrying:.3g})", p_value, sentences, fails=fails)
+    yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
 
 
 def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:

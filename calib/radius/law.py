@@ -70,8 +70,7 @@ class WheelLaw:
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
-        offset = floats(load_N) - self.reference_load_N
-        return np.asarray(self.radius_ref_m + self.slope_m_per_N * offset)
+        return np.asarray(self.radius_ref_m + self.slope_m_per_N * (floats(load_N) - self.reference_load_N))
 
     def mean_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
@@ -226,15 +225,13 @@ class LineEstimate:
         """Covariance of the coefficients, shape (2, 2)."""
         return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
 
-    def half_width(
-        self, contrast: ArrayLike, *, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
-    ) -> FloatArray:
+    def half_width(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
-        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more_within`,
-        `more_between`: variances of a further run and session, for a prediction.
+        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more`: ``more_within``
+        and ``more_between``, variances of a further run and session, for a prediction.
         """
-        total, share = self._variance(contrast, more_within, more_between)
+        total, share = self._variance(contrast, **more)
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
         if not len(self.systematic):
             return random
@@ -260,8 +257,7 @@ class LineEstimate:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
         total, share = self._variance(contrast, **more)
         if len(self.systematic):
-            each = floats(contrast) @ self.systematic.T
-            std = np.sqrt(total + np.sum(each**2, axis=-1))
+            std = np.sqrt(total + np.sum((floats(contrast) @ self.systematic.T) ** 2, axis=-1))
             return equivalent_dof(self.half_width(contrast, **more) / np.where(std > 0, std, 1.0))
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within))
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))

@@ -105,26 +105,16 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     ends = (runs.number(name) for name in ("ref_x_m", "ref_y_m"))
     # an arc is longer than its chord by a 24th of the squared turn, than its way along the start heading by a 6th
     ahead = campaign.reference.frame != "map" and looks_ahead(distance, *ends)
-    arcs = arc_excess(2.0 * arc if ahead else arc, 1.0, 0.0)
-    centre = (1 + centre) * (1 + arcs.centre) - 1
+    centre = (1 + centre) * (1 + arc_excess(2.0 * arc if ahead else arc, 1.0, 0.0).centre) - 1
     yaw = yaw + arc
     yaw_std = np.where(used, campaign.reference.sigma_theta_rad * np.sqrt(reliability), yaw_std)
     half = 0.5 * track * yaw / np.where(distance > 0, distance, np.nan)
     source = np.where(logged, "log", np.where(listed, "columns", "none")).astype("<U16")
     source = np.where(used, np.char.add(source, "+heading"), source)
-    return RunPaths(
-        centre=centre,
-        left=centre - half,
-        right=centre + half,
-        yaw_rad=yaw,
-        yaw_std_rad=yaw_std,
-        centre_std=centre_std,
-        amplitude_m=np.where(logged, weaves.amplitude_m, amplitude),
-        wavelength_m=np.where(logged, weaves.wavelength_m, wavelength),
-        phase_rad=weaves.phase_rad,
-        source=source,
-        notes=tuple(_notes(logged, listed, used)),
-    )
+    amplitude = np.where(logged, weaves.amplitude_m, amplitude)
+    wavelength = np.where(logged, weaves.wavelength_m, wavelength)
+    weave, notes = (amplitude, wavelength, weaves.phase_rad), tuple(_notes(logged, listed, used))
+    return RunPaths(centre, centre - half, centre + half, yaw, yaw_std, centre_std, *weave, source, notes)
 
 
 def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
@@ -201,8 +191,7 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
     `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's
     error is taken out with the trend.
     """
-    n_runs = len(logs.lengths)
-    out = np.full((7, n_runs), np.nan)
+    out = np.full((7, len(logs.lengths)), np.nan)
     if "counts_left" in logs.columns and "counts_right" in logs.columns:
         usable = np.flatnonzero(logs.lengths >= MIN_SAMPLES)
         for first in range(0, len(usable), RUN_CHUNK):
