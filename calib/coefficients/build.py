@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -73,19 +74,15 @@ def from_fit(
         raise ImplausibleError(fit.name, fit.implausible)
     hashes = fit.provenance.get("inputs", {}) if inputs is None else inputs
     if fit.setup is None or not isinstance(hashes, Mapping):
-        raise BadInputError(
-            f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign; "
-            "make it anew with 'calib fit CAMPAIGN --into FOLDER'"
-        )
+        found = f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign"
+        raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'")
     try:
         header = Header(fit.name, fit.simulated, outside, created, hashes)
         loads = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
         file = from_law(fit.law, fit.setup.vehicle, fit.setup.encoder, header, load_table=loads)
     except (TypeError, OverflowError) as error:
-        raise BadInputError(
-            f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit; make it anew "
-            "with 'calib fit CAMPAIGN --into FOLDER'"
-        ) from error
+        found = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
+        raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error
     return file.accepted(fit.accepted, fit.implausible)
 
 
@@ -100,10 +97,8 @@ def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tu
     keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
     if len(keys) > LOAD_TABLE_LINES:
         return {}
-    means = [pairs[group.ravel() == point].mean(axis=0) for point in range(len(keys))]
-    return {
-        f"L{key[0]:.0f} R{key[1]:.0f}": (float(mean[0]), float(mean[1])) for key, mean in zip(keys, means, strict=True)
-    }
+    means = (pairs[group.ravel() == point].mean(axis=0).tolist() for point in range(len(keys)))
+    return {f"L{left:.0f} R{right:.0f}": tuple(mean) for (left, right), mean in zip(keys, means, strict=True)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,28 +220,21 @@ def from_geometry(
 
 
 def _section(geometry: Geometry) -> GeometrySection:
-    names = [estimate.name for estimate in geometry.estimates]
-
-    def product(first: str, second: str) -> str:
-        one, other = _unit(first), _unit(second)
-        return f"({one})^2" if one == other else f"({one})({other})"
-
+    suffixes = sorted(UNITS, key=len)
+    units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in geometry.values}
+    entries = []
+    for row, column in combinations_with_replacement(range(len(geometry.estimates)), 2):
+        first, second = geometry.estimates[row].name, geometry.estimates[column].name
+        one, other = units[first], units[second]
+        unit = f"({one})^2" if one == other else f"({one})({other})"
+        covariance = Quantity.of(value=float(geometry.covariance[row, column]), unit=unit)
+        entries.append(sections.CovarianceEntry.of(first=first, second=second, covariance=covariance))
     return GeometrySection.of(
         drive=geometry.drive,
         source=geometry.source,
-        parameters={name: Quantity.of(value=value, unit=_unit(name)) for name, value in geometry.values.items()},
-        covariance=[
-            sections.CovarianceEntry.of(
-                first=first, second=second, covariance=Quantity.of(value=float(value), unit=product(first, second))
-            )
-            for row, first in enumerate(names)
-            for second, value in zip(names[row:], geometry.covariance[row, row:], strict=True)
-        ],
+        parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in geometry.values.items()},
+        covariance=entries,
     )
-
-
-def _unit(name: str) -> str:
-    return UNITS[max((suffix for suffix in UNITS if name.endswith(suffix)), key=len)]
 
 
 def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
@@ -278,8 +266,7 @@ def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
 def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float, Sequence[str]]:
     name, factor = ("half_length_plus_half_width_m", 2.0) if geometry.source == "wheels" else ("track_m", 1.0)
     track = factor * geometry.values.get(name, campaign.vehicle.track_m)
-    determined = any(estimate.name == name for estimate in geometry.estimates)
-    if determined:
+    if any(estimate.name == name for estimate in geometry.estimates):
         return track, factor * geometry[name].std, ()
     return track, NOMINAL_STD * track, ("vehicle.track_std",)
 
@@ -363,24 +350,19 @@ def export(
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
     if to != "ros2" and (chosen.controllers or chosen.open_loop or not chosen.position_feedback):
-        raise BadInputError(
-            f"controllers, position feedback and open loop: found a choice of them for {to!r}; expected 'ros2', which "
-            "alone has them; leave them out"
-        )
+        found = f"controllers, position feedback and open loop: found a choice of them for {to!r}"
+        raise BadInputError(f"{found}; expected 'ros2', which alone has them; leave them out")
     formats.refuse_loads(loads or chosen.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes(), assumed_note(file)),)
     if (chosen.model is not None or chosen.left or chosen.right) and to not in formats.PATCHING:
-        raise BadInputError(
-            f"--into, --left, --right: found them with {to!r}; expected mjcf, urdf or sdf; leave them out"
-        )
+        found = f"--into, --left, --right: found them with {to!r}"
+        raise BadInputError(f"{found}; expected mjcf, urdf or sdf; leave them out")
     together = file.joint_geometry
     if to in formats.AXLE_ONLY and together is not None and together.source != "rear":
         wheels = SOURCE_NAMES[together.source]
-        raise RefusedError(
-            f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has; "
-            "export to ros2 or json"
-        )
+        found = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
+        raise RefusedError(f"{found}; export to ros2 or json")
     chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
     module, _, function = formats.FORMATS[to].partition(".")
     render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)

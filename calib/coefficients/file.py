@@ -65,17 +65,12 @@ class CoefficientFile(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        bits = self.encoder.wrap_bits
-        if bits is not None:
-            for wheel, per_rev in (
-                (self.wheels.left, self.encoder.counts_per_rev_left),
-                (self.wheels.right, self.encoder.counts_per_rev_right),
-            ):
-                half = 2.0 ** (bits.value - 1.0) / per_rev.value * 2.0 * math.pi * wheel.radius_ref.value
-                if self.limits.max_step.value >= 0.9 * half:
-                    raise ValueError(
-                        f"limits.max_step: half a wrap of the counter is {half:.3g} m, a step must be less"
-                    )
+        bits = math.inf if self.encoder.wrap_bits is None else self.encoder.wrap_bits.value
+        for side, wheel in self.wheels:
+            per_rev = getattr(self.encoder, f"counts_per_rev_{side}").value
+            half = 2.0 ** (bits - 1.0) / per_rev * 2.0 * math.pi * wheel.radius_ref.value
+            if self.limits.max_step.value >= 0.9 * half:
+                raise ValueError(f"limits.max_step: half a wrap of the counter is {half:.3g} m, a step must be less")
         if self.created is not None:
             date.fromisoformat(self.created)
         names = [point.name for point in self.load_table]
@@ -151,10 +146,9 @@ class CoefficientFile(Section):
         Raises RefusedError where a load lies outside of it and the file says ``refuse``; BadInputError where it is not
         finite.
         """
-        return (
-            _radius(self.wheels.left, load_left_N, self.outside, "left"),
-            _radius(self.wheels.right, load_right_N, self.outside, "right"),
-        )
+        left, right = self.wheels.left, self.wheels.right
+        outside = self.outside
+        return _radius(left, load_left_N, outside, "left"), _radius(right, load_right_N, outside, "right")
 
 
 def load_coefficients(path: Path | str) -> CoefficientFile:
@@ -180,13 +174,9 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
     if computed != file.checksum:
-        raise BadFileError(
-            path,
-            column="checksum",
-            found=f"content of {computed[:19]}",
-            expected=f"{file.checksum[:19]} as written in the file",
-            remedy="the file was altered or damaged: export it again",
-        )
+        found, expected = f"content of {computed[:19]}", f"{file.checksum[:19]} as written in the file"
+        remedy = "the file was altered or damaged: export it again"
+        raise BadFileError(path, found, expected, remedy, column="checksum")
     # the checksum covers the file as it is written, with or without optional sections
     written = checksum(file.to_dict())
     return file if written == computed else file.model_copy(update={"checksum": written})
@@ -200,28 +190,21 @@ def sealed(**parts: Any) -> CoefficientFile:
 
 def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryModel:
     """Return the odometry's model of a coefficient file, centred on a load; with its steering or four wheels."""
-    law, values, together = file.law, file.together, file.joint_geometry
+    law, values = file.law, file.together
     front = mecanum = None
-    if together is not None and together.source in STEERED:
-        from calib.kinematics.drives import STEERING_SCALE
-        from calib.kinematics.model import SIDE_SLIP, UNDERSTEER
+    source = "rear" if file.joint_geometry is None else file.joint_geometry.source
+    if source in STEERED:
+        from calib.kinematics import drives
 
-        radius = "front_radius_m" if together.source == "front" else "rear_radius_m"
-        names = (radius, "wheelbase_m", "steering_zero_rad", STEERING_SCALE)
-        slips = (values.get(name, 0.0) for name in (UNDERSTEER, SIDE_SLIP))
+        radius = "front_radius_m" if source == "front" else "rear_radius_m"
+        names = (radius, "wheelbase_m", drives.STEERING_ZERO, drives.STEERING_SCALE)
+        slips = (values.get(name, 0.0) for name in (drives.UNDERSTEER, drives.SIDE_SLIP))
         front = FrontModel(*(values[name] for name in names), *slips)
-    if together is not None and together.source == "wheels":
+    if source == "wheels":
         mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])
-    return OdometryModel(
-        radius_left_m=float(law.left.radius_m(reference_load_N)),
-        radius_right_m=float(law.right.radius_m(reference_load_N)),
-        track_m=file.geometry.track_m,
-        reference_load_N=reference_load_N,
-        slope_left_m_per_N=law.left.slope_m_per_N,
-        slope_right_m_per_N=law.right.slope_m_per_N,
-        front=front,
-        mecanum=mecanum,
-    )
+    left_m, right_m = (float(wheel.radius_m(reference_load_N)) for wheel in (law.left, law.right))
+    slopes = law.left.slope_m_per_N, law.right.slope_m_per_N
+    return OdometryModel(left_m, right_m, file.geometry.track_m, reference_load_N, *slopes, front, mecanum)
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:

@@ -163,6 +163,5 @@ def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:
         return section.model_validate(fields)
     except ValidationError as error:
         where, found, expected = first_fault(error)
-        raise BadInputError(
-            f"{where or 'the coefficients'}: found {found}; expected {expected}; these make no coefficient file"
-        ) from error
+        found = f"{where or 'the coefficients'}: found {found}"
+        raise BadInputError(f"{found}; expected {expected}; these make no coefficient file") from error

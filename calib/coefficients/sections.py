@@ -8,27 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calib.campaign.settings import OdometrySource
-from calib.coefficients.quantities import (
-    Bits,
-    CountsPerRev,
-    CountStd,
-    Force,
-    GravityAcceleration,
-    HeadingPerRootMetre,
-    Length,
-    LengthPerForce,
-    LengthPerRootMetre,
-    LengthSquared,
-    LengthSquaredPerForce,
-    LengthSquaredPerForceSquared,
-    Mass,
-    Measured,
-    NonNegativeLength,
-    Number,
-    PositiveLength,
-    Section,
-    Time,
-)
+from calib.coefficients import quantities
+from calib.coefficients.quantities import Force, Length, Measured, Number, PositiveLength, Section
 from calib.radius.law import LineEstimate, WheelLaw
 from calib.types import FloatArray
 from calib.vehicle import Drive
@@ -60,18 +41,18 @@ class LoadRange(Section):
 class StratumSection(Section):
     """A part of a law's covariance with its own degrees of freedom, and the standard deviation behind it."""
 
-    variance_radius_ref: LengthSquared
-    covariance_radius_ref_slope: LengthSquaredPerForce
-    variance_slope: LengthSquaredPerForceSquared
+    variance_radius_ref: quantities.LengthSquared
+    covariance_radius_ref_slope: quantities.LengthSquaredPerForce
+    variance_slope: quantities.LengthSquaredPerForceSquared
     dof: Number
-    scatter: NonNegativeLength
+    scatter: quantities.NonNegativeLength
 
 
 class SystematicSection(Section):
     """What one standard uncertainty of a source that is the same in every run changes; dof null: infinite."""
 
     radius_ref: Length
-    slope: LengthPerForce
+    slope: quantities.LengthPerForce
     dof: Number | None = None
 
 
@@ -104,20 +85,19 @@ class StrataSection(Section):
     def estimate(self, radius_m: float, slope_m_per_N: float) -> LineEstimate:
         """Return the estimate that they are parts of."""
         within, between = self.within, self.between
+        rows = [(one.radius_ref.value, one.slope.value) for one in self.systematic]
         return LineEstimate(
-            np.array([radius_m, slope_m_per_N]),
-            within.dof.value,
-            between.dof.value,
-            within.scatter.value**2,
-            between.scatter.value**2,
-            _matrix(within),
-            _matrix(between),
-            None,
+            coefficients=np.array([radius_m, slope_m_per_N]),
+            dof_within=within.dof.value,
+            dof_between=between.dof.value,
+            run_variance=within.scatter.value**2,
+            session_variance=between.scatter.value**2,
+            cov_within=_matrix(within),
+            cov_between=_matrix(between),
+            session_f=None,
             hc3=False,
             design="",
-            systematic=np.array([list(one.si("radius_ref", "slope").values()) for one in self.systematic]).reshape(
-                -1, 2
-            ),
+            systematic=np.array(rows).reshape(-1, 2),
             systematic_dof=np.array([np.inf if one.dof is None else one.dof.value for one in self.systematic]),
         )
 
@@ -125,7 +105,7 @@ class StrataSection(Section):
 def variances(covariance: FloatArray) -> dict[str, float]:
     """Return the fields of a covariance of radius and slope, shape (2, 2)."""
     names = ("variance_radius_ref", "covariance_radius_ref_slope", "variance_slope")
-    return dict(zip(names, (covariance[0, 0], covariance[0, 1], covariance[1, 1]), strict=True))
+    return dict(zip(names, covariance[np.triu_indices(2)], strict=True))
 
 
 def _matrix(of: StratumSection | WheelSection) -> FloatArray:
@@ -142,13 +122,13 @@ class WheelSection(Section):
     """
 
     radius_ref: PositiveLength
-    slope: LengthPerForce
+    slope: quantities.LengthPerForce
     reference_load: Force
-    variance_radius_ref: LengthSquared
-    covariance_radius_ref_slope: LengthSquaredPerForce
-    variance_slope: LengthSquaredPerForceSquared
+    variance_radius_ref: quantities.LengthSquared
+    covariance_radius_ref_slope: quantities.LengthSquaredPerForce
+    variance_slope: quantities.LengthSquaredPerForceSquared
     dof: Number
-    residual_std: NonNegativeLength
+    residual_std: quantities.NonNegativeLength
     n_runs: Number
     valid_load: LoadRange
     strata: StrataSection | None = None
@@ -163,12 +143,11 @@ class WheelSection(Section):
         for load in (self.valid_load.min.value, self.valid_load.max.value):
             if self.radius_ref.value + self.slope.value * (load - self.reference_load.value) <= 0.0:
                 raise ValueError(f"the radius is not above zero at the valid load {load:g} N")
-        strata = self.law.strata
-        if strata is not None and not np.allclose(strata.covariance, _matrix(self), rtol=1e-6, atol=0.0):
-            raise ValueError("strata that add up to the covariance")
-        parts = () if self.strata is None else (self.strata.within, self.strata.between)
-        if parts and not np.isclose(sum(p.scatter.value**2 for p in parts), self.residual_std.value**2, rtol=1e-6):
-            raise ValueError("strata whose scatters add up to residual_std in squares")
+        if (strata := self.law.strata) is not None:
+            if not np.allclose(strata.covariance, _matrix(self), rtol=1e-6, atol=0.0):
+                raise ValueError("strata that add up to the covariance")
+            if not np.isclose(strata.run_variance + strata.session_variance, self.residual_std.value**2, rtol=1e-6):
+                raise ValueError("strata whose scatters add up to residual_std in squares")
         return self
 
     @property
@@ -198,15 +177,15 @@ class VehicleSection(Section):
     """
 
     track: PositiveLength
-    track_std: NonNegativeLength
+    track_std: quantities.NonNegativeLength
     wheelbase: PositiveLength
     wheel_radius: PositiveLength
-    mass: Mass
+    mass: quantities.Mass
     cog_x: Length
     cog_y: Length
     cog_z: Length
     max_wheel_load: Force
-    gravity: GravityAcceleration
+    gravity: quantities.GravityAcceleration
     drive: Drive = "tricycle"
     front_wheel_radius: PositiveLength | None = None
 
@@ -214,24 +193,24 @@ class VehicleSection(Section):
 class EncoderSection(Section):
     """Rear-wheel encoders; wrap_bits is null where the counter does not wrap."""
 
-    counts_per_rev_left: CountsPerRev
-    counts_per_rev_right: CountsPerRev
-    wrap_bits: Bits | None = None
+    counts_per_rev_left: quantities.CountsPerRev
+    counts_per_rev_right: quantities.CountsPerRev
+    wrap_bits: quantities.Bits | None = None
 
 
 class NoiseSection(Section):
     """Random part of the pose's covariance: random walk per square root of metre, and one encoder reading."""
 
-    along: LengthPerRootMetre
-    heading: HeadingPerRootMetre
-    count_std: CountStd
+    along: quantities.LengthPerRootMetre
+    heading: quantities.HeadingPerRootMetre
+    count_std: quantities.CountStd
 
 
 class LimitsSection(Section):
     """Faults for the runtime: a longer travel, or a longer gap, between two samples."""
 
     max_step: PositiveLength
-    max_gap: Time
+    max_gap: quantities.Time
 
 
 class LoadPoint(Section):

@@ -20,7 +20,6 @@ from calib.radius.sessions import LARGEST, MIN_DOF, PRECISION, WIDENED_BELOW, St
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
-COVERAGE: Final = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +130,7 @@ def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
         return None
     estimate, autocorrelation = widened(estimate, sums)
     radius, slope = (nominal_m + float(estimate.coefficients[0]), float(estimate.coefficients[1]))
-    half_radius, half_slope = map(float, estimate.half_width(np.eye(2), COVERAGE))
+    half_radius, half_slope = map(float, estimate.half_width(np.eye(2)))
     ends = ((radius - half_radius, radius + half_radius), (slope - half_slope, slope + half_slope))
     run_std, drift = float(np.sqrt(estimate.run_variance)), _drift(sums.runs, slope)
     std = np.sqrt(np.diag(estimate.covariance)).tolist()

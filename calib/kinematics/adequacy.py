@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
 from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import solve
-from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
 from calib.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: a residual of so many times the noise is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
@@ -105,9 +102,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
     """
     found = residuals
-    before, after, held_out, noise = (
-        f"{1e3 * value:.3g} {unit}" for value in (found.before, found.after, found.held_out, found.expected)
-    )
+    sizes = (found.before, found.after, found.held_out, found.expected)
+    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" for value in sizes)
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
@@ -172,8 +168,7 @@ def judged(
     faults, outliers
         Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
     """
-    used = _used(whole, outliers)
-    seen = whole.segments.seen
+    used, seen = _used(whole, outliers), whole.segments.seen
     after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
     logged = replace(whole, recording=fitted.logged)
     before = np.where(seen, logged.predict(fitted.parameters.nominal).residuals, 0.0)
@@ -186,40 +181,28 @@ def judged(
     within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
-        at = used & seen[:, columns].any(axis=1)
+        at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
         scatter = _scatter(after[:, columns], in_session, at) or _scatter(after[:, columns], replicates, at)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
-        total = rms(travelled[at, None])
-        left = within[columns.start // 2]
         # scatter over sessions that differ is no noise
         noise = min(scatter or usual, left)
-        return Residuals(sizes[0], sizes[1], sizes[2], noise, total, usual, left, rms(by_zero[at, columns]))
+        more = rms(travelled[at, None]), usual, left, rms(by_zero[at, columns])
+        return Residuals(sizes[0], sizes[1], sizes[2], noise, *more)
 
-    reference = campaign.reference
-    turned = float(np.mean(rotation_rad[used]) + np.mean(way_m[used]))
-    position = of(slice(0, 2), way_m, float(np.hypot(np.sqrt(2.0) * reference.sigma_xy_m, USUAL_DRIFT * way_m.mean())))
-    heading = of(
-        slice(2, 3),
-        np.maximum(rotation_rad, LEAST_ROTATION_RAD),
-        float(np.hypot(np.sqrt(2.0) * reference.sigma_theta_rad, USUAL_DRIFT * turned)),
-    )
+    rotated_rad = np.maximum(rotation_rad, LEAST_ROTATION_RAD)
+    turned = np.mean(rotation_rad[used]) + np.mean(way_m[used])
+    usual_m = math.hypot(math.sqrt(2.0) * campaign.reference.sigma_xy_m, USUAL_DRIFT * way_m.mean())
+    usual_rad = math.hypot(math.sqrt(2.0) * campaign.reference.sigma_theta_rad, USUAL_DRIFT * turned)
+    position, heading = of(slice(0, 2), way_m, usual_m), of(slice(2, 3), rotated_rad, usual_rad)
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
     # a factor that is recognised says by itself that the length is off
     explained = {fault.code for fault in faults} & {"half_track", "radius_factor"}
     impossible = [] if explained else implausible_lengths(fitted, campaign.vehicle.drive)
-    large = (np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m) | (
-        np.abs(after[:, 2]) > SMALL_SHARE * np.maximum(rotation_rad, LEAST_ROTATION_RAD)
-    )
+    large = np.hypot(*after[:, :2].T) > SMALL_SHARE * way_m
+    large |= np.abs(after[:, 2]) > SMALL_SHARE * rotated_rad
     named = tuple(fault for fault in faults if fault.seen or WRONG not in (level, level_of_heading))
-    extra = (
-        *impossible,
-        *_at_odds(whole, outliers, large),
-        *_sideways(position, heading),
-        *_copied(position),
-        *_lengths_alone(fitted),
-        *_zeros_apart(fitted, heading),
-    )
+    extra = (*impossible, *_further(fitted, whole, outliers, large, position, heading))
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     why = (*(fault.text for fault in named), *extra, *reasons, *more)
     return Judgement(max(verdicts, key=list(GeometryVerdict).index), position, heading, why, named)
@@ -233,13 +216,10 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
     segments, recording = whole.segments, whole.recording
     bad: BoolArray = np.isin(recording.run_id, list(outliers))
     used: BoolArray = ~bad[segments.run]
-    kinds = recording.kind[bad]
+    kinds, runs = recording.kind[bad], np.unique(segments.run)
     alone = all((recording.kind == kind).sum() > (kinds == kind).sum() or not kind for kind in set(kinds.tolist()))
-    runs = np.unique(segments.run)
     few = bad[runs].sum() <= max(1.0, FEW_OUTLIERS * len(runs))
-    if not few or not alone or used.sum() < 2:
-        return np.ones(len(segments), dtype=np.bool_)
-    return used
+    return used if few and alone and used.sum() >= 2 else np.ones_like(used)
 
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -255,22 +235,17 @@ def rms(residuals: FloatArray) -> float:
 
 
 def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | None:
-    squares = dof = 0.0
-    for number in np.unique(group[used]):
-        members = after[used & (group == number)]
-        squares += float(np.square(members - members.mean(axis=0)).sum())
-        dof += len(members) - 1
+    members = [after[used & (group == number)] for number in np.unique(group[used])]
+    squares, dof = sum(len(part) * part.var(axis=0).sum() for part in members), used.sum() - len(members)
     return float(np.sqrt(squares / dof)) if dof >= REPLICATE_DOF else None
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
     """Return a number for each segment, the same for replicates by their wheels."""
-    measured = whole.segments.measured
-    told = measured - whole.predict(nominal_values(whole.drive)).residuals
+    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
     group = np.full(len(path), -1, dtype=np.int64)
-    for at in range(len(path)):
-        if group[at] >= 0:
-            continue
+    while (group < 0).any():
+        at = int(np.argmin(group))
         near = np.abs(path - path[at]) < REPLICATE_SHARE * path[at]
         near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * path[at]
         near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
@@ -294,26 +269,12 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
     for number in range(FOLDS):
         rest: Segments = model.segments.select(of_fit != number)
         away = of_whole == number
-        if not len(rest) or not away.any():
-            continue
-        # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
-        seen = Model(model.drive, model.recording, rest)
-        fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
-        residuals[away] = logged.predict(fit.values).residuals[away]
+        if len(rest) and away.any():
+            # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
+            seen = Model(model.drive, model.recording, rest)
+            fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
+            residuals[away] = logged.predict(fit.values).residuals[away]
     return residuals
-
-
-def _sideways(position: Residuals, heading: Residuals) -> list[str]:
-    if not heading.before:
-        return []
-    rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
-    if position.after <= LACK_OF_FIT * rolled:
-        return []
-    return [
-        f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
-        f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
-        "reference's positions are wrong"
-    ]
 
 
 def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
@@ -326,28 +287,6 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     return np.asarray(logged.predict(values).residuals - common)
 
 
-def _zeros_apart(fitted: Fitted, heading: Residuals) -> list[str]:
-    if not fitted.zero_spread_rad or heading.between <= SMALL_SHARE * heading.travelled:
-        return []
-    spread = f"{1e3 * fitted.zero_spread_rad:.2g} mrad"
-    what = "sessions" if len(np.unique(fitted.logged.session)) > 1 else "recordings"
-    return [
-        f"{STEERING_ZERO} differs between {what} by {spread} (standard deviation), beyond chance: the steering has "
-        f"play, or does not follow its command; a further recording ends off by {heading.between:.2g} rad; log "
-        "the angle of the wheels, or calibrate the zero before each drive"
-    ]
-
-
-def _copied(position: Residuals) -> list[str]:
-    """Return a sentence where the reference is the nominal odometry: no instrument agrees that well."""
-    if not 0.0 < position.before < COPIED_SHARE * position.travelled:
-        return []
-    return [
-        f"position: the reference agrees with the nominal odometry within {1e6 * position.before:.2g} um: it was "
-        "computed from the counts; give poses of an instrument of its own"
-    ]
-
-
 #: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side
 LENGTHS_ALONE: Final = (
     "lengths of straight runs alone: they do not tell the wheels apart, nor the track, and neither radius holds by "
@@ -356,18 +295,37 @@ LENGTHS_ALONE: Final = (
 )
 
 
-def _lengths_alone(fitted: Fitted) -> list[str]:
-    radii = {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names)
-    return [LENGTHS_ALONE] if radii and fitted.model.recording.lengths_alone else []
-
-
-def _at_odds(whole: Model, outliers: Sequence[str], large: BoolArray) -> list[str]:
-    """Return a sentence where the outliers are too many for single bad runs.
+def _further(
+    fitted: Fitted, whole: Model, outliers: Sequence[str], large: BoolArray, position: Residuals, heading: Residuals
+) -> Iterator[str]:
+    """Yield what makes a result doubtful beside its residuals.
 
     `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
     """
     n_runs = len(np.unique(whole.segments.run))
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
-    if n_off <= MANY_OUTLIERS * n_runs:
-        return []
-    return [f"{n_off} of {n_runs} runs are outliers: look at their references, times and counts"]
+    if n_off > MANY_OUTLIERS * n_runs:
+        # too many for single bad runs
+        yield f"{n_off} of {n_runs} runs are outliers: look at their references, times and counts"
+    rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
+    if heading.before and position.after > LACK_OF_FIT * rolled:
+        yield (
+            f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
+            f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
+            "reference's positions are wrong"
+        )
+    if 0.0 < position.before < COPIED_SHARE * position.travelled:
+        # no instrument agrees that well
+        yield (
+            f"position: the reference agrees with the nominal odometry within {1e6 * position.before:.2g} um: it was "
+            "computed from the counts; give poses of an instrument of its own"
+        )
+    if whole.recording.lengths_alone and {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names):
+        yield LENGTHS_ALONE
+    if fitted.zero_spread_rad and heading.between > SMALL_SHARE * heading.travelled:
+        what = "sessions" if len(np.unique(fitted.logged.session)) > 1 else "recordings"
+        yield (
+            f"{STEERING_ZERO} differs between {what} by {1e3 * fitted.zero_spread_rad:.2g} mrad (standard deviation), "
+            "beyond chance: the steering has play, or does not follow its command; a further recording ends off by "
+            f"{heading.between:.2g} rad; log the angle of the wheels, or calibrate the zero before each drive"
+        )

@@ -7,12 +7,13 @@ subtract, so that the mean end position errors of both senses give them apart.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
@@ -29,9 +30,6 @@ from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-
 
 def route_table(
     recording: Recording, segments: Segments, before: FloatArray, after: FloatArray
@@ -44,12 +42,11 @@ def route_table(
     if (kind == "").all():
         turn = segments.measured[:, 2]
         kind = np.where(turn > 1.0, "turns left", np.where(turn < -1.0, "turns right", "hardly turns"))
-    rows = []
-    for name in np.unique(kind):
-        part = kind == name
-        sizes = (Channels.rms(before[part]), Channels.rms(after[part]))
-        rows.append(RouteResidual(str(name), int(part.sum()), *sizes, Channels(*after[part].mean(axis=0).tolist())))
-    return tuple(rows)
+    parts = {str(name): (before[kind == name], after[kind == name]) for name in np.unique(kind)}
+    return tuple(
+        RouteResidual(name, len(new), Channels.rms(old), Channels.rms(new), Channels(*new.mean(axis=0).tolist()))
+        for name, (old, new) in parts.items()
+    )
 
 
 def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
@@ -57,15 +54,12 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
 
     `kinds`: labels in its column ``kind``. Raises BadInputError where no run has such a label.
     """
-    wanted = set(kinds)
+    wanted, kind = set(kinds), campaign.runs.label("kind")
     if not wanted:
         return campaign
-    kind = campaign.runs.label("kind")
-    missing = wanted - set(kind)
-    if missing:
-        raise BadInputError(
-            f"kinds: found {', '.join(sorted(missing))}; expected some of {', '.join(sorted(set(kind)))}; correct them"
-        )
+    if missing := wanted - set(kind):
+        found = f"kinds: found {', '.join(sorted(missing))}"
+        raise BadInputError(f"{found}; expected some of {', '.join(sorted(set(kind)))}; correct them")
     return campaign.select(np.isin(kind, sorted(wanted)))
 
 
@@ -80,8 +74,8 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
-    nominal_of, value_of = ({e.name: getattr(e, kind) for e in estimates} for kind in ("nominal", "value"))
-    faults = (*faults, *factor_faults(nominal_of, value_of, campaign.vehicle.drive, model.recording.speeds))
+    ratios = {e.name: e.value / e.nominal for e in estimates if e.nominal}
+    faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
     if source == "rear":
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
     whole = _whole(model)
@@ -105,7 +99,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         covariance=covariance,
         # where one radius stands for two, directions of the free parameters say nothing of both
         freedom=None if isinstance(model.drive, MeanHeld) else fitted.uncertainty.freedom,
-        undetermined=_undetermined(fitted),
+        undetermined=fitted.undetermined,
         held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
@@ -115,7 +109,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=_notes(fitted, campaign.vehicle.drive),
+        notes=tuple(_notes(fitted, campaign.vehicle.drive)),
         inputs=campaign.hashes,
         judgement=judgement,
     )
@@ -126,8 +120,7 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     index = np.flatnonzero(parameters.free)
     names = [parameters.names[at] for at in index]
     nominal, values = parameters.nominal[index], fitted.solution.values[index]
-    covariance, dof = uncertainty.covariance, uncertainty.dof
-    free = dof
+    covariance, dof, free = uncertainty.covariance, uncertainty.dof, uncertainty.dof
     drive = fitted.model.drive
     if isinstance(drive, MeanHeld) and names[0] == "radius_left_m":
         spread = np.insert(np.eye(len(names)), 1, -np.eye(len(names))[0], axis=0)
@@ -150,10 +143,6 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     return tuple(map(Estimate.of, names, *columns)), np.asarray(covariance)
 
 
-def _undetermined(fitted: Fitted) -> tuple[str, ...]:
-    return (*fitted.dropped, *(("mean_radius_m",) if isinstance(fitted.model.drive, MeanHeld) else ()))
-
-
 def _gyro_alone(fitted: Fitted) -> bool:
     return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.dropped
 
@@ -163,10 +152,10 @@ def _whole(model: Model) -> Model:
 
     The end of one long recording shows little but the heading noise gathered by then.
     """
-    many = int(np.isfinite(model.recording.end_pose[:, :2]).all(axis=1).sum()) >= ENOUGH_RUNS
-    if many or model.segments.are_runs_of(model.recording):
-        return Model(model.drive, model.recording, end_pose_segments(model.recording))
-    return Model(model.drive, model.recording, model.segments.select(model.segments.level == 0))
+    known = np.isfinite(model.recording.end_pose[:, :2]).all(axis=1)
+    if known.sum() >= ENOUGH_RUNS or model.segments.are_runs_of(model.recording):
+        return replace(model, segments=end_pose_segments(model.recording))
+    return replace(model, segments=model.segments.select(model.segments.level == 0))
 
 
 def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
@@ -178,42 +167,39 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: Fitted, kind: str) -> tuple[str, ...]:
+def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
-    notes = []
     if name in {"session", "route"}:
-        notes.append(
+        yield (
             f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
         )
     if isinstance(fitted.model.drive, MeanHeld):
         positions = fitted.model.segments.seen[:, :2].any()
         what = "These paths close, or nearly so, at any scale" if positions else "Headings alone hold at any scale"
-        notes.append(
+        yield (
             f"{what}: the mean radius is not determined and was held at its "
             f"nominal value within {100 * NOMINAL_STD:g} %. The ratio of the radii and the track over the mean radius "
             "are determined; a straight run of known length would determine the scale."
         )
     if kind == "skid" and "track_m" in fitted.parameters.free_names:
-        notes.append("The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load.")
+        yield "The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load."
     if _gyro_alone(fitted):
-        notes.append(
+        yield (
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
             "interval of the track. A closed loop, or a turn of known angle, tells the two apart."
         )
     ends, radii = recording.offsets[1:] - 1, [row.nominal for row in fitted.parameters.items if "radius" in row.name]
     took_s = float(recording.t_s[ends].sum())
     if (mps := float(recording.travel_rad[ends].sum()) * radii[0] / max(took_s, 1e-9)) < SLOWEST_MPS:
-        notes.append(
+        yield (
             f"Times (t_s) make {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: ms, "
             "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
     if not fitted.solution.converged:
-        notes.append("The search did not settle exactly; the values are good to a small part of their sd.")
+        yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:
-        first = recording.left_out[0]
-        notes.append(f"Held out: {len(recording.left_out)} runs; the first, {first[0]}: {first[1]}.")
-    return tuple(notes)
+        yield f"Held out: {len(recording.left_out)} runs; the first, {': '.join(recording.left_out[0])}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,15 +233,14 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
     if scales is None:
-        scales = first_scales(campaign.reference)
-        sigma = campaign.runs.number(GYRO_SIGMA)
+        scales, sigma = first_scales(campaign.reference), campaign.runs.number(GYRO_SIGMA)
         if np.isfinite(sigma).any():
             scales[1] = np.nanmedian(sigma) ** 2
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
     drive, segments = drive_of(campaign, source, recording), end_pose_segments(recording)
     fitted = fit_parameters(campaign, drive, recording, segments, sensor=False, known=scales)
-    return Promise(_estimates(fitted)[0], _undetermined(fitted), scales)
+    return Promise(_estimates(fitted)[0], fitted.undetermined, scales)
 
 
 #: how far a piece of the way may point from its side's direction
@@ -272,11 +257,10 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
 
     A square starts along a side, and its way points along four directions at right angles for nearly all its length.
     """
-    pose = prediction.path.pose
     side, left = np.full(len(segments), np.nan), np.zeros(len(segments), dtype=np.bool_)
     for at, (first, last) in enumerate(zip(segments.first, segments.last, strict=True)):
-        theta = pose[2, first : last + 1] - pose[2, first]
-        step = np.hypot(np.diff(pose[0, first : last + 1]), np.diff(pose[1, first : last + 1]))
+        x, y, theta = prediction.path.pose[:, first : last + 1]
+        theta, step = theta - theta[0], np.hypot(np.diff(x), np.diff(y))
         turn = float(theta[-1])
         if not 1.4 * np.pi < abs(turn) < 2.1 * np.pi or step.sum() <= 0.0:
             continue
@@ -298,9 +282,7 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
     square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
     n_ccw, n_cw = int((square & left).sum()), int((square & ~left).sum())
     if not n_ccw or not n_cw:
-        missing = (
-            "squares" if not n_ccw and not n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
-        )
+        missing = "squares" if n_ccw == n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
         return Umbmark(False, n_cw=n_cw, n_ccw=n_ccw, why=f"no {missing} among the runs")
     from scipy.linalg import block_diag
 
@@ -317,9 +299,8 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
         spread = block_diag(*(np.cov(part.T) / len(part) for part in both))
         std = np.sqrt(np.diag(slopes.T @ spread @ slopes))
     E_d, E_b = ratios
-    return Umbmark(
-        True, E_d, E_b, 2.0 / (E_d + 1.0), 2.0 / (1.0 / E_d + 1.0), float(std[0]), float(std[1]), side_m, n_cw, n_ccw
-    )
+    factors = 2.0 / (E_d + 1.0), 2.0 / (1.0 / E_d + 1.0)
+    return Umbmark(True, E_d, E_b, *factors, float(std[0]), float(std[1]), side_m, n_cw, n_ccw)
 
 
 def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, float]:
@@ -327,7 +308,5 @@ def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, 
     (x_ccw, y_ccw), (x_cw, y_cw) = centres
     alpha = 0.5 * ((x_cw + x_ccw) + (y_cw - y_ccw)) / (4.0 * side_m)
     beta = 0.5 * ((x_ccw - x_cw) - (y_ccw + y_cw)) / (4.0 * side_m)
-    curvature = 2.0 * np.sin(0.5 * beta) / side_m
-    return float((1.0 + 0.5 * track_m * curvature) / (1.0 - 0.5 * track_m * curvature)), float(
-        0.5 * np.pi / (0.5 * np.pi + alpha)
-    )
+    half = track_m * np.sin(0.5 * beta) / side_m
+    return float((1.0 + half) / (1.0 - half)), float(0.5 * np.pi / (0.5 * np.pi + alpha))

@@ -15,23 +15,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
+from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import (
-    STEERING_SCALE,
-    Drive,
-    Parameters,
-    first_scales,
-    moved_between,
-    nominal_turn,
-    parameters_of,
-)
+from calib.kinematics.drives import Drive, Parameters, moved_between, nominal_turn
 from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
@@ -40,10 +34,6 @@ from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
-
 
 #: a reading is named where it leaves less than this part of what the recording as it stands leaves: a quarter in
 #: squares
@@ -119,23 +109,22 @@ def find_blunder(
 
 
 def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
-    items = parameters_of(drive, campaign.reference)
+    items = drives.parameters_of(drive, campaign.reference)
     parameters = Parameters.of(items, [item.name for item in drive.parameters])
+    scales = drives.first_scales(campaign.reference)
+    rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
     try:
-        segments = divide(campaign, recording)
-        model = Model(drive, recording, segments)
+        model = Model(drive, recording, divide(campaign, recording))
         with np.errstate(all="ignore"):
-            scales = first_scales(campaign.reference)
-            rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
-            values = solve(model, parameters, parameters.nominal, scales, *rounds).values
-            residuals = model.predict(values).residuals
+            solution = solve(model, parameters, parameters.nominal, scales, *rounds)
+            values, residuals = solution.values, solution.prediction.residuals
             path, rotation = travelled(model, values)
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
     share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
     share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
-    told = segments.measured - residuals
-    ahead, seen = told[:, 0] + 1j * told[:, 1], segments.measured[:, 0] + 1j * segments.measured[:, 1]
+    measured = model.segments.measured
+    ahead, seen = (part[:, 0] + 1j * part[:, 1] for part in (measured - residuals, measured))
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
     found = dict(zip(parameters.names, values.tolist(), strict=True))
@@ -146,7 +135,7 @@ def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divid
         if item.nominal and not item.name.startswith(("steering", "slope"))
     )
     scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
-    return Trial(_trimmed(share), near, turned, (scale, found.get(STEERING_SCALE, 1.0)))
+    return Trial(_trimmed(share), near, turned, (scale, found.get(drives.STEERING_SCALE, 1.0)))
 
 
 def _trimmed(squares: FloatArray) -> float:
@@ -216,8 +205,7 @@ def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
     middle_s = 0.5 * recording.t_s[recording.offsets[1:] - 1]
     if len(recording) < FEWEST_OF_A_CLOCK or np.ptp(middle_s) < OF_TWO_LENGTHS * middle_s.max():
         return None
-    rate = float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
-    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), rate
+    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
 
 
 def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
@@ -255,9 +243,9 @@ def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Se
     if after is before:
         return segments
     ends = segments.first, segments.last
-    known = np.asarray(np.isfinite(after[:, np.stack(ends)]).all(axis=(0, 1)))
+    known = segments.seen & np.asarray(np.isfinite(after[:, ends]).all(axis=(0, 1)))[:, None]
     added = moved_between(np.nan_to_num(after), *ends) - moved_between(np.nan_to_num(before), *ends)
-    return replace(segments, measured=segments.measured + np.where(segments.seen & known[:, None], added, 0.0))
+    return replace(segments, measured=segments.measured + np.where(known, added, 0.0))
 
 
 def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
@@ -268,15 +256,14 @@ def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
-    begin_rad = model.recording.reference[2, model.segments.first]
     # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
-    if whole and not abs(np.mean(np.exp(2j * begin_rad))) < ALONG_ONE:
+    if whole and not abs(np.mean(np.exp(2j * model.recording.reference[2, model.segments.first]))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):
         if not whole:
             yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
         if misfit and not whole:
-            for change in (_wound, _wound_since_start):
+            for change in (partial(_stretched, axis=2), _wound_since_start):
                 yield Departure(change, sign * HEADING_SCALE, _heading_scale, LEAD)
         for axis, name in enumerate(("ref_x_m", "ref_y_m")):
             change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
@@ -303,14 +290,11 @@ def _slip(slip_s_per_rad: float) -> Fault:
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:
-    sensor = np.asarray(recording.steps.steer_rad)
-    wheel = sensor.copy()
-    half = 0.5 * play_rad
+    wheel, half = np.array(recording.steps.steer_rad), 0.5 * play_rad
     for first, last in pairwise(recording.offsets.tolist()):
-        angle = float(sensor[first])
+        angle = float(wheel[first])
         for at in range(first, last):
-            angle = min(max(angle, sensor[at] - half), sensor[at] + half)
-            wheel[at] = angle
+            wheel[at] = angle = min(max(angle, wheel[at] - half), wheel[at] + half)
     return recording.with_steering(wheel)
 
 
@@ -328,28 +312,19 @@ def _shifted(recording: Recording, shift_s: float) -> Recording:
 
 
 def _shift(shift_s: float) -> Fault:
-    late = "after it: the wheels follow a command late"
-    late = late if shift_s > 0.0 else "before it: it is filtered or stamped late"
-    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late}; log the angle of the wheels by the clock of "
-    return Fault("steering_shift", f"{text}the counts")
+    late = "after it: the wheels follow a command" if shift_s > 0.0 else "before it: it is filtered or stamped"
+    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late} late"
+    return Fault("steering_shift", f"{text}; log the angle of the wheels by the clock of the counts")
 
 
 def _stretched(recording: Recording, share: float, axis: int) -> Recording:
-    factors = np.ones(3)
-    factors[axis] += share
-    return recording.with_reference((recording.reference.T * factors).T)
-
-
-def _wound(recording: Recording, share: float) -> Recording:
-    reference = recording.reference.copy()
-    reference[2] *= 1.0 + share
-    return recording.with_reference(reference)
+    return recording.with_reference((recording.reference.T * (1.0 + share * np.eye(3)[axis])).T)
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
     """Return headings that turn more by a share from each run's start, as a gyro's do."""
     begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
-    wound = _wound(recording, share)
+    wound = _stretched(recording, share, 2)
     return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
 
 

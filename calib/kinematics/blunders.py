@@ -49,36 +49,32 @@ class Fault:
     seen: bool = False  #: whether the readings alone show it, well fitted or not
 
 
-def rear_faults(recording: Recording, segments: Segments) -> tuple[Recording, tuple[Fault, ...]]:
+Corrected = tuple[Recording, tuple[Fault, ...]]
+
+
+def rear_faults(recording: Recording, segments: Segments) -> Corrected:
     """Return the recording of two wheels with signs and sides corrected, and the fault.
 
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
     columns are swapped or a counter runs backwards.
     """
-    twist = TWIST in recording.speeds
-    turned = segments.between(recording.steps.turned_rad)
-    good = segments.seen[:, 2]
-    slopes = _regression(turned[:, good], segments.measured[good, 2])
+    twist, good = TWIST in recording.speeds, segments.seen[:, 2]
+    slopes = _regression(segments.between(recording.steps.turned_rad)[:, good], segments.measured[good, 2])
     if slopes is None or slopes[0] < 0.0 < slopes[1]:
         return recording, ()
     left, right = recording.steps.turned_rad
     forward = sense(segments, slopes @ recording.steps.turned_rad, left + right)
-    if min(slopes) > 0.0:
-        code, text = "reversed_left", "the left counter runs backwards; correct its sign or its wiring"
-        corrected = (-left, right)
-    elif max(slopes) < 0.0:
-        code, text = "reversed_right", "the right counter runs backwards; correct its sign or its wiring"
-        corrected = (left, -right)
-    elif forward < 0.0:
-        what = f"v_mps and {TWIST} have the other sign" if twist else "both counters run backwards"
-        code, text, corrected = "reversed_both", f"{what}; correct their signs", (-left, -right)
-    elif twist:
-        code, corrected = "reversed_omega", (right, left)
-        text = f"{TWIST} has the other sign: left turns are positive; correct it{OR_MIRRORED}"
-    else:
-        code, names = "swapped_wheels", recording.speeds or ("counts_left", "counts_right")
-        text = f"the wheels are swapped; exchange the columns {' and '.join(names[:2])}{OR_MIRRORED}"
-        corrected = (right, left)
+    names = " and ".join((recording.speeds or ("counts_left", "counts_right"))[:2])
+    both = f"v_mps and {TWIST} have the other sign" if twist else "both counters run backwards"
+    wiring, turns = "counter runs backwards; correct its sign or its wiring", "left turns are positive; correct it"
+    cases = (
+        (min(slopes) > 0.0, (-left, right), "reversed_left", f"the left {wiring}"),
+        (max(slopes) < 0.0, (left, -right), "reversed_right", f"the right {wiring}"),
+        (forward < 0.0, (-left, -right), "reversed_both", f"{both}; correct their signs"),
+        (twist, (right, left), "reversed_omega", f"{TWIST} has the other sign: {turns}{OR_MIRRORED}"),
+        (True, (right, left), "swapped_wheels", f"the wheels are swapped; exchange the columns {names}{OR_MIRRORED}"),
+    )
+    _, corrected, code, text = next(case for case in cases if case[0])
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
 
@@ -110,9 +106,7 @@ def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
     return np.asarray(slope) if np.all(np.abs(slope) > CLEAR * std) else None
 
 
-def front_faults(
-    recording: Recording, segments: Segments, *, by_shaft: bool = False
-) -> tuple[Recording, tuple[Fault, ...]]:
+def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = False) -> Corrected:
     """Return the recording with steering angles from straight ahead and signs not mirrored, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
@@ -120,28 +114,21 @@ def front_faults(
     tells the way of the rear axle, at any steering angle.
     """
     faults: list[Fault] = []
-    steer = recording.steps.steer_rad
-    if steer is None:
+    steer, headed, rolled = recording.steps.steer_rad, segments.seen[:, 2], recording.steps.turned_rad[0]
+    if steer is None or not headed.any():
         return recording, ()
-    headed = segments.seen[:, 2]
-    if not headed.any():
-        return recording, ()
-    longest = headed & (segments.level == 0)
-    ways = segments.between(recording.steps.turned_rad[0])[longest]
-    still = still_steering(steer, ways, segments.measured[longest, 2], segments.run[longest])
-    if still:
+    turns, longest = segments.measured[:, 2], headed & (segments.level == 0)
+    if still := still_steering(steer, segments.between(rolled)[longest], turns[longest], segments.run[longest]):
         return recording, (Fault("steering_still", f"steer_rad: {still}", seen=True),)
-    rolled, turned = recording.steps.turned_rad[0], segments.measured[headed, 2]
-    straight_rad = straight_reading_rad(rolled, steer, turned, lambda steps: segments.between(steps)[headed])
-    if straight_rad:
+    turned = turns[headed]
+    if straight_rad := straight_reading_rad(rolled, steer, turned, lambda steps: segments.between(steps)[headed]):
         degrees = f"{straight_rad:.3g} rad ({np.degrees(straight_rad):.0f} degrees)"
         text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
         faults.append(Fault("steering_offset", text))
         steer = np.angle(np.exp(1j * (steer - straight_rad)))
         recording = recording.with_steering(steer)
     ways = rolled * np.stack([np.sin(steer), np.cos(steer)])
-    sums = np.stack([segments.between(way)[headed] for way in ways])
-    turning, *_ = np.linalg.lstsq(sums.T, turned, rcond=None)
+    turning, *_ = np.linalg.lstsq(segments.between(ways)[:, headed].T, turned, rcond=None)
     backwards = sense(segments, turning @ ways, rolled if by_shaft else ways[1]) < -ALONG
     if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
@@ -185,9 +172,8 @@ def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: 
         return 0.0
     ways = np.stack([between(rolled * np.sin(steer_rad)), between(rolled * np.cos(steer_rad))])
     (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)
-    total = float(turned_rad @ turned_rad)
-    left = float(np.sum(np.square(turned_rad - by_sine * ways[0] - by_cosine * ways[1])))
-    alone = total - float(ways[0] @ turned_rad) ** 2 / max(float(ways[0] @ ways[0]), 1e-12)
+    total, left = turned_rad @ turned_rad, np.sum((turned_rad - by_sine * ways[0] - by_cosine * ways[1]) ** 2)
+    alone = total - (ways[0] @ turned_rad) ** 2 / max(ways[0] @ ways[0], 1e-12)
     straight, most = complex(by_sine, -by_cosine), np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
     straight *= np.sign((straight * most.conjugate()).real)
     if left > POOR * total or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
@@ -210,13 +196,13 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     ratio, left_rad = abs(slope), measured_rad - slope * told_rad
     if float(left_rad @ left_rad) > CLEARLY_LESS * float(measured_rad @ measured_rad):
         return
-    words = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
-    for factor, what in words.items():
+    for factor, what in {
+        np.pi / 180.0: "radians taken for degrees",
+        180.0 / np.pi: "degrees taken for radians",
+    }.items():
         if abs(ratio / factor - 1.0) < 2.0 * NEAR:
-            raise RefusedError(
-                f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much; "
-                f"the heading's unit is wrong ({what}): correct it in the mapping or the log"
-            )
+            found = f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much"
+            raise RefusedError(f"{found}; the heading's unit is wrong ({what}): correct it in the mapping or the log")
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
@@ -230,14 +216,13 @@ ALIKE: Final = 1.1
 LEAST_TURN_RAD: Final = 0.05
 
 
-def corrected(
-    recording: Recording, segments: Segments, source: str, drive: Drive
-) -> tuple[Recording, tuple[Fault, ...]]:
+def corrected(recording: Recording, segments: Segments, source: str, drive: Drive) -> Corrected:
     """Return the recording with blunders of the wheels corrected, and these faults.
 
     `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
     heading is not in radians.
     """
+    faults: tuple[Fault, ...] | None = None
     if source in STEERED:
         recording, faults = front_faults(recording, segments, by_shaft=source == "shaft")
     # with a heading of another unit any reading of the wheels that hardly turns would look best
@@ -245,7 +230,7 @@ def corrected(
     measured = segments.measured[seen, 2]
     nominal = Model(drive, recording, segments).predict(nominal_values(drive))
     refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
-    if source in STEERED:
+    if faults is not None:
         return recording, faults
     return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
 
@@ -278,34 +263,31 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
                 yield Fault("counter_still", text, seen=True)
 
 
-def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> tuple[Recording, tuple[Fault, ...]]:
+def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> Corrected:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
     `drive`: its nominal values tell which reading of the four columns fits the reference.
     """
 
-    def left_by(turned: FloatArray) -> tuple[float, float]:
-        return _left(Model(drive, recording.with_turned(turned), segments), nominal_values(drive))
+    def left_by(recording: Recording) -> tuple[float, float]:
+        return _left(Model(drive, recording, segments), nominal_values(drive))
 
-    turned = recording.steps.turned_rad
-    as_it_stands = left_by(turned)[0]
+    turned, as_it_stands = recording.steps.turned_rad, left_by(recording)[0]
     if as_it_stands < POOR:
         return recording, ()
-    tried = [(left_by(turned[order] * signs[:, None]), fault, order, signs) for fault, order, signs in _readings()]
+    read = ((recording.with_turned(turned[order] * signs[:, None]), fault) for fault, order, signs in _readings())
+    tried = [(left_by(changed), changed, fault) for changed, fault in read]
     least = min(left for (left, _), *_ in tried)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
     # two readings can differ by half a turn of the sensor alone: the one that turns it less is likelier
-    alike = [one for one in tried if one[0][0] <= ALIKE * least + 1e-9]
-    _, fault, order, signs = min(alike, key=lambda one: one[0][1])
-    return recording.with_turned(turned[order] * signs[:, None]), (fault,)
+    _, changed, fault = min((one for one in tried if one[0][0] <= ALIKE * least + 1e-9), key=lambda one: one[0][1])
+    return changed, (fault,)
 
 
 def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
     same, plain = list(range(4)), np.ones(4)
-    for at, wheel in enumerate(WHEELS):
-        signs = plain.copy()
-        signs[at] = -1.0
+    for wheel, signs in zip(WHEELS, 1.0 - 2.0 * np.eye(4), strict=True):
         text = f"the {wheel.replace('_', ' ')} counter runs backwards; correct its sign or its wiring"
         yield Fault(f"reversed_{wheel}", text), same, signs
     yield Fault("reversed_both", "all four counters run backwards; correct their signs"), same, -plain
@@ -321,15 +303,12 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
 
 def _left(model: Model, values: FloatArray) -> tuple[float, float]:
     """Return the unexplained share of displacements and turns, and the turn of the sensor in rad."""
-    segments = model.segments
-    seen = segments.seen.all(axis=1)
-    measured = segments.measured[seen]
-    moved = measured - model.predict(values).residuals[seen]
+    seen = model.segments.seen.all(axis=1)
+    measured, rest = model.segments.measured[seen], model.predict(values).residuals[seen]
     if not len(measured):
         return 0.0, 0.0
-    way, told = measured[:, 0] + 1j * measured[:, 1], moved[:, 0] + 1j * moved[:, 1]
-    turned = float(np.angle(np.vdot(told, way)))
-    rest_of_way = np.abs(way - told * np.exp(1j * turned))
-    short = float(np.mean(np.square(rest_of_way)) / max(float(np.mean(np.square(np.abs(way)))), 1e-12))
-    rest, turn = measured[:, 2] - moved[:, 2], float(np.mean(np.square(measured[:, 2])))
-    return short + float(np.mean(np.square(rest))) / (turn + LEAST_TURN_RAD**2), abs(turned)
+    way, missed = (part[:, 0] + 1j * part[:, 1] for part in (measured, rest))
+    turned = float(np.angle(np.vdot(way - missed, way)))
+    short = np.mean(np.abs(way - (way - missed) * np.exp(1j * turned)) ** 2) / max(np.mean(np.abs(way) ** 2), 1e-12)
+    turn, of_turn = np.mean(np.square([measured[:, 2], rest[:, 2]]), axis=1)
+    return float(short + of_turn / (turn + LEAST_TURN_RAD**2)), abs(turned)

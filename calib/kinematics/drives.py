@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from itertools import compress
 from typing import Final, Protocol
 
 import numpy as np
 
 from calib.campaign.settings import Reference
+from calib.campaign.wheels import lengthening
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 #: factor on the true turn that a gyro measures
 GYRO_SCALE: Final = "gyro_scale"
-#: the gyro's scale, the sensor's pose on the vehicle, and the lag of its stamps behind the encoders'
-SENSOR: Final = (GYRO_SCALE, "sensor_x_m", "sensor_y_m", "sensor_yaw_rad", "delay_s")
 #: a sensor where the settings' defaults have it
 UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
 #: scale of a gyro of moderate price as its maker states it
@@ -23,7 +23,7 @@ GYRO_SCALE_STD: Final = 0.01
 #: random walks of heading and distance to begin with, per metre
 WALKS: Final = (2.5e-7, 2.5e-7)
 
-#: how far lever arm, angle and delay may be from the settings
+#: how far scale, lever arm, angle and delay may be from the settings
 SENSOR_STD: Final = {
     GYRO_SCALE: GYRO_SCALE_STD,
     "sensor_x_m": 0.2,
@@ -31,6 +31,8 @@ SENSOR_STD: Final = {
     "sensor_yaw_rad": 0.5,
     "delay_s": 0.2,
 }
+#: the gyro's scale, the sensor's pose on the vehicle, and the lag of its stamps behind the encoders'
+SENSOR: Final = tuple(SENSOR_STD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +66,7 @@ class Parameters:
     @staticmethod
     def of(items: Sequence[Parameter], free: Iterable[str]) -> Parameters:
         """Return parameters of which those named in `free` are estimated."""
-        names = set(free)
-        return Parameters(tuple(items), np.array([item.name in names for item in items], dtype=np.bool_))
+        return Parameters(tuple(items), np.isin([item.name for item in items], list(free)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,7 +76,7 @@ class Parameters:
     @property
     def free_names(self) -> tuple[str, ...]:
         """Names of the parameters that are estimated."""
-        return tuple(name for name, free in zip(self.names, self.free, strict=True) if free)
+        return tuple(compress(self.names, self.free))
 
     @property
     def nominal(self) -> FloatArray:
@@ -87,17 +88,15 @@ class Parameters:
         """Spread of what is possible, shape (n_parameters,)."""
         return np.array([item.prior_std for item in self.items])
 
-    def without(self, names: Iterable[str]) -> Parameters:
-        """Return the parameters, those in `names` held at nominal."""
-        held = set(names)
-        return Parameters.of(self.items, (name for name in self.free_names if name not in held))
+    def without(self, name: str) -> Parameters:
+        """Return the parameters, that of a name held at nominal."""
+        return replace(self, free=self.free & (np.array(self.names) != name))
 
 
 def parameters_of(drive: Drive, reference: Reference) -> tuple[Parameter, ...]:
     """Return the parameters of a drive, then those of the reference's sensor at its stated place."""
     place = (1.0, reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad, 0.0)
-    rows = zip(SENSOR, place, strict=True)
-    return (*drive.parameters, *(Parameter(name, nominal, SENSOR_STD[name]) for name, nominal in rows))
+    return (*drive.parameters, *map(Parameter, SENSOR, place, SENSOR_STD.values()))
 
 
 def first_scales(reference: Reference) -> FloatArray:
@@ -156,9 +155,10 @@ class Drive(Protocol):
         """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
 
 
-def length_parameter(name: str, nominal_m: float) -> Parameter:
-    """Return the parameter of a length, within `LENGTH_STD` of its nominal value."""
-    return Parameter(name, nominal_m, LENGTH_STD * nominal_m)
+def lengths_of(drive: Differential | FrontWheel | Mecanum | RearShaft) -> tuple[Parameter, ...]:
+    """Return a parameter for each length, a field in ``_m``, of a drive, within `LENGTH_STD` of its nominal value."""
+    lengths = {part.name: getattr(drive, part.name) for part in fields(drive) if part.name.endswith("_m")}
+    return tuple(Parameter(name, nominal, LENGTH_STD * nominal) for name, nominal in lengths.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,18 +178,11 @@ class Differential:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Radii, track and, with loads, the slopes of the radii."""
-        base = (
-            length_parameter("radius_left_m", self.radius_left_m),
-            length_parameter("radius_right_m", self.radius_right_m),
-            length_parameter("track_m", self.track_m),
-        )
-        if not self.slopes:
-            return base
-        return (
-            *base,
+        slopes = (
             Parameter("slope_left_m_per_N", self.slope_left_m_per_N, SLOPE_STD_PER_N * self.radius_left_m),
             Parameter("slope_right_m_per_N", self.slope_right_m_per_N, SLOPE_STD_PER_N * self.radius_right_m),
         )
+        return (*lengths_of(self), *(slopes if self.slopes else ()))
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the axle's middle (Eqs 8 and 9)."""
@@ -234,8 +227,7 @@ class MeanHeld:
         """Return the motion of the axle's middle."""
         left, track = values
         full = self.wheels.motion(np.array([left, 2.0 * self.mean_m - left, track]), steps)
-        by_left = full.by_parameter[0] - full.by_parameter[1]
-        return Motion(full.body, np.stack([by_left, full.by_parameter[2]]))
+        return Motion(full.body, np.stack([full.by_parameter[0] - full.by_parameter[1], full.by_parameter[2]]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,11 +240,7 @@ class FrontWheel:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Front radius, wheelbase, zero and scale of the steering angle."""
-        return (
-            length_parameter("front_radius_m", self.front_radius_m),
-            length_parameter("wheelbase_m", self.wheelbase_m),
-            *STEERING,
-        )
+        return (*lengths_of(self), *STEERING)
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the rear axle's middle (Eqs 12 to 14)."""
@@ -261,13 +249,12 @@ class FrontWheel:
         angle = scale * steer + zero
         cosine, sine = np.cos(angle), np.sin(angle)
         travel = radius * phi
-        body = np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase])
         derivative = np.zeros((4, 3, len(travel)))
         derivative[0, 0], derivative[0, 2] = phi * cosine, phi * sine / wheelbase
         derivative[1, 2] = -travel * sine / wheelbase**2
         derivative[2, 0], derivative[2, 2] = -travel * sine, travel * cosine / wheelbase
         derivative[3] = derivative[2] * steer
-        return Motion(body, derivative)
+        return Motion(np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase]), derivative)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,10 +267,7 @@ class Mecanum:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Radius, and half the wheelbase plus half the track."""
-        return (
-            length_parameter("wheel_radius_m", self.wheel_radius_m),
-            length_parameter("half_length_plus_half_width_m", self.half_length_plus_half_width_m),
-        )
+        return lengths_of(self)
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the middle between the four wheels."""
@@ -292,11 +276,67 @@ class Mecanum:
         forward = 0.25 * (front_left + front_right + rear_left + rear_right)
         left = 0.25 * (-front_left + front_right + rear_left - rear_right)
         turn = 0.25 * (-front_left + front_right - rear_left + rear_right)
-        body = radius * np.stack([forward, left, turn / arm])
         derivative = np.zeros((2, 3, len(turn)))
-        derivative[0] = np.stack([forward, left, turn / arm])
+        derivative[0] = forward, left, turn / arm
         derivative[1, 2] = -radius * turn / arm**2
-        return Motion(body, derivative)
+        return Motion(radius * derivative[0], derivative)
+
+
+#: the curvature is tan(angle) / (L (1 + understeer v^2)): front tyres slip more than rear ones; see `lengthening`
+UNDERSTEER: Final = "understeer_s2_per_m2"
+#: the rear axle moves at the angle -side_slip v^2 curvature to its heading
+SIDE_SLIP: Final = "side_slip_s2_per_m"
+#: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m; spreads allow for several
+UNDERSTEER_STD: Final = 0.05
+SIDE_SLIP_STD: Final = 0.02
+#: turns below this lateral acceleration slip by a few milliradians: nothing to estimate
+SLIPS_MPS2: Final = 0.5
+#: quantile of the lateral acceleration that has to reach it: not single samples
+OFTEN: Final = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class RearShaft:
+    """A counted rear axle and steered front wheels; the true angle is scale times the sensor's, plus zero."""
+
+    rear_radius_m: float
+    wheelbase_m: float
+    #: whether understeer and side slip are parameters
+    slips: bool = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Rear radius, wheelbase, zero and scale of the steering angle; in fast turns understeer and side slip."""
+        slips = (Parameter(UNDERSTEER, 0.0, UNDERSTEER_STD), Parameter(SIDE_SLIP, 0.0, SIDE_SLIP_STD))
+        return (*lengths_of(self), *STEERING, *(slips if self.slips else ()))
+
+    def motion(self, values: FloatArray, steps: Steps) -> Motion:
+        """Return the motion of the rear axle's middle: ahead what the wheels roll, its curvature tan(angle) / L."""
+        radius, wheelbase, zero, scale = values[:4]
+        understeer, side_slip = values[4:] if self.slips else (0.0, 0.0)
+        phi, steer, square = steps.turned_rad[0], np.asarray(steps.steer_rad), np.square(np.asarray(steps.speed_mps))
+        tangent = np.tan(scale * steer + zero)
+        travel = radius * phi
+        longer = wheelbase * lengthening(understeer * square)
+        turn = travel * tangent / longer
+        derivative = np.zeros((len(values), 3, len(travel)))
+        derivative[0, 0], derivative[0, 2] = phi, phi * tangent / longer
+        derivative[1, 2] = -turn / wheelbase
+        derivative[2, 2] = travel * (1.0 + tangent**2) / longer
+        derivative[3, 2] = derivative[2, 2] * steer
+        if self.slips:
+            derivative[4, 2] = -turn * square / (1.0 + np.abs(understeer * square))
+            derivative[:, 1] = -side_slip * square * derivative[:, 2]
+            derivative[5, 1] = -square * turn
+        return Motion(np.stack([travel, -side_slip * square * turn, turn]), derivative)
+
+
+def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
+    """Return the drive with its nominal values; slip is estimated where turns were fast enough to show it."""
+    speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
+    lateral_mps2 = np.square(speed_mps) * np.abs(np.tan(steer_rad)) / wheelbase_m
+    moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
+    return RearShaft(radius_m, wheelbase_m, len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2)
 
 
 #: turn of half a step below which the derivative of sin(h)/h is its series

@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
+from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.drives import nominal_turn
+from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.factors import implausible_lengths
-from calib.kinematics.joint_fit import (
-    Delay,
-    Fitted,
-    drive_of,
-    fit_parameters,
-    loosest,
-    own_delays,
-    sought_delays,
-    with_own_zeros,
-)
+from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
-from calib.kinematics.sessions import left_within
-from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import FloatArray, Progress, silent, stepped
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
+from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
+from calib.types import Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
@@ -85,42 +75,32 @@ def estimate_geometry(
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
-    recording.refuse_constant_heading(_nominal_turn(campaign, source, recording))
-    geometry = _best(campaign, source, recording, using, sensor, progress)
-    if leave_out is not None:
-        estimated = (geometry.using == "windows") if sensor is None else sensor
-        geometry = replace(geometry, transfer=_transfer(campaign, geometry, estimated, leave_out, progress))
-    return geometry
-
-
-def _best(
-    campaign: Campaign,
-    source: str,
-    recording: Recording,
-    using: Using | None,
-    sensor: bool | None,
-    progress: Progress,
-) -> Geometry:
-    """Return the geometry as asked for; by default by windows, or by end poses alone where these are no fit."""
+    recording.refuse_constant_heading(nominal_turn(drive_of(campaign, source, recording), recording.steps))
 
     def estimated(way: Using) -> Geometry:
         task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
         return _estimated(task, recording, asked=sensor is not None or using is not None)
 
-    if using or not recording.continuous:
-        return estimated(using or "end_poses")
+    geometry = estimated(using) if using else _best(recording, estimated)
+    if leave_out is not None:
+        placed = (geometry.using == "windows") if sensor is None else sensor
+        geometry = replace(geometry, transfer=_transfer(campaign, geometry, placed, leave_out, progress))
+    return geometry
+
+
+def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geometry:
+    """Return the geometry by windows, or by end poses alone where these are no fit."""
+    if not recording.continuous:
+        return estimated("end_poses")
     if np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum() < ENOUGH_RUNS:
         return estimated("windows")
     try:
         by_windows = estimated("windows")
     except RefusedError:
         return estimated("end_poses")
-    if by_windows.passed:
-        return by_windows
-    try:
-        return estimated("end_poses")
-    except RefusedError:
-        return by_windows
+    with suppress(RefusedError):
+        return by_windows if by_windows.passed else estimated("end_poses")
+    return by_windows
 
 
 def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
@@ -156,6 +136,18 @@ class _Task:
     sensor: bool
     progress: Progress
 
+    def drive(self, recording: Recording) -> Drive:
+        """Return the drive with its nominal values."""
+        return drive_of(self.campaign, self.source, recording)
+
+    def fit(self, drive: Drive, recording: Recording, segments: Segments, start: Fitted | None = None) -> Fitted:
+        """Return the fit of stretches of a recording, begun at another fit where one is given."""
+        return fit_parameters(self.campaign, drive, recording, segments, self.sensor, start)
+
+    def with_whole_turns(self, recording: Recording) -> tuple[Recording, list[str]]:
+        """Return what `Recording.with_whole_turns` makes of it by the nominal vehicle."""
+        return recording.with_whole_turns(nominal_turn(self.drive(recording), recording.steps))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
@@ -166,38 +158,35 @@ class _Fit:
 
 
 def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
-    campaign, source, way = task.campaign, task.source, task.way
     as_read = recording.end_pose
-    recording, off = _with_whole_turns(campaign, source, recording)
-    if off and way == "end_poses":
-        text = (
-            f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; correct it"
-        )
-        found = (*found, Fault("heading_turn", text))
-    finer = divisions(recording, way)
+    recording, off = task.with_whole_turns(recording)
+    if off and task.way == "end_poses":
+        text = f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; "
+        found = (*found, Fault("heading_turn", f"{text}correct it"))
+    finer = divisions(recording, task.way)
     coarse = next(finer)
-    recording, faults = corrected(recording, coarse, source, drive_of(campaign, source, recording))
+    recording, faults = corrected(recording, coarse, task.source, task.drive(recording))
     if faults:
-        recording, _ = _with_whole_turns(campaign, source, replace(recording, end_pose=as_read))
-    drive = drive_of(campaign, source, recording)
+        recording, _ = task.with_whole_turns(replace(recording, end_pose=as_read))
+    drive = task.drive(recording)
     task.progress(0, 0, "fits")
-    chosen = fit_parameters(campaign, drive, recording, coarse, task.sensor)
+    chosen = task.fit(drive, recording, coarse)
     many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(finer, start=1):
         if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
         # from where the coarser one ended, where paths bend alike: short windows do not find a delay of many steps
-        other = fit_parameters(campaign, drive, recording, segments, task.sensor, start=None if many else chosen)
+        other = task.fit(drive, recording, segments, None if many else chosen)
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
         chosen = other
     common, delays = chosen, tuple[Delay, ...]()
-    if way == "windows":
-        chosen, delays = _with_own_delays(campaign, common, task.sensor)
-    chosen = _with_own_zeros(campaign, chosen, task)
-    geometry = replace(geometry_of(campaign, chosen, source, way, (*found, *faults)), delays=delays)
-    return _Fit(task, chosen, geometry, common)
+    if task.way == "windows":
+        chosen, delays = _with_own_delays(task, common)
+    chosen = _with_own_zeros(task, chosen)
+    geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*found, *faults))
+    return _Fit(task, chosen, replace(geometry, delays=delays), common)
 
 
 def _without_departure(fit: _Fit) -> Geometry:
@@ -226,9 +215,8 @@ def _without_departure(fit: _Fit) -> Geometry:
         return geometry
     if hidden:
         # without a delay of each recording it has to leave less, on the same windows
-        there = replace(
-            other.fitted.model, recording=departure.change(recording, size), segments=fit.common.model.segments
-        )
+        changed = departure.change(recording, size)
+        there = replace(other.fitted.model, recording=changed, segments=fit.common.model.segments)
         more_left = _mean_off_m(there, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
         if corrected.misfit or corrected.delays or more_left:
             return geometry
@@ -245,7 +233,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
-        return next(divisions(_with_whole_turns(campaign, task.source, other)[0], task.way))
+        return next(divisions(replace(task, campaign=campaign).with_whole_turns(other)[0], task.way))
 
     found = find_blunder(task.campaign, recording, task.source, divided)
     if found is None:
@@ -285,47 +273,38 @@ def _bends(fitted: Fitted) -> bool:
     return rms(rest) > BENT_RAD
 
 
-def _with_own_delays(campaign: Campaign, common: Fitted, sensor: bool) -> tuple[Fitted, tuple[Delay, ...]]:
-    if implausible_lengths(common, campaign.vehicle.drive):
+def _with_own_delays(task: _Task, common: Fitted) -> tuple[Fitted, tuple[Delay, ...]]:
+    if implausible_lengths(common, task.campaign.vehicle.drive):
         # no delay makes a vehicle of these
         return common, ()
     fitted = common
     delays: tuple[Delay, ...] = ()
-    added = sought_delays(common.model, common.solution, common.parameters)
+    added = joint_fit.sought_delays(common)
     for number in range(DELAY_ROUNDS):
         if number or not added.any():
-            delays, added = own_delays(fitted.model, fitted.solution, fitted.parameters)
+            delays, added = joint_fit.own_delays(fitted)
             if not delays:
                 return common, ()
         recording = replace(fitted.model.recording, own_delay_s=added)
-        fitted = fit_parameters(campaign, fitted.model.drive, recording, fitted.model.segments, sensor, start=fitted)
+        fitted = task.fit(fitted.model.drive, recording, fitted.model.segments, fitted)
     return fitted, delays
 
 
-def _with_own_zeros(campaign: Campaign, fitted: Fitted, task: _Task) -> Fitted:
+def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
     """Return the fit with a steering zero for each recording; of end poses, for each session where these differ."""
     model, free = fitted.model, fitted.parameters.free
     if task.way == "windows":
-        return with_own_zeros(fitted)
+        return joint_fit.with_own_zeros(fitted)
     if left_within(fitted.solution, free, model.segments, model.recording.session)[0] == np.inf:
         return fitted
-    own = with_own_zeros(fitted)
+    own = joint_fit.with_own_zeros(fitted)
     if not own.zero_spread_rad or not own.dropped:
         return own
     # what the zeros hid may be determined beside them
-    again = fit_parameters(campaign, model.drive, own.model.recording, model.segments, task.sensor)
+    again = task.fit(model.drive, own.model.recording, model.segments)
     solution = replace(again.solution, prediction=model.predict(again.solution.values))
-    again = with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
-    return own if loosest(again.uncertainty.std, again.parameters) else again
-
-
-def _with_whole_turns(campaign: Campaign, source: str, recording: Recording) -> tuple[Recording, list[str]]:
-    turn = _nominal_turn(campaign, source, recording)
-    return recording.with_whole_turns(turn)
-
-
-def _nominal_turn(campaign: Campaign, source: str, recording: Recording) -> FloatArray:
-    return nominal_turn(drive_of(campaign, source, recording), recording.steps)
+    again = joint_fit.with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
+    return own if joint_fit.loosest(again.uncertainty.std, again.parameters) else again
 
 
 def divisions(recording: Recording, using: str) -> Iterator[Segments]:
@@ -345,14 +324,12 @@ def divisions(recording: Recording, using: str) -> Iterator[Segments]:
 def _transfer(
     campaign: Campaign, whole: Geometry, sensor: bool, leave_out: str, progress: Progress
 ) -> tuple[Transfer, ...]:
-    source = whole.source
     campaign = campaign.included()
     labels = campaign.runs.label(leave_out)
     rows = []
     for label in stepped(dict.fromkeys(labels), progress, "held out in turn"):
-        away = labels == label
-        rest, tried = recording_of(campaign.select(~away), source), recording_of(campaign.select(away), source)
-        drive = drive_of(campaign, source, rest)
+        rest, tried = (recording_of(campaign.select((labels == label) == held), whole.source) for held in (False, True))
+        drive = drive_of(campaign, whole.source, rest)
         fitted = fit_parameters(campaign, drive, rest, next(divisions(rest, whole.using)), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         vehicles = (fitted.parameters.nominal, fitted.solution.values)

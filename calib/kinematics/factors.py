@@ -27,6 +27,8 @@ RADIUS_FACTORS: Final = {
     float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
     float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
 }
+#: parameters that are radii
+RADII: Final = ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m")
 #: a radius off by more is no radius, no matter what made it
 FARTHEST: Final = 5.0
 #: a length further off is a wrong setting, unit or count; rubber, wear and load stay within it
@@ -53,37 +55,30 @@ def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
         if not nominal or not (name.startswith(("track", "wheelbase")) or "radius" in name):
             continue
         change, track = value / nominal - 1.0, name == "track_m"
-        most = PLAUSIBLE_TRACK_CHANGE if track else PLAUSIBLE_CHANGE
-        if implausible(name, value / nominal, most, drive):
-            away = f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}"
+        if implausible(name, value / nominal, PLAUSIBLE_TRACK_CHANGE if track else PLAUSIBLE_CHANGE, drive):
             also = "; play or lag of the steering acts alike: see 'calib diagnose'" if name == "wheelbase_m" else ""
-            also = SKID_HINT if track and change > 0.0 else also
             sentences.append(
-                f"{away}, more than wheels can change: check lengths, counts per revolution and units{also}"
+                f"{name} is {100 * change:+.3g} % from the stated {nominal:.6g}, more than wheels can change: check "
+                f"lengths, counts per revolution and units{SKID_HINT if track and change > 0.0 else also}"
             )
     return sentences
 
 
 def factor_faults(
-    nominal: Mapping[str, float],
-    estimated: Mapping[str, float],
-    drive: str = "differential",
-    speeds: Sequence[str] = (),
+    ratios: Mapping[str, float], drive: str = "differential", speeds: Sequence[str] = ()
 ) -> tuple[Fault, ...]:
     """Return faults of the settings that leave a factor between nominal and found lengths of a `drive`.
 
-    `speeds`: columns that stand for counts.
+    `ratios`: found over nominal, by parameter; `speeds`: columns that stand for counts.
     """
     faults = []
-    for name in {"track_m", "half_length_plus_half_width_m"} & estimated.keys():
-        ratio = estimated[name] / nominal[name]
-        if implausible(name, ratio, NEAR, drive):
-            faults += _factor(name, ratio, TRACK_FACTORS, SKID_HINT if ratio > 1.0 and name == "track_m" else "")
-    track = estimated.get("track_m", 1.0) / nominal.get("track_m", 1.0)
+    track = ratios.get("track_m", 1.0)
     factors = _speed_factors(speeds, turns=1.0 / FARTHEST < track < FARTHEST) if speeds else RADIUS_FACTORS
-    for name in ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m"):
-        if name in estimated:
-            ratio = estimated[name] / nominal[name]
+    for name in ("track_m", "half_length_plus_half_width_m"):
+        if name in ratios and implausible(name, ratio := ratios[name], NEAR, drive):
+            faults += _factor(name, ratio, TRACK_FACTORS, SKID_HINT if ratio > 1.0 and name == "track_m" else "")
+    for name, ratio in ratios.items():
+        if name in RADII:
             explained = _factor(name, ratio, factors)
             if not explained and ratio > 0.0 and not 1.0 / FARTHEST < ratio < FARTHEST:
                 text = f"{name} is {ratio:.3g} times the nominal value; check counts per revolution and units"

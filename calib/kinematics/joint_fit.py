@@ -10,34 +10,20 @@ is part of the uncertainty.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
-from calib.kinematics.drives import (
-    GYRO_SCALE,
-    SENSOR,
-    STEERING_SCALE,
-    STEERING_ZERO,
-    Differential,
-    Drive,
-    FrontWheel,
-    MeanHeld,
-    Mecanum,
-    Parameters,
-    first_scales,
-    parameters_of,
-)
-from calib.kinematics.model import Model, Segments, rear_shaft
+from calib.kinematics import drives
+from calib.kinematics.drives import GYRO_SCALE, SENSOR, STEERING_SCALE, STEERING_ZERO, Drive, MeanHeld, Parameters
+from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
-from calib.kinematics.uncertainty import Uncertainty, clustered, expected, whitened
+from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
 from calib.types import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
@@ -53,8 +39,8 @@ def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
     By the whitened Jacobian, in units of each parameter's prior spread.
     """
     free = parameters.free
-    jacobian = whitened(solution, free)[0] * parameters.prior_std[free]
-    _, singular, directions = np.linalg.svd(jacobian.reshape(-1, int(free.sum())), full_matrices=False)
+    jacobian = flattened(whitened(solution, free)[0] * parameters.prior_std[free])
+    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
     return None if singular[-1] * TOLERATED >= 1.0 else np.asarray(directions[-1])
 
 
@@ -90,6 +76,11 @@ class Fitted:
     zero_spread_rad: float = 0.0
 
     @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters that the data leave open; the mean radius where it was held."""
+        return (*self.dropped, *(["mean_radius_m"] if isinstance(self.model.drive, MeanHeld) else []))
+
+    @property
     def spread(self) -> float:
         """Mean logarithm of the drive parameters' standard deviations beside their prior ones."""
         n_drive = len(self.parameters.items) - len(SENSOR)
@@ -109,22 +100,16 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     """
     vehicle, model = campaign.vehicle, campaign.model
     if source == "front":
-        return FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
+        return drives.FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
     if source == "shaft":
-        return rear_shaft(vehicle.wheel_radius_m, vehicle.wheelbase_m, recording.steps)
+        return drives.rear_shaft(vehicle.wheel_radius_m, vehicle.wheelbase_m, recording.steps)
     if source == "wheels":
         wheels = mecanum_model(campaign)
-        return Mecanum(wheels.radius_m, wheels.arm_m)
+        return drives.Mecanum(wheels.radius_m, wheels.arm_m)
     loads = recording.steps.load_offset_N
     varied = loads is not None and bool(np.all(np.ptp(loads, axis=1) > LOADS_VARY * max(model.reference_load_N, 1.0)))
-    return Differential(
-        model.radius_left_m,
-        model.radius_right_m,
-        model.track_m,
-        slopes=varied,
-        slope_left_m_per_N=model.slope_left_m_per_N,
-        slope_right_m_per_N=model.slope_right_m_per_N,
-    )
+    slopes = (model.slope_left_m_per_N, model.slope_right_m_per_N)
+    return drives.Differential(model.radius_left_m, model.radius_right_m, model.track_m, varied, *slopes)
 
 
 def fit_parameters(
@@ -146,50 +131,44 @@ def fit_parameters(
     if segments.gyro.any():
         free.append(GYRO_SCALE)
     if sensor:
-        free += [name for name in SENSOR if name != GYRO_SCALE]
+        free += SENSOR[1:]
         if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
-            free.remove("delay_s")
-            dropped.append("delay_s")
-    parameters = Parameters.of(parameters_of(drive, campaign.reference), free)
+            dropped.append(free.pop())
+    parameters = Parameters.of(drives.parameters_of(drive, campaign.reference), free)
     model = Model(drive, recording, segments)
     values = parameters.nominal
     if start is not None and start.model.drive == drive:
         values = np.where(parameters.free, start.solution.values, values)
-    while True:
-        if not parameters.free.any():
-            raise RefusedError(
-                f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
-                "straights and a reference of their end poses; drive squares both ways"
-            )
-        solution = (
-            solve(model, parameters, values, first_scales(campaign.reference))
-            if known is None
-            else planned(model, values, known)
-        )
-        weak = weakest(solution, parameters)
-        wheels = drive if isinstance(drive, Differential) and not drive.slopes and parameters.free[:3].all() else None
-        # whether all that is open is the scale of radii and track, which grow alike
-        scale = False
-        if weak is None:
-            uncertainty = (
-                clustered(solution, parameters, recording, segments)
-                if known is None
-                else expected(solution, parameters.free, segments.run)
-            )
-            loose = loosest(uncertainty.std, parameters)
-            if wheels is not None:
-                relative = uncertainty.covariance[:3, :3] / np.outer(solution.values[:3], solution.values[:3])
-                scale = bool(np.mean(relative) > NOMINAL_STD**2)
+    while parameters.free.any():
+        if known is None:
+            solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
         else:
-            loose = parameters.free_names[int(np.argmax(np.abs(weak)))]
-            scale = wheels is not None and bool(np.min(np.abs(weak[:3])) > ALIKE)
-        if wheels is not None and scale:
-            return fit_parameters(campaign, MeanHeld(wheels), recording, segments, sensor, known=known)
+            solution = planned(model, values, known)
+        pair = isinstance(drive, drives.Differential) and not drive.slopes and bool(parameters.free[:3].all())
+        weak = weakest(solution, parameters)
+        if weak is not None:
+            loose: str | None = parameters.free_names[int(np.argmax(np.abs(weak)))]
+            alike = pair and np.min(np.abs(weak[:3])) > ALIKE
+        else:
+            if known is None:
+                uncertainty = clustered(solution, parameters, recording, segments)
+            else:
+                uncertainty = expected(solution, parameters.free, segments.run)
+            loose = loosest(uncertainty.std, parameters)
+            lengths = solution.values[:3]
+            alike = pair and np.mean(uncertainty.covariance[:3, :3] / np.outer(lengths, lengths)) > NOMINAL_STD**2
+        # all that is open is the scale of radii and track, which grow alike
+        if alike and isinstance(drive, drives.Differential):
+            return fit_parameters(campaign, MeanHeld(drive), recording, segments, sensor, known=known)
         if loose is None:
             return Fitted(model, parameters, solution, uncertainty, tuple(dropped), recording)
         dropped.append(loose)
-        parameters = parameters.without([loose])
+        parameters = parameters.without(loose)
         values = np.where(parameters.free, solution.values, parameters.nominal)
+    raise RefusedError(
+        f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
+        "straights and a reference of their end poses; drive squares both ways"
+    )
 
 
 #: chance of taking recordings of one delay for ones of several
@@ -210,93 +189,75 @@ class Delay:
     std_s: float = field(metadata={"json": "sd"})
 
 
-def sought_delays(model: Model, solution: Solution, parameters: Parameters) -> FloatArray:
-    """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search.
+def sought_delays(fitted: Fitted) -> FloatArray:
+    """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search over windows.
 
     The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Zero where
     the common delay fits best.
-
-    `model`: with windows; `parameters`: the delay is the last of them.
     """
-    group = recording_groups(model.recording)
-    n_groups = int(group.max()) + 1
+    model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
     nothing = model.recording.delay_added_s
-    if not parameters.free[-1] or n_groups < 2:
+    if not fitted.parameters.free[-1] or not group.any():
         return nothing
-    offsets = np.linspace(-REACH_S, REACH_S, TRIED)
-    of = group[model.segments.run]
+    offsets, delay = np.linspace(-REACH_S, REACH_S, TRIED), np.eye(len(solution.values))[-1]
     losses = []
     for offset in offsets:
-        values = solution.values.copy()
-        values[-1] += offset
-        residuals = np.einsum("nij,nj->ni", solution.whitener, model.predict(values).residuals)
-        loss = np.log1p(np.square(residuals).sum(axis=1) / DEGREES)
-        losses.append(np.bincount(of, loss, minlength=n_groups))
+        residuals = model.predict(solution.values + offset * delay).residuals
+        loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
+        losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
     best = offsets[np.argmin(losses, axis=0)]
     return nothing if np.ptp(best) < 1.5 * (offsets[1] - offsets[0]) else nothing + best[group]
 
 
-def own_delays(model: Model, solution: Solution, parameters: Parameters) -> tuple[tuple[Delay, ...], FloatArray]:
-    """Return the delay of each recording, and each run's difference from the common one; none where one fits all.
+def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
+    """Return the delay of each recording in the order driven, and what each run adds to the common one, (n_runs,).
 
-    `model`: with windows; its recording knows what each run's delay was taken to add so far; `parameters`: the delay is
-    the last of them. Returns `delays`: in the order driven; empty where one fits all; `added_s` (shape (n_runs,)): to
-    be added to the common delay.
+    None of either where one delay fits all. The recording, in windows, knows what each run was taken to add so far.
     """
-    recording = model.recording
-    shifts = shifts_of(model, solution, parameters, "delay_s")
+    recording, common = fitted.model.recording, float(fitted.solution.values[-1])
+    shifts = shifts_of(fitted, "delay_s")
     if shifts is None:
-        return (), np.zeros(len(recording))
+        return (), np.zeros(0)
     group, shift, std = shifts
     added = recording.delay_added_s + shift[group]
     first = np.unique(group, return_index=True)[1]
     if not _disagree(added[first], std):
-        return (), np.zeros(len(recording))
-    labels = recording.labels
-    common = float(solution.values[-1])
-    delays = [Delay(str(labels[at]), common + float(added[at]), float(std[group[at]])) for at in sorted(first)]
-    return tuple(delays), added
+        return (), np.zeros(0)
+    values, labels = (common + added).tolist(), recording.labels.tolist()
+    return tuple(Delay(labels[at], values[at], float(std[group[at]])) for at in sorted(first)), added
 
 
-def shifts_of(
-    model: Model, solution: Solution, parameters: Parameters, name: str
-) -> tuple[IntArray, FloatArray, FloatArray] | None:
-    """Return by how much each recording alone would change one parameter of a joint fit.
+def shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArray] | None:
+    """Return by how much each recording alone would change one parameter of a joint fit of windows.
 
-    `model`: with windows. Returns the group of each run (n_runs,), and each group's shift with its standard deviation
-    (n_groups,); None where the parameter is not free or blocks are too few.
+    The group of each run (n_runs,), and each group's shift with its standard deviation (n_groups,); None where the
+    parameter is not free or blocks are too few.
     """
-    group = recording_groups(model.recording)
-    n_groups = int(group.max()) + 1
-    if name not in parameters.free_names or n_groups < 2:
+    segments, parameters, group = fitted.model.segments, fitted.parameters, fitted.model.recording.group
+    if name not in parameters.free_names or not group.any():
         return None
-    jacobian, residuals = whitened(solution, parameters.free)
+    jacobian, residuals = whitened(fitted.solution, parameters.free)
     slope = jacobian[:, :, parameters.free_names.index(name)]
-    block = np.unique(model.segments.block, return_inverse=True)[1]
-    of_block = group[model.segments.run[np.unique(block, return_index=True)[1]]]
+    _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
+    of_block = group[segments.run[first]]
     information = np.bincount(block, np.square(slope).sum(axis=1))
     score = np.bincount(block, np.sum(slope * residuals, axis=1))
-    size = np.bincount(of_block, information, minlength=n_groups)
-    if np.bincount(of_block, minlength=n_groups).min() < FEWEST_BLOCKS or not (size > 0.0).all():
+    n_blocks, size, total = (np.bincount(of_block, part, group.max() + 1) for part in (None, information, score))
+    if n_blocks.min() < FEWEST_BLOCKS or not (size > 0.0).all():
         return None
-    shift = np.bincount(of_block, score, minlength=n_groups) / size
+    shift = total / size
     # about its own value: the score of a common shift in each block is no noise
     about = score - shift[of_block] * information
-    return group, shift, np.sqrt(np.bincount(of_block, np.square(about), minlength=n_groups)) / size
+    return group, shift, np.sqrt(np.bincount(of_block, np.square(about))) / size
 
 
-def steering_zero_spread_rad(model: Model, solution: Solution, parameters: Parameters) -> float:
+def steering_zero_spread_rad(fitted: Fitted) -> float:
     """Return the standard deviation of the steering angle's zero between recordings; 0 where they agree."""
-    shifts = shifts_of(model, solution, parameters, STEERING_ZERO)
-    if shifts is None or not _disagree(shifts[1], shifts[2]):
+    shifts = shifts_of(fitted, STEERING_ZERO)
+    if shifts is None or not _disagree(*shifts[1:]):
         return 0.0
     _, shift, std = shifts
     return float(np.sqrt(max(float(np.var(shift, ddof=1)) - float(np.mean(np.square(std))), 0.0)))
-
-
-def recording_groups(recording: Recording) -> IntArray:
-    """Return each run's recording by its number, shape (n_runs,)."""
-    return np.asarray(np.unique(recording.labels, return_inverse=True)[1])
 
 
 def _disagree(shift: FloatArray, std: FloatArray) -> bool:
@@ -320,11 +281,10 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 
     The angles of the model's recording are then those by their own zeros.
     """
-    spread = steering_zero_spread_rad(fitted.model, fitted.solution, fitted.parameters)
-    if not spread:
+    if not (spread := steering_zero_spread_rad(fitted)):
         return fitted
     parameters, model, logged = fitted.parameters, fitted.model, fitted.model.recording
-    group = recording_groups(logged)
+    group = logged.group
     deviation = np.zeros(int(group.max()) + 1)
     solution = replace(fitted.solution, shared=_shared(fitted, fitted.solution, group, spread, deviation))
     for number in range(ROUNDS):
@@ -348,13 +308,11 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
     `solution`: at the deviations; `fitted`: with one zero; `group`: recording of each run; `spread`: standard deviation
     of `deviation`, each recording's zero from the common one, rad.
     """
-    names = fitted.parameters.names
+    zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
     # a deviation is added to the angle before its scale
-    scale = solution.values[names.index(STEERING_SCALE)]
-    by_zero = solution.prediction.jacobian[:, :, names.index(STEERING_ZERO)]
-    change = np.einsum("nij,nj->ni", solution.whitener, by_zero * scale * spread)
-    weighted = change * np.sqrt(solution.weights)[:, None]
-    return Shared(group[fitted.model.segments.run], weighted, deviation / spread)
+    by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
+    change = np.einsum("nij,nj->ni", solution.whitener, by_zero * spread)
+    return Shared(group[fitted.model.segments.run], change * np.sqrt(solution.weights)[:, None], deviation / spread)
 
 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
@@ -365,11 +323,10 @@ def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArra
     free, shared = fitted.parameters.free, solution.shared
     assert shared is not None
     jacobian, residuals = whitened(solution, free)
-    step = np.linalg.lstsq(jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel(), rcond=None)[0]
+    step = np.linalg.lstsq(flattened(jacobian), residuals.ravel(), rcond=None)[0]
     plain, left = whitened(replace(solution, shared=None), free)
     left = left - plain @ step
-    n_groups = len(shared.amount)
-    size = np.bincount(shared.group, np.square(shared.change).sum(axis=1), minlength=n_groups)
+    n_groups, size = len(shared.amount), shared.size
     pull = np.bincount(shared.group, np.sum(shared.change * left, axis=1), minlength=n_groups)
     deviation = spread * (pull + size * shared.amount) / (1.0 + size)
     values = solution.values.copy()

@@ -7,23 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.wheels import lengthening
 from calib.errors import RefusedError
-from calib.kinematics.drives import (
-    SENSOR,
-    STEERING,
-    Drive,
-    Motion,
-    Parameter,
-    Path,
-    Steps,
-    displacement,
-    integrate_motion,
-    length_parameter,
-    moved_between,
-)
+from calib.kinematics.drives import SENSOR, Drive, Motion, Path, displacement, integrate_motion, moved_between
 from calib.kinematics.recording import Recording, parts_seen
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
 LEVELS: Final = (1.0, 0.5, 0.25)
@@ -73,17 +60,9 @@ def end_pose_segments(recording: Recording) -> Segments:
     runs = np.flatnonzero(np.isfinite(recording.end_pose).any(axis=1))
     if not len(runs):
         raise RefusedError("end poses: found none; expected ref_x_m, ref_y_m, ref_theta_rad of some runs; measure them")
-    measured = recording.end_pose[runs]
-    return Segments(
-        run=runs,
-        first=recording.offsets[runs],
-        last=recording.offsets[runs + 1] - 1,
-        measured=np.nan_to_num(measured),
-        seen=np.isfinite(measured),
-        block=np.arange(len(runs)),
-        level=np.zeros(len(runs), dtype=np.int64),
-        gyro=recording.by_gyro[runs],
-    )
+    measured, block, level = recording.end_pose[runs], np.arange(len(runs)), np.zeros_like(runs)
+    first, last, gyro = recording.offsets[runs], recording.offsets[runs + 1] - 1, recording.by_gyro[runs]
+    return Segments(runs, first, last, np.nan_to_num(measured), np.isfinite(measured), block, level, gyro)
 
 
 def window_segments(recording: Recording, blocks: int) -> Segments:
@@ -98,9 +77,9 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
     length = float(ends.sum()) / max(blocks, 1)
-    pieces: list[tuple[IntArray, IntArray, IntArray, IntArray, IntArray]] = []
-    block = 0
+    pieces: list[IntArray] = []
     seen: list[BoolArray] = []
+    block = 0
     for run in range(len(recording)):
         reference = recording.reference[:, recording.offsets[run] : recording.offsets[run + 1]]
         parts = parts_seen(reference)
@@ -115,17 +94,15 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
             starts = starts if parts[2] else starts[:1]
             first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
             last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
-            real = last > first
-            seen.append(np.repeat(parts[None], real.sum(), axis=0))
-            n, of = int(real.sum()), np.repeat(block + np.arange(n_blocks), len(starts))
-            pieces.append((first[real], last[real], np.full(n, run), of[real], np.full(n, level)))
+            of_block = np.repeat(block + np.arange(n_blocks), len(starts))
+            piece = np.stack(np.broadcast_arrays(run, first, last, of_block, level))[:, last > first]
+            seen.append(np.repeat(parts[None], piece.shape[1], axis=0))
+            pieces.append(piece)
         block += n_blocks
-    if not pieces or not sum(len(piece[0]) for piece in pieces):
-        raise RefusedError(
-            "windows: found no reference along the path; expected ref_x_m, ref_y_m, ref_theta_rad in logs; "
-            "use end poses instead"
-        )
-    first, last, run_of, block_of, level_of = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    if not sum(piece.shape[1] for piece in pieces):
+        found = "windows: found no reference along the path"
+        raise RefusedError(f"{found}; expected ref_x_m, ref_y_m, ref_theta_rad in logs; use end poses instead")
+    run_of, first, last, block_of, level_of = np.concatenate(pieces, axis=1)
     measured = moved_between(np.nan_to_num(recording.reference), first, last)
     no_gyro = np.zeros(len(first), dtype=np.bool_)
     return Segments(run_of, first, last, measured, np.concatenate(seen), block_of, level_of, no_gyro)
@@ -167,25 +144,13 @@ class Model:
         """Return residuals and derivatives at `values`, shape (n_parameters,)."""
         n_drive = len(values) - len(SENSOR)
         path = integrate_motion(self.motion(values))
-        first, last = self.segments.first, self.segments.last
-        delay = float(values[-1])
-        pose, by_parameter, by_delay, first, last = _at_times(path, self.recording, first, last, delay)
-        moved, derivative = displacement(pose, np.concatenate([by_parameter, by_delay[None]]), first, last)
-        seen, by_sensor = _sensor(moved, values[-4:-1])
+        moved, derivative = displacement(*_at_times(path, self.recording, self.segments, float(values[-1])))
+        seen, through, by_sensor = _sensor(moved, derivative, values[-4:-1])
         by_gyro = np.zeros((len(moved), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
-        jacobian = np.concatenate(
-            [
-                _through(derivative[:, :, :n_drive], moved, values[-4:-1]),
-                by_gyro,
-                by_sensor,
-                _through(derivative[:, :, n_drive:], moved, values[-4:-1]),
-            ],
-            axis=2,
-        )
+        jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
         scale = np.where(self.segments.gyro, values[n_drive], 1.0)
-        others = np.arange(len(values)) != n_drive
-        jacobian[:, 2, others] *= scale[:, None]
+        jacobian[:, 2, np.arange(len(values)) != n_drive] *= scale[:, None]
         seen[:, 2] *= scale
         residuals = self.segments.measured - seen
         unseen = ~self.segments.seen
@@ -195,13 +160,13 @@ class Model:
 
 
 def _at_times(
-    path: Path, recording: Recording, first: IntArray, last: IntArray, delay_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray]:
-    """Return poses `delay_s` before the samples, their derivatives by parameters and by the delay, and new numbers.
+    path: Path, recording: Recording, segments: Segments, delay_s: float
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Return poses `delay_s` before both ends, their derivatives by parameters and delay, and the ends' new numbers.
 
     The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated.
     """
-    used, inverse = np.unique(np.concatenate([first, last]), return_inverse=True)
+    used, inverse = np.unique([segments.first, segments.last], return_inverse=True)
     run = recording.run[used]
     low, high = recording.offsets[run], recording.offsets[run + 1] - 1
     t_s = recording.t_s
@@ -213,12 +178,10 @@ def _at_times(
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
     weights = _between(t_s[near], wanted)
-    pose, by_parameter = (
-        np.einsum("...in,in->...n", part[..., near], weights) for part in (path.pose, path.by_parameter)
-    )
+    parts = (path.pose[..., near], path.by_parameter[..., near])
+    pose, by_parameter = (np.einsum("...in,in->...n", part, weights) for part in parts)
     by_delay = -_velocity(path.pose, t_s, at, low, high)
-    half = len(first)
-    return pose, by_parameter, by_delay, inverse[:half], inverse[half:]
+    return pose, np.concatenate([by_parameter, by_delay[None]]), *inverse.reshape(2, -1)
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
@@ -243,91 +206,18 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
     return np.asarray((pose[:, after] - pose[:, before]) / np.where(span > 0.0, span, np.inf))
 
 
-def _sensor(moved: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the sensor's displacements for the vehicle's, and derivatives by the sensor's pose."""
-    x, y, yaw = place
-    turn = moved[:, 2]
-    cosine, sine = np.cos(turn) - 1.0, np.sin(turn)
-    forward = moved[:, 0] + cosine * x - sine * y
-    left = moved[:, 1] + sine * x + cosine * y
-    c, s = np.cos(yaw), np.sin(yaw)
-    seen = np.stack([c * forward + s * left, c * left - s * forward, turn], axis=1)
-    by = np.zeros((len(moved), 3, 3))
-    by[:, 0, 0], by[:, 1, 0] = c * cosine + s * sine, c * sine - s * cosine
-    by[:, 0, 1], by[:, 1, 1] = -c * sine + s * cosine, c * cosine + s * sine
-    by[:, 0, 2], by[:, 1, 2] = seen[:, 1], -seen[:, 0]
-    return seen, by
+def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the sensor's displacements, their derivatives by the vehicle's parameters, and by the sensor's pose."""
+    lever, back, turned = place[0] + 1j * place[1], np.exp(-1j * place[2]), np.exp(1j * moved[:, 2])
+    # forward and to the left as one complex number
+    seen = back * (moved[:, 0] + 1j * moved[:, 1] + (turned - 1.0) * lever)
+    by_motion = derivative[:, 0] + 1j * derivative[:, 1] + (1j * turned * lever)[:, None] * derivative[:, 2]
+    by_lever = back * (turned - 1.0)
+    by_sensor = np.stack([by_lever, 1j * by_lever, -1j * seen], axis=1)
+    parts = _parts(back * by_motion, derivative[:, 2]), _parts(by_sensor, np.zeros(by_sensor.shape))
+    return np.stack([seen.real, seen.imag, moved[:, 2]], axis=1), *parts
 
 
-def _through(derivative: FloatArray, moved: FloatArray, place: FloatArray) -> FloatArray:
-    x, y, yaw = place
-    turn, cosine, sine = moved[:, 2], np.cos(yaw), np.sin(yaw)
-    d_forward = derivative[:, 0] + (-np.sin(turn) * x - np.cos(turn) * y)[:, None] * derivative[:, 2]
-    d_left = derivative[:, 1] + (np.cos(turn) * x - np.sin(turn) * y)[:, None] * derivative[:, 2]
-    return np.stack([cosine * d_forward + sine * d_left, cosine * d_left - sine * d_forward, derivative[:, 2]], axis=1)
-
-
-#: the curvature is tan(angle) / (L (1 + understeer v^2)): front tyres slip more than rear ones; see `lengthening`
-UNDERSTEER: Final = "understeer_s2_per_m2"
-#: the rear axle moves at the angle -side_slip v^2 curvature to its heading
-SIDE_SLIP: Final = "side_slip_s2_per_m"
-#: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m; spreads allow for several
-UNDERSTEER_STD: Final = 0.05
-SIDE_SLIP_STD: Final = 0.02
-#: turns below this lateral acceleration slip by a few milliradians: nothing to estimate
-SLIPS_MPS2: Final = 0.5
-#: quantile of the lateral acceleration that has to reach it: not single samples
-OFTEN: Final = 0.9
-
-
-@dataclass(frozen=True, slots=True)
-class RearShaft:
-    """A counted rear axle and steered front wheels; the true angle is scale times the sensor's, plus zero."""
-
-    rear_radius_m: float
-    wheelbase_m: float
-    #: whether understeer and side slip are parameters
-    slips: bool = False
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Rear radius, wheelbase, zero and scale of the steering angle; in fast turns understeer and side slip."""
-        rigid = (
-            length_parameter("rear_radius_m", self.rear_radius_m),
-            length_parameter("wheelbase_m", self.wheelbase_m),
-            *STEERING,
-        )
-        if not self.slips:
-            return rigid
-        return (*rigid, Parameter(UNDERSTEER, 0.0, UNDERSTEER_STD), Parameter(SIDE_SLIP, 0.0, SIDE_SLIP_STD))
-
-    def motion(self, values: FloatArray, steps: Steps) -> Motion:
-        """Return the motion of the rear axle's middle: ahead what the wheels roll, its curvature tan(angle) / L."""
-        radius, wheelbase, zero, scale = values[:4]
-        understeer, side_slip = values[4:] if self.slips else (0.0, 0.0)
-        phi, steer, square = steps.turned_rad[0], np.asarray(steps.steer_rad), np.square(np.asarray(steps.speed_mps))
-        tangent = np.tan(scale * steer + zero)
-        travel = radius * phi
-        longer = wheelbase * lengthening(understeer * square)
-        turn = travel * tangent / longer
-        derivative = np.zeros((len(values), 3, len(travel)))
-        derivative[0, 0], derivative[0, 2] = phi, phi * tangent / longer
-        derivative[1, 2] = -turn / wheelbase
-        derivative[2, 2] = travel * (1.0 + tangent**2) / longer
-        derivative[3, 2] = derivative[2, 2] * steer
-        if self.slips:
-            over = understeer * square
-            by_over = np.where(over >= 0.0, 1.0 / (1.0 + np.abs(over)), 1.0 / (1.0 - np.minimum(over, 0.0)))
-            derivative[4, 2] = -turn * square * by_over
-            derivative[:, 1] = -side_slip * square * derivative[:, 2]
-            derivative[5, 1] = -square * turn
-        return Motion(np.stack([travel, -side_slip * square * turn, turn]), derivative)
-
-
-def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
-    """Return the drive with its nominal values; slip is estimated where turns were fast enough to show it."""
-    speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
-    lateral_mps2 = np.square(speed_mps) * np.abs(np.tan(steer_rad)) / wheelbase_m
-    moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
-    fast = len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2
-    return RearShaft(radius_m, wheelbase_m, slips=fast)
+def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
+    """Return derivatives of place and turn, shape (n, k) both, as shape (n, 3, k)."""
+    return np.stack([place.real, place.imag, turn], axis=1)

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import LARGEST_STEERING_RAD, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.factors import SKID_HINT
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 #: axes turned by less are a sensor's mounting, which is estimated
 LEAST_ANGLE_RAD: Final = 0.02
@@ -52,6 +50,7 @@ ALIKE: Final = 0.1
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
 Change = Callable[[Recording], Recording]
+OfArray = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,8 @@ def readings(
     yield from _tracks(drive)
     yield from _wheel_units(per_rev, drive)
     if not plausible:
-        yield from _geared()
+        text = "counts: {:.3g} times too many for [encoder] and [vehicle] (the motor's? inches?); correct one"
+        yield from _geared("count_gear", text, _rolled, 0)
     yield from _wraps(recording, per_rev)
     yield from _increments(recording)
     yield from _jumps(recording, per_rev)
@@ -97,7 +97,7 @@ def readings(
         yield from _steering(recording.steps.steer_rad)
 
 
-def _referred(change: Callable[[FloatArray], FloatArray]) -> Change:
+def _referred(change: OfArray) -> Change:
     """Return a change of every reference pose, given as columns of x, y, theta, shape (3, n)."""
 
     def changed(recording: Recording) -> Recording:
@@ -136,22 +136,22 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
 
 
+def _rolled(change: OfArray) -> Change:
+    """Return a change of the wheels' turns, shape (n_wheels, n_samples)."""
+    return lambda recording: recording.with_turned(change(recording.steps.turned_rad))
+
+
 def _yaw_rates(recording: Recording) -> Iterator[Reading]:
     for unit, radians in ANGLE_UNITS.items() if TWIST in recording.speeds else ():
-
-        def turned(recording: Recording, factor: float = float(radians)) -> Recording:
-            left, right = recording.steps.turned_rad
-            ahead, half = 0.5 * (left + right), 0.5 * factor * (right - left)
-            return recording.with_turned(np.stack([ahead - half, ahead + half]))
-
+        # the mean of both wheels stays, their difference is in other units
+        mix = 0.5 * np.array([[1.0 + radians, 1.0 - radians], [1.0 - radians, 1.0 + radians]])
         text = f"{TWIST}: found {unit}/s where rad/s are expected; convert, or state the unit in the mapping"
-        yield Reading(Fault("omega_unit", text), turned)
+        yield Reading(Fault("omega_unit", text), _rolled(partial(np.matmul, mix)))
 
 
 def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
     """Yield headings that are the z of a unit quaternion, the sine of half the heading."""
-    ends = recording.end_pose[:, 2]
-    z = np.concatenate([recording.reference[2], ends])
+    z = np.concatenate([recording.reference[2], recording.end_pose[:, 2]])
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
     told = since_start(nominal_turn(drive, recording.steps), recording.offsets)
@@ -204,10 +204,6 @@ def _tracks(drive: Drive) -> Iterator[Reading]:
         yield Reading(Fault("half_track" if factor > 1.0 else "double_track", text), unchanged, setting=stated)
 
 
-def _turned(factors: FloatArray | float) -> Change:
-    return lambda recording: recording.with_turned((recording.steps.turned_rad.T * factors).T)
-
-
 def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
     radius = next(item.nominal for item in drive.parameters if "radius" in item.name)
     units = {"radians": per_rev / (2.0 * np.pi), "degrees": per_rev / 360.0, "turns": per_rev}
@@ -215,61 +211,53 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
     for side, which in _sides(sum(item.name.startswith("radius_") for item in drive.parameters)):
         for unit, factor in units.items():
             text = f"counts of {side}: found {unit} where encoder counts are expected; map the column with its unit"
-            yield Reading(Fault("count_unit", text), _turned(np.where(which, factor, 1.0)))
+            yield Reading(Fault("count_unit", text), _rolled(partial(np.multiply, np.where(which, factor, 1.0))))
         for words, factor in COUNT_FACTORS.items():
             text = f"counts of {side}: {words} the stated counts_per_rev explains the data; correct [encoder]"
             code = "radius_factor" if which.all() else "counts_per_rev"
             text += ", or the radius (a diameter?)" if which.all() else ""
-            yield Reading(Fault(code, text), _turned(np.where(which, 1.0 / factor, 1.0)))
+            yield Reading(Fault(code, text), _rolled(partial(np.multiply, np.where(which, 1.0 / factor, 1.0))))
 
 
-def _geared() -> Iterator[Reading]:
+def _geared(code: str, text: str, change: Callable[[OfArray], Change], scale: int) -> Iterator[Reading]:
+    """Yield readings of gears; `text` has a place for the ratio, `scale` says which factor of a fit tells its rest."""
 
     def reading(ratio: float) -> Reading:
-        text = f"counts: {ratio:.3g} times too many for [encoder] and [vehicle] (the motor's? inches?); correct one"
-        change = _turned(1.0 / ratio)
-        return Reading(Fault("count_gear", text), change, refined=lambda scales: reading(ratio / scales[0]))
+        by_ratio = change(partial(np.multiply, 1.0 / ratio))
+        return Reading(Fault(code, text.format(ratio)), by_ratio, refined=lambda scales: reading(ratio / scales[scale]))
 
     yield from map(reading, GEAR_RATIOS)
 
 
 def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
-    if n_wheels != 2:
-        return [("the wheels", np.ones(1, dtype=np.bool_))]
-    both = np.ones(2, dtype=np.bool_)
-    return [("both wheels", both), ("the left wheel", both & [True, False]), ("the right wheel", both & [False, True])]
+    """Return each choice of the wheels with its name, shape (n_wheels, 1); of other than two wheels all alone."""
+    names = {"both wheels": [[1], [1]], "the left wheel": [[1], [0]], "the right wheel": [[0], [1]]}
+    names = names if n_wheels == 2 else {"the wheels": [[1]]}
+    return [(name, np.array(which, dtype=np.bool_)) for name, which in names.items()]
 
 
 def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    turned = recording.steps.turned_rad
+    largest = np.abs(recording.steps.turned_rad).max()
     periods = {"one revolution (an absolute encoder)": 2.0 * np.pi}
     periods |= {f"2^{bits}": 2.0 * np.pi * 2.0**bits / per_rev for bits in COUNTER_BITS}
-    largest = np.abs(turned).max(axis=1)
     for what, period in periods.items():
-        wraps = largest > 0.5 * period
-        if not wraps.any() or float(largest.max()) > 1.01 * period:
-            continue
-        yield _wrapped(f"{what} and were not unwrapped; state wrap_bits in [encoder], or", period)
+        if 0.5 * period < largest <= 1.01 * period:
+            yield _wrapped(f"{what} and were not unwrapped; state wrap_bits in [encoder], or", period)
 
 
 def _wrapped(what: str, period_rad: float) -> Reading:
-
-    def unwrapped(recording: Recording) -> Recording:
-        turned = recording.steps.turned_rad
-        return recording.with_turned(turned - period_rad * np.rint(turned / period_rad))
-
-    return Reading(Fault("counts_wrap", f"counts overflow at {what} unwrap them"), unwrapped)
+    blunder = Fault("counts_wrap", f"counts overflow at {what} unwrap them")
+    return Reading(blunder, _rolled(lambda turned: turned - period_rad * np.rint(turned / period_rad)))
 
 
 def _increments(recording: Recording) -> Iterator[Reading]:
     for side, which in _sides(len(recording.steps.turned_rad)):
 
-        def summed(recording: Recording, which: BoolArray = which) -> Recording:
-            turned = recording.steps.turned_rad
-            return recording.with_turned(np.where(which[:, None], since_start(turned, recording.offsets), turned))
+        def summed(turned: FloatArray, which: BoolArray = which) -> FloatArray:
+            return np.where(which, since_start(turned, recording.offsets), turned)
 
         text = f"counts of {side}: found increments since the sample before where totals are expected; add them up"
-        yield Reading(Fault("count_increments", text), summed)
+        yield Reading(Fault("count_increments", text), _rolled(summed))
 
 
 def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
@@ -284,17 +272,14 @@ def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
         yield _wrapped(f"{counts}, by which they jump {n_jumps} times;", 2.0 * np.pi * counts / per_rev)
     if not 0 < n_jumps <= MOST_JUMPS * len(recording):
         return
-
-    def without(recording: Recording) -> Recording:
-        return recording.with_turned(np.where(jumps, 0.0, recording.steps.turned_rad))
-
     text = f"counts: found {n_jumps} jumps of more than a revolution in one sample (a counter that starts again); "
-    yield Reading(Fault("count_jump", text + "join the parts of each run, or leave these runs out"), without)
+    blunder = Fault("count_jump", text + "join the parts of each run, or leave these runs out")
+    yield Reading(blunder, _rolled(lambda turned: np.where(jumps, 0.0, turned)))
 
 
 def _steering(steer: FloatArray) -> Iterator[Reading]:
 
-    def steered(change: Callable[[FloatArray], FloatArray]) -> Change:
+    def steered(change: OfArray) -> Change:
         return lambda recording: recording.with_steering(change(np.asarray(recording.steps.steer_rad)))
 
     for unit, radians in ANGLE_UNITS.items():
@@ -310,10 +295,5 @@ def _steering(steer: FloatArray) -> Iterator[Reading]:
 
             yield Reading(Fault("steering_wraps", text), steered(unwrapped))
     if float(np.max(np.abs(steer))) > LARGEST_STEERING_RAD:
-
-        def geared(ratio: float) -> Reading:
-            text = f"steer_rad: found angles some {ratio:.3g} times the wheel's (the motor's?); divide by the gear"
-            change = steered(partial(np.multiply, 1.0 / ratio))
-            return Reading(Fault("steering_gear", text), change, refined=lambda scales: geared(ratio / scales[1]))
-
-        yield from map(geared, GEAR_RATIOS)
+        text = "steer_rad: found angles some {:.3g} times the wheel's (the motor's?); divide by the gear"
+        yield from _geared("steering_gear", text, steered, 1)

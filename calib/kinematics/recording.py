@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_TURN
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 #: why a run with positions alone may not be used
@@ -73,6 +71,11 @@ class Recording:
         return self.session if len(np.unique(self.session)) > 1 else self.run_id
 
     @property
+    def group(self) -> IntArray:
+        """Number of each run's recording, shape (n_runs,)."""
+        return np.asarray(np.unique(self.labels, return_inverse=True)[1])
+
+    @property
     def run(self) -> IntArray:
         """Number of the run of each sample, shape (n_samples,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets)).astype(np.int64)
@@ -90,9 +93,8 @@ class Recording:
     @property
     def continuous(self) -> bool:
         """Whether the reference follows the vehicle along the path, in at least half of the runs."""
-        has = np.isfinite(self.reference).any(axis=0)
-        counts = np.add.reduceat(has.astype(np.int64), self.offsets[:-1])
-        return bool(np.mean(counts >= MANY_POSES) >= 0.5)
+        poses = np.add.reduceat(np.isfinite(self.reference).any(axis=0), self.offsets[:-1], dtype=np.int64)
+        return bool(np.mean(poses >= MANY_POSES) >= 0.5)
 
     @property
     def lengths_alone(self) -> bool:
@@ -108,14 +110,12 @@ class Recording:
         end_pose, turn_rad = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
         known = np.isfinite(heading)
-        half = (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any()
-        if half:
+        if (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any():
             heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
         turns = np.nan_to_num((turn_rad - heading) / (2.0 * np.pi))
         off = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
         off &= np.abs(turn_rad) < MOST_TURNS_RAD
-        if off.mean() > FEW_OFF:
-            off[:] = False
+        off &= off.mean() <= FEW_OFF
         heading[off] += 2.0 * np.pi * np.rint(turns[off])
         return replace(self, end_pose=end_pose), self.run_id[off].tolist()
 
@@ -146,9 +146,9 @@ class Recording:
 
     def with_reference(self, reference: FloatArray) -> Recording:
         """Return the recording with another reference along the path, shape (3, n_samples), and its ends."""
-        ends = self.end_pose.copy()
+        ends, references = self.end_pose.copy(), np.stack([reference, self.reference])
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
-            both = np.stack([reference[:, first:last], self.reference[:, first:last]])
+            both = references[:, :, first:last]
             known = np.flatnonzero(np.isfinite(both).all(axis=(0, 1)))
             if len(known) > 1:
                 after, before = (moved_between(np.nan_to_num(part), known[:1], known[-1:])[0] for part in both)
@@ -184,16 +184,10 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     """
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
-    pieces: list[_Run] = []
-    left_out: list[tuple[str, str]] = []
-    rows: list[int] = []
-    for row in range(len(campaign.runs)):
-        piece = _piece(campaign, row, source, per_rev)
-        if isinstance(piece, str):
-            left_out.append((str(campaign.runs.run_id[row]), piece))
-        else:
-            pieces.append(piece)
-            rows.append(row)
+    found = [_piece(campaign, row, source, per_rev) for row in range(len(campaign.runs))]
+    named = zip(campaign.runs.run_id.tolist(), found, strict=True)
+    left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
+    pieces = [piece for piece in found if not isinstance(piece, str)]
     if not pieces:
         reason = f"; the first, {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
         raise RefusedError(
@@ -201,8 +195,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
             f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; measure where runs end (ref_x_m, "
             "ref_y_m, ref_theta_rad)"
         )
-    runs = campaign.runs.select(np.array(rows))
-    offsets = np.cumsum([0] + [len(piece.t_s) for piece in pieces]).astype(np.int64)
+    runs = campaign.runs.select(np.array([not isinstance(piece, str) for piece in found]))
 
     def joined(name: str) -> FloatArray | None:
         """Lay an array of all runs end to end; None where a run has none."""
@@ -213,7 +206,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         run_id=runs.run_id,
         session=runs.label("session"),
         kind=runs.label("kind"),
-        offsets=offsets,
+        offsets=np.cumsum([0, *(len(piece.t_s) for piece in pieces)]),
         t_s=np.concatenate([piece.t_s for piece in pieces]),
         steps=Steps(
             turned_rad=np.concatenate([piece.turned for piece in pieces], axis=1),
@@ -224,7 +217,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         reference=np.concatenate([piece.reference for piece in pieces], axis=1),
         end_pose=np.stack([piece.end_pose for piece in pieces]),
         by_gyro=np.array([piece.by_gyro for piece in pieces]),
-        left_out=tuple(left_out),
+        left_out=left_out,
         speeds=campaign.logs.speeds,
     )
 
@@ -247,20 +240,17 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
     end = np.array([runs.number(name)[row] for name in REFERENCE])
     if not all(name in log for name in names):
         return _end_counts(campaign, row, source, per_rev, end)
-    counts = np.stack([log[name] for name in names])
-    keep: BoolArray = np.asarray(np.isfinite(counts).all(axis=0))
     steer = log.get("steer_rad") if source in STEERED else None
-    if source in STEERED:
-        if steer is None:
-            return "its log has no steer_rad"
-        keep &= np.isfinite(steer)
+    if source in STEERED and steer is None:
+        return "its log has no steer_rad"
+    counts = np.stack([log[name] for name in names])
+    keep = np.asarray(np.isfinite(counts if steer is None else np.vstack([counts, steer])).all(axis=0))
     if keep.sum() < 2:
         return "its log has fewer than two samples with counts"
-    reference = np.full((3, len(keep)), np.nan)
-    for axis, name in enumerate(REFERENCE):
-        if name in log:
-            reference[axis] = unwrapped(log[name]) if axis == 2 else log[name]
-    turned = 2.0 * np.pi * np.diff(counts[:, keep], axis=1, prepend=counts[:, keep][:, :1]) / per_rev[:, None]
+    counts = counts[:, keep]
+    turned = 2.0 * np.pi * np.diff(counts, axis=1, prepend=counts[:, :1]) / per_rev[:, None]
+    reference = np.stack([log.get(name, np.full(len(keep), np.nan)) for name in REFERENCE])
+    reference[2] = unwrapped(reference[2])
     reference = reference[:, keep]
     if _position_alone_in_a_map(campaign, reference):
         return POSITION_ALONE
@@ -269,15 +259,14 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
     if np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
     gyro = float(runs.number(GYRO_TURN)[row])
-    by_gyro = bool(np.isnan(end[2]) and np.isfinite(gyro))
-    if by_gyro:
+    if by_gyro := bool(np.isnan(end[2]) and np.isfinite(gyro)):
         end = np.array([end[0], end[1], gyro])
     if not np.isfinite(reference).any() and np.isnan(end[[0, 2]]).all():
         return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
     if steer is not None:
+        steer = steer[keep]
         # in the middle of each step
-        angle = steer[keep]
-        steer = np.concatenate([angle[:1], 0.5 * (angle[1:] + angle[:-1])])
+        steer = np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
     t_s = log["t_s"][keep]
     speed = smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, t_s)
     return _Run(t_s - t_s[0], turned, reference, end, _loads(campaign, row, log, keep), steer, speed, by_gyro)
@@ -287,18 +276,18 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
     if source != "rear":
         return f"its log lacks {' or '.join(WHEEL_COLUMNS[source])}"
     runs = campaign.runs
-    counts = np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]])
-    if np.isnan(counts).any():
+    turned_rad = 2.0 * np.pi * np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]]) / per_rev
+    if np.isnan(turned_rad).any():
         return "it has no log and no end counts"
     if np.isnan(end).any():
-        end = _straight_end(campaign, row, source, 2.0 * np.pi * counts / per_rev)
+        end = _straight_end(campaign, row, source, turned_rad)
     if np.isnan(end[0]):
         return "it has no log, and no end pose or distance_m of a straight run"
     if abs(end[2]) > ONE_ARC_RAD:
         return "it turns and has no log: its path cannot be computed from end counts"
-    turned = np.stack([np.zeros(2), 2.0 * np.pi * counts / per_rev], axis=1)
+    turned_rad = np.stack([np.zeros(2), turned_rad], axis=1)
     loads = _loads(campaign, row, {}, np.ones(2, dtype=np.bool_))
-    return _Run(np.array([0.0, 1.0]), turned, np.full((3, 2), np.nan), end, loads)
+    return _Run(np.array([0.0, 1.0]), turned_rad, np.full((3, 2), np.nan), end, loads)
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
@@ -313,27 +302,22 @@ def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatAr
     left, right = turned_rad * np.array([model.radius_left_m, model.radius_right_m])
     kind = str(campaign.runs.label("kind")[row]).lower()
     # unequal radii bend what the nominal vehicle makes of a corridor
-    straight = abs(right - left) / model.track_m < (LED_RAD if kind.startswith(LED) else ONE_ARC_RAD)
-    if straight:
+    if abs(right - left) / model.track_m < (LED_RAD if kind.startswith(LED) else ONE_ARC_RAD):
         end[0] = campaign.runs.number("distance_m")[row] * np.sign(left + right)
     return end
 
 
 def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
-    loads = []
-    for name in ("load_left_N", "load_right_N"):
-        load = log[name][keep] if name in log else np.full(int(keep.sum()), campaign.runs.number(name)[row])
-        if np.isnan(load).any():
-            return None
-        loads.append(load)
-    return np.stack(loads) - campaign.model.reference_load_N
+    names = ("load_left_N", "load_right_N")
+    whole = (np.full(len(keep), campaign.runs.number(name)[row]) for name in names)
+    loads = np.stack([log.get(name, load)[keep] for name, load in zip(names, whole, strict=True)])
+    return None if np.isnan(loads).any() else loads - campaign.model.reference_load_N
 
 
 def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
-    places = reference[:2, np.isfinite(reference[:2]).all(axis=0)]
+    places, frame = reference[:2, np.isfinite(reference[:2]).all(axis=0)], campaign.reference.frame
     if not places.shape[1] or np.isfinite(reference[2]).any():
         return False
-    frame = campaign.reference.frame
     return frame == "map" or (frame is None and float(np.hypot(*places[:, 0])) > AT_START_M)
 
 

@@ -30,8 +30,7 @@ class Channels(NamedTuple):
     @staticmethod
     def rms(residuals: FloatArray) -> Channels:
         """Return the root mean square of each column of residuals, shape (n, 3)."""
-        squares = np.square(residuals).sum(axis=0) / max(len(residuals), 1)
-        return Channels(*np.sqrt(squares).tolist())
+        return Channels(*np.sqrt(np.square(residuals).sum(axis=0) / max(len(residuals), 1)).tolist())
 
 
 @dataclass(frozen=True, slots=True)

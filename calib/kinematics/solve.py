@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,28 +28,21 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
     """
     n = len(segments)
     kernel = np.zeros((len(COMPONENTS), n, 3, 3))
-    forward, left = segments.measured[:, 0], segments.measured[:, 1]
     kernel[0, :, 0, 0] = kernel[0, :, 1, 1] = 2.0
-    start = np.stack([left, -forward, -np.ones(n)], axis=1)
+    start = np.stack([segments.measured[:, 1], -segments.measured[:, 0], -np.ones(n)], axis=1)
     kernel[1] = start[:, :, None] * start[:, None, :]
     kernel[1, :, 2, 2] += 1.0
-    walk, along = _walks(path, body, segments)
     turn = path.pose[2, segments.first] + yaw_rad
     rotate = np.zeros((n, 3, 3))
     rotate[:, 0, 0] = rotate[:, 1, 1] = np.cos(turn)
     rotate[:, 0, 1], rotate[:, 1, 0] = np.sin(turn), -np.sin(turn)
     rotate[:, 2, 2] = 1.0
-    for at, covariance in ((2, walk), (3, along)):
-        kernel[at] = rotate @ covariance @ rotate.transpose(0, 2, 1)
-    unseen = ~segments.seen
-    for component in kernel:
-        component[unseen] = 0.0
-        component.transpose(0, 2, 1)[unseen] = 0.0
-    return kernel
+    kernel[2:] = rotate @ _walks(path, body, segments) @ rotate.transpose(0, 2, 1)
+    return np.asarray(kernel * (segments.seen[:, :, None] & segments.seen[:, None, :]))
 
 
-def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray, FloatArray]:
-    """Return covariances of end poses, in the path's own frame, of unit walks of heading and distance."""
+def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
+    """Return covariances of end poses, in the path's own frame, of unit walks of heading and distance: (2, n, 3, 3)."""
     x, y, theta = path.pose
     # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
     weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
@@ -68,16 +60,15 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> tuple[FloatArray
     aa = dy * dy * zero - 2 * dy * one_y + two_yy
     bb = dx * dx * zero - 2 * dx * one_x + two_xx
     ab = -(dx * dy * zero - dy * one_x - dx * one_y + two_xy)
-    walk = np.empty((len(segments), 3, 3))
+    walk, along = np.zeros((2, len(segments), 3, 3))
     walk[:, 0, 0], walk[:, 1, 1], walk[:, 2, 2] = np.maximum(aa, 0.0), np.maximum(bb, 0.0), zero
     walk[:, 0, 1] = walk[:, 1, 0] = ab
     walk[:, 0, 2] = walk[:, 2, 0] = a
     walk[:, 1, 2] = walk[:, 2, 1] = b
-    along = np.zeros((len(segments), 3, 3))
     cosine, sine = np.cos(theta), np.sin(theta)
     along[:, 0, 0], along[:, 1, 1] = between(weight * cosine**2), between(weight * sine**2)
     along[:, 0, 1] = along[:, 1, 0] = between(weight * cosine * sine)
-    return walk, along
+    return np.stack([walk, along])
 
 
 #: entries of a lower triangle, row by row; symmetric matrices of many stretches are kept as these six, shape (6, n):
@@ -86,31 +77,6 @@ _ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
 _COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
 #: how often an entry stands in the whole matrix
 _TIMES: Final = np.where(_ROWS == _COLUMNS, 1.0, 2.0)[:, None]
-
-
-def update_scales(
-    kernel: FloatArray, scales: FloatArray, least: FloatArray, inverse: FloatArray, pulled: FloatArray
-) -> tuple[FloatArray, float]:
-    """Return better variances, by a step that does not lower the likelihood (Zhou et al. 2019), and what it gains.
-
-    The gain: of log likelihood, by the component that gains most.
-
-    Parameters
-    ----------
-    kernel : array, shape (4, 6, n)
-        Lower triangles of the covariance of each displacement by each component of unit size.
-    scales, least : array, shape (4,)
-        Variances now, and at least.
-    inverse : array, shape (6, n)
-        Lower triangles of the inverse covariances at `scales`.
-    pulled : array, shape (3, n)
-        Inverse covariances times residuals, times the square root of the robust weights.
-    """
-    flat = kernel.reshape(len(kernel), -1)
-    size = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel()
-    trace = flat @ (_TIMES * inverse).ravel()
-    better = np.maximum(scales * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER, least)
-    return better, float(np.max(0.5 * np.abs(scales * (size - trace) * np.log(better / scales))))
 
 
 #: degrees of freedom of the Student t
@@ -144,6 +110,12 @@ class Shared:
     change: FloatArray
     #: what it is taken to be in each group, shape (n_groups,)
     amount: FloatArray
+
+    @property
+    def size(self) -> FloatArray:
+        """Information on it in each group, shape (n_groups,)."""
+        size = np.bincount(self.group, np.square(self.change).sum(axis=1), minlength=len(self.amount))
+        return np.asarray(size, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,13 +183,11 @@ def solve(
             break
         # a step of nothing is as long as it may be
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
-        least_part = CLOSE / max(sigmas, CLOSE)
-        values, prediction, moved = _advance(
-            model, (values, prediction), step, part, least_part, _judge(whitener, size)
-        )
+        advanced = _advance(model, (values, prediction), part * step, CLOSE / max(sigmas, CLOSE) / part, whitener)
         # the noise at this place first: by it there may be a step
-        if not moved and number >= noise_rounds - 1:
+        if advanced is None and number >= noise_rounds - 1:
             break
+        values, prediction = advanced or (values, prediction)
     weights, squares = _weights(_whitened(whitener, prediction.residuals.T), size)
     return Solution(values, prediction, scales, _whole(whitener), weights, _centred(squares, size), converged)
 
@@ -243,15 +213,17 @@ class _Linear:
         jacobian = np.ascontiguousarray(self.jacobian[:, some])
         return _Linear(self.residuals[:, some].copy(), jacobian, self.seen[some], self.size[some])
 
+    def whitened(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return Jacobian, shape (3 n, n_free), and residuals, shape (3 n,), whitened."""
+        jacobian = _whitened(whitener, self.jacobian).reshape(-1, self.jacobian.shape[2])
+        return jacobian, _whitened(whitener, self.residuals).ravel()
+
 
 def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
-    n_free = problem.jacobian.shape[2]
-    jacobian = _whitened(whitener, problem.jacobian).reshape(-1, n_free)
-    residuals = _whitened(whitener, problem.residuals).ravel()
-    step, moved = np.zeros(n_free), np.zeros(len(residuals))
+    jacobian, residuals = problem.whitened(whitener)
+    step, moved = np.zeros(jacobian.shape[1]), np.zeros(len(residuals))
     for _ in range(INNER):
-        weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
-        step = _weighted(jacobian, residuals, weights)
+        step = _weighted(jacobian, residuals, _weights((residuals - moved).reshape(3, -1), problem.size)[0])
         before, moved = moved, jacobian @ step
         if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
@@ -266,18 +238,25 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
-    n_free = problem.jacobian.shape[2]
-    step = np.zeros(n_free)
+    """Return better variances of the noise, by steps that do not lower the likelihood (Zhou et al. 2019).
+
+    `kernel`: lower triangles of the covariance of each displacement by each component of unit size, shape (4, 6, n);
+    `scales`, `least`: variances now, and at least, shape (4,); `steady`: see `solve`.
+    """
+    flat = kernel.reshape(len(kernel), -1)
+    step = np.zeros(problem.jacobian.shape[2])
     for _ in range(INNER):
         whitener = _whiteners(kernel, scales, problem.seen)
-        jacobian = _whitened(whitener, problem.jacobian).reshape(-1, n_free)
-        residuals = _whitened(whitener, problem.residuals).ravel()
+        jacobian, residuals = problem.whitened(whitener)
         weights = _weights((residuals - jacobian @ step).reshape(3, -1), problem.size)[0]
         step = _weighted(jacobian, residuals, weights)
         rest = (residuals - jacobian @ step).reshape(3, -1)
-        inverse, pulled = _inverse(whitener), _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
-        scales, gain = update_scales(kernel, scales, least, inverse, pulled)
-        if gain < steady:
+        pulled = _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
+        size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()
+        now = scales
+        scales = np.maximum(now * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER, least)
+        # what the component that gains most adds to the log likelihood
+        if np.max(0.5 * np.abs(now * (size - trace) * np.log(scales / now))) < steady:
             break
     return scales
 
@@ -321,8 +300,9 @@ def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
 
 
 def _inverse(whitener: FloatArray) -> FloatArray:
+    """Return inverse covariances, each entry as often as it stands in the whole matrix, shape (6, n)."""
     a, b, c, d, e, f = whitener
-    return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f])
+    return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f]) * _TIMES
 
 
 def _whole(whitener: FloatArray) -> FloatArray:
@@ -338,42 +318,32 @@ def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]
     return (DEGREES + size) / (DEGREES + squares), squares
 
 
-def _judge(whitener: FloatArray, size: IntArray) -> Callable[[Prediction], float]:
+def _advance(
+    model: Model, here: tuple[FloatArray, Prediction], step: FloatArray, least_part: float, whitener: FloatArray
+) -> tuple[FloatArray, Prediction] | None:
+    """Backtrack along `step`; return the point at which the loss fell, and its prediction; None where it never did.
+
+    A part of the step below `least_part` is not worth a trial; the whole one always is.
+    """
+    size = model.segments.seen.sum(axis=1)
 
     def loss(prediction: Prediction) -> float:
         squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
         return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES)))
 
-    return loss
-
-
-def _advance(
-    model: Model,
-    here: tuple[FloatArray, Prediction],
-    step: FloatArray,
-    part: float,
-    least_part: float,
-    loss: Callable[[Prediction], float],
-) -> tuple[FloatArray, Prediction, bool]:
-    """Backtrack from `part` of `step`; return the point, its prediction, and whether the loss fell.
-
-    A part below `least_part` is not worth a trial; the first one always is.
-    """
     values, prediction = here
-    now = loss(prediction)
-    while True:
+    part, most = 1.0, loss(prediction) * (1.0 + 1e-12)
+    while part == 1.0 or part >= least_part:
         tried = values + part * step
         there = model.predict(tried)
-        if loss(there) <= now * (1.0 + 1e-12):
-            return tried, there, True
+        if loss(there) <= most:
+            return tried, there
         part *= 0.4
-        if part < least_part:
-            return values, prediction, False
+    return None
 
 
 def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
     from scipy.special import chdtri
 
-    expected = chdtri(np.maximum(size, 1), 0.5)
-    ratio = float(np.median(squares / expected))
+    ratio = float(np.median(squares / chdtri(np.maximum(size, 1), 0.5)))
     return squares / ratio if ratio > 0.0 else squares

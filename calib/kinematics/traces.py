@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib.campaign.model import Campaign
 from calib.kinematics.blunders import corrected
-from calib.kinematics.drives import SENSOR, parameters_of
+from calib.kinematics.drives import GYRO_SCALE, Drive, parameters_of
 from calib.kinematics.estimate import divisions
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, RunTrace
 from calib.types import FloatArray, IntArray, in_frame
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 
 def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
@@ -26,28 +23,24 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
     coarse = next(divisions(recording, geometry.using))
     recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
-    items = parameters_of(drive, campaign.reference)
-    nominal = np.array([item.nominal for item in items])
-    calibrated = np.array([geometry.values.get(item.name, item.nominal) for item in items])
+    nominal = {item.name: item.nominal for item in parameters_of(drive, campaign.reference)}
+    # a gyro's scale is no part of the path
+    found = geometry.values | {GYRO_SCALE: 1.0}
+    calibrated = np.array([found.get(name, value) for name, value in nominal.items()])
     own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
     labels = zip(recording.run_id, recording.session, strict=True)
     added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
-    before = _sensor_paths(Model(drive, recording, _from_starts(recording)), nominal)
-    after = _sensor_paths(Model(drive, replace(recording, own_delay_s=added), _from_starts(recording)), calibrated)
+    before = _sensor_paths(drive, recording, np.array([*nominal.values()]))
+    after = _sensor_paths(drive, replace(recording, own_delay_s=added), calibrated)
     return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
 
 
-def _from_starts(recording: Recording) -> Segments:
-    n = len(recording.t_s)
-    whole = np.zeros(n, dtype=np.bool_)
-    number = np.arange(n, dtype=np.int64)
-    run = recording.run
-    return Segments(run, recording.offsets[run], number, np.zeros((n, 3)), ~np.zeros((n, 3), bool), run, 0 * run, whole)
-
-
-def _sensor_paths(model: Model, values: FloatArray) -> FloatArray:
-    values[len(values) - len(SENSOR)] = 1.0  # a gyro's scale is no part of the path
-    return -model.predict(values).residuals.T
+def _sensor_paths(drive: Drive, recording: Recording, values: FloatArray) -> FloatArray:
+    """Return the sensor's pose at each sample since the start of its run, shape (3, n_samples)."""
+    run, n = recording.run, len(recording.t_s)
+    seen, no_gyro = np.ones((n, 3), dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    segments = Segments(run, recording.offsets[run], np.arange(n), np.zeros((n, 3)), seen, run, 0 * run, no_gyro)
+    return -Model(drive, recording, segments).predict(values).residuals.T
 
 
 def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
@@ -57,24 +50,15 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
     before, after = paths = [path[:, part] for path in paths]
     if len(seen) > 1:
         # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
-        every = np.arange(len(seen))
-        measured = _aligned(reference[:, seen], after[:, seen], every)
+        measured = _aligned(reference[:, seen], after[:, seen], np.arange(len(seen)))
         aligned = [_aligned(before, measured, seen), after]
     else:
         seen = np.array([reference.shape[1] - 1], dtype=np.int64)
         measured, aligned = recording.end_pose[run][:, None], paths
     residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
-    return RunTrace(
-        run_id=str(recording.run_id[run]),
-        kind=str(recording.kind[run]),
-        before_m=aligned[0][:2].T,
-        after_m=aligned[1][:2].T,
-        seen=seen,
-        t_s=recording.t_s[part][seen],
-        reference_m=measured[:2].T,
-        residual_before=residuals[0],
-        residual_after=residuals[1],
-    )
+    names = str(recording.run_id[run]), str(recording.kind[run])
+    before_m, after_m = (path[:2].T for path in aligned)
+    return RunTrace(*names, before_m, after_m, seen, recording.t_s[part][seen], measured[:2].T, *residuals)
 
 
 def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
@@ -91,6 +75,5 @@ def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
     if np.isfinite(apart).any():
         turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
     cosine, sine = np.cos(turn), np.sin(turn)
-    rotate = np.array([[cosine, -sine], [sine, cosine]])
-    place = rotate @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
+    place = np.array([[cosine, -sine], [sine, cosine]]) @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
     return np.concatenate([place, path[2:] + turn])

@@ -1,4 +1,4 @@
-"""Covariance of the parameters from clusters of runs or blocks along the path (sandwich), and degrees of freedom."""
+"""Covariance of the parameters from clusters of runs or blocks (sandwich), and whether sessions differ."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.sessions import left_within
 from calib.kinematics.solve import DEGREES, Shared, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
@@ -49,8 +48,7 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
 
     `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
     """
-    at = {name: number for number, name in enumerate(names)}
-    out = np.eye(len(names))
+    at, out = {name: number for number, name in enumerate(names)}, np.eye(len(names))
     for name, radii in _BESIDE.items():
         if name in at and all(radius in at for radius in radii):
             places = [at[radius] for radius in radii]
@@ -111,10 +109,8 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
     error, in the same columns. The covariance, of the directions, has the same shape.
     """
     waves, squares = _cosines(len(pulls))
-    number = len(squares)
-    amplitudes = waves @ pulls @ directions.T
-    std, dof = np.empty(len(directions)), np.empty(len(directions))
-    flat = np.empty_like(amplitudes)
+    number, amplitudes = len(squares), waves @ pulls @ directions.T
+    std, dof, flat = np.empty(len(directions)), np.empty(len(directions)), np.empty_like(amplitudes)
     for at, direction in enumerate(directions):
         seen = information @ direction
         # what independent blocks of this information would leave in each cosine after the fit has taken its part
@@ -159,12 +155,6 @@ class Uncertainty:
         """Standard deviations, shape (n_free,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def half_widths(self, level: float = 0.95) -> FloatArray:
-        """Return the half widths of intervals of probability `level`, shape (n_free,)."""
-        from scipy.special import stdtrit
-
-        return np.asarray(self.std * stdtrit(self.dof, 0.5 + 0.5 * level))
-
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted.
@@ -181,14 +171,16 @@ def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArra
     return _decorrelated(jacobian, shared), _decorrelated(residuals[:, :, None], shared)[:, :, 0]
 
 
+def flattened(jacobian: FloatArray) -> FloatArray:
+    """Return a Jacobian, shape (n, 3, n_free), as rows one below the other, shape (3 n, n_free)."""
+    return jacobian.reshape(-1, jacobian.shape[2])
+
+
 def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
     """Return whitened columns, (n, 3, k), times the inverse root of their covariance with a random effect."""
-    n_groups = len(shared.amount)
-    size = np.bincount(shared.group, np.square(shared.change).sum(axis=1), minlength=n_groups)
-    factor = (1.0 / np.sqrt(1.0 + size) - 1.0) / np.maximum(size, 1e-300)
-    along = np.einsum("ni,nik->nk", shared.change, columns)
-    sums = np.zeros((n_groups, columns.shape[2]))
-    np.add.at(sums, shared.group, along)
+    factor = (1.0 / np.sqrt(1.0 + shared.size) - 1.0) / np.maximum(shared.size, 1e-300)
+    sums = np.zeros((len(shared.amount), columns.shape[2]))
+    np.add.at(sums, shared.group, np.einsum("ni,nik->nk", shared.change, columns))
     return np.asarray(columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :])
 
 
@@ -197,24 +189,22 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
+    flat = flattened(jacobian)
     return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat)).T)
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return Jacobian in columns of unit information, residuals, and the matrix and scale back to parameters."""
     jacobian, residuals = whitened(solution, free)
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    scale = 1.0 / np.sqrt(np.maximum(np.square(flat).sum(axis=0), 1e-300))
-    flat = flat * scale
+    scale = 1.0 / np.sqrt(np.maximum(np.square(jacobian).sum(axis=(0, 1)), 1e-300))
+    flat = flattened(jacobian * scale)
     root = np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
     return flat @ root, residuals.ravel(), root, scale
 
 
 def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
     order = np.argsort(np.repeat(cluster, 3), kind="stable")
-    ends = np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))
-    for low, high in pairwise(ends):
+    for low, high in pairwise(np.concatenate(([0], np.cumsum(3 * np.bincount(cluster))))):
         yield order[low:high]
 
 
@@ -239,9 +229,7 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
     )
 
 
-def sandwich(
-    solution: Solution, free: BoolArray, cluster: IntArray, by: str, *, power: float = UNBIASED
-) -> Uncertainty:
+def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, power: float = UNBIASED) -> Uncertainty:
     """Return the covariance of the free parameters.
 
     Parameters
@@ -260,14 +248,14 @@ def sandwich(
     flat, residuals, root, scale = _unit_columns(solution, free)
     cluster = np.unique(cluster, return_inverse=True)[1]
     pulls, sizes, shares = [], [], []
-    contrast = root.T  # columns: what a unit of each parameter is in the new columns
     for rows in _rows_of(cluster):
         part, rest = flat[rows], residuals[rows]
         left, singular, right = np.linalg.svd(part, full_matrices=False)
         grow = np.maximum(1.0 - singular**2, 1e-6) ** -power - 1.0
-        lever = part + left @ ((grow * singular)[:, None] * right)
+        lever = part + (left * (grow * singular)) @ right
         pulls.append(lever.T @ rest)
-        seen = lever @ contrast
+        # columns of the transpose: what a unit of each parameter is in the new columns
+        seen = lever @ root.T
         sizes.append(np.square(seen).sum(axis=0))
         shares.append(part.T @ seen)
     pull = np.stack(pulls) @ root.T
@@ -279,18 +267,15 @@ def sandwich(
 
 def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
     """Return the covariance by the information that runs hold, and the degrees of freedom that `sandwich` will have."""
-    jacobian = whitened(solution, free)[0].reshape(-1, int(free.sum()))
+    jacobian = flattened(whitened(solution, free)[0])
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
     apart = np.sqrt(np.diag(covariance))
     return replace(sandwich(solution, free, cluster, "run", power=OF_RUNS), covariance=covariance, apart=apart)
 
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
-    degrees = []
-    for at in range(sizes.shape[1]):
-        inner = np.diag(sizes[:, at]) - shares[:, :, at] @ shares[:, :, at].T
-        degrees.append(np.trace(inner) ** 2 / np.maximum(np.square(inner).sum(), 1e-300))
-    return np.maximum(np.asarray(degrees, dtype=np.float64), 1.0)
+    inner = [np.diag(size) - share @ share.T for size, share in zip(sizes.T, np.moveaxis(shares, 2, 0), strict=True)]
+    return np.array([max(np.trace(one) ** 2 / max(np.square(one).sum(), 1e-300), 1.0) for one in inner])
 
 
 def _influence(solution: Solution) -> float:
@@ -298,6 +283,55 @@ def _influence(solution: Solution) -> float:
     squares = (DEGREES + size) / solution.weights - DEGREES
     slope = solution.weights * (1.0 - 2.0 * squares / (size * (DEGREES + squares)))
     return float(np.mean(solution.weights) / max(np.mean(slope), 0.2 * np.mean(solution.weights)))
+
+
+#: chance of taking sessions that are alike for ones that differ: a campaign is judged once
+SESSIONS_CHANCE: Final = 1e-4
+#: columns that depend on the others by more than this part tell nothing of their own
+DEPENDENT: Final = 1e-6
+
+
+def left_within(solution: Solution, free: BoolArray, segments: Segments, labels: StrArray) -> tuple[float, float]:
+    """Return root mean squares of position (m) and heading (rad) that a fit of each session leaves.
+
+    Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
+    its own parameters, start heading of the reference, and yaw of its axes.
+
+    `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
+    """
+    from scipy.special import fdtrc
+
+    turned = np.zeros((len(segments), 3, 2))
+    turned[:, 0], turned[:, 1] = segments.measured[:, 1:2], -segments.measured[:, :1]
+    turned[:, 2, 0] = -1.0
+    turned[~segments.seen] = 0.0
+    columns, rest = (
+        np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2),
+        solution.prediction.residuals,
+    )
+    white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
+    session = labels[segments.run]
+    squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+    for label in np.unique(session):
+        at = (session == label) & (segments.level == 0)
+        flat, seen = white[at].reshape(-1, columns.shape[2]), segments.seen[at]
+        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        step, _, rank, _ = np.linalg.lstsq(flat / scale, white_rest[at].ravel(), rcond=DEPENDENT)
+        size = int(seen.sum())
+        if size < 2 * rank:
+            continue
+        own, after = rest[at] - columns[at] @ (step / scale), white_rest[at].ravel() - flat @ (step / scale)
+        squares += np.square(white_rest[at]).sum(), np.square(after).sum()
+        dof += size, size - rank
+        left += np.array([np.square(own[:, :2]).sum(), np.square(own[:, 2]).sum()]) * size / (size - rank)
+        n_segments += seen[:, :2].any(axis=1).sum(), seen[:, 2].sum()
+    more = dof[0] - dof[1] - free.sum()
+    if more > 0.0 and squares[1] > 0.0:
+        ratio = (squares[0] - squares[1]) / more / (squares[1] / dof[1])
+        if fdtrc(more, dof[1], ratio) <= SESSIONS_CHANCE:
+            position, heading = np.sqrt(left / np.maximum(n_segments, 1.0))
+            return float(position), float(heading)
+    return np.inf, np.inf
 
 
 #: groups that a covariance needs
@@ -316,15 +350,12 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     intervals is used.
     """
     free = parameters.free
-    block = np.unique(segments.block, return_inverse=True)[1]
-    first = np.unique(block, return_index=True)[1]
-    run = segments.run[first]
-    scores = block_scores(solution, free, block)
+    _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
+    run, scores = segments.run[first], block_scores(solution, free, block)
     if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
         best = sandwich(solution, free, segments.run, "run", power=OF_RUNS)
     else:
-        directions = own_directions(parameters.free_names, solution.values[free])
-        best = sandwich_along(solution, free, block, directions)
+        best = sandwich_along(solution, free, block, own_directions(parameters.free_names, solution.values[free]))
     alone = best.by
     candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
     for name, group in candidates.items():
@@ -337,7 +368,9 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
 
 
 def _width(uncertainty: Uncertainty) -> float:
-    return float(np.mean(np.log(uncertainty.half_widths())))
+    from scipy.special import stdtrit
+
+    return float(np.mean(np.log(uncertainty.std * stdtrit(uncertainty.dof, 0.975))))
 
 
 def _codes(labels: StrArray) -> IntArray:
@@ -346,8 +379,7 @@ def _codes(labels: StrArray) -> IntArray:
 
 def _routes(recording: Recording) -> StrArray:
     turn = recording.end_pose[:, 2]
-    sense = np.where(turn > 1.0, " ccw", np.where(turn < -1.0, " cw", ""))
-    return np.char.add(recording.kind, sense)
+    return np.char.add(recording.kind, np.select([turn > 1.0, turn < -1.0], [" ccw", " cw"], ""))
 
 
 def _alike(scores: FloatArray, group: IntArray) -> float:

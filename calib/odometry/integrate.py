@@ -12,9 +12,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
-from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -142,9 +141,6 @@ _SMALL_HALVES_RAD: Final = 0.125
 _SINE: Final = (-1 / 6, 1 / 120, -1 / 5040, 1 / 362_880, -1 / 39_916_800)
 _COSINE: Final = (-1 / 2, 1 / 24, -1 / 720, 1 / 40_320, -1 / 3_628_800)
 
-#: two threads do not both ask for machine code
-_ONE_AT_A_TIME: Final = Lock()
-
 
 @cache
 def is_installed() -> bool:
@@ -152,15 +148,9 @@ def is_installed() -> bool:
     return find_spec("numba") is not None
 
 
-def machine_code() -> Callable[..., None]:
-    """Return `_loop` in machine code; it releases the interpreter's lock."""
-    with _ONE_AT_A_TIME:
-        return _machine_code()
-
-
 @cache
-def _machine_code() -> Callable[..., None]:
-    """Return `_loop` compiled, kept on disk where possible."""
+def machine_code() -> Callable[..., None]:
+    """Return `_loop` in machine code, kept on disk where possible; it releases the interpreter's lock."""
     import numba
 
     try:
@@ -235,10 +225,8 @@ def _laid_flat(
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
     shape = left.shape
     if right.shape != shape or left.ndim not in (1, 2):
-        raise BadInputError(
-            f"travel: found shapes {shape} (left) and {right.shape} (right); expected the same, of one or two axes; "
-            "give one value a step for each wheel"
-        )
+        found = f"travel: found shapes {shape} (left) and {right.shape} (right)"
+        raise BadInputError(f"{found}; expected the same, of one or two axes; give one value a step for each wheel")
     track = floats(track_m)
     if offsets is not None:
         edges = np.asarray(offsets, dtype=np.int64)
@@ -291,11 +279,6 @@ def _halved(flat: Flat) -> tuple[Flat, ...]:
     )
 
 
-def _fill_compiled(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray) -> None:
-    pose = np.ascontiguousarray(flat.pose[:, flat.runs])
-    machine_code()((flat.left, flat.right), flat.per_m, flat.starts, pose, (x, y, theta))
-
-
 def integrate(
     travel_left_m: ArrayLike,
     travel_right_m: ArrayLike,
@@ -346,13 +329,21 @@ def integrate(
         compiled = n >= MANY_STEPS and is_installed()
     if threads is None:
         threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
-    fill = _fill_compiled if compiled and scheme == "exact" else partial(fill_arrays, scheme=scheme)
+    # asked for here: no two threads compile it
+    loop = machine_code() if compiled and scheme == "exact" else None
+
+    def fill(part: Flat, *out: FloatArray) -> None:
+        if loop is None:
+            fill_arrays(part, *out, scheme=scheme)
+        else:
+            loop((part.left, part.right), part.per_m, part.starts, np.ascontiguousarray(part.pose[:, part.runs]), out)
+
     halves = _halved(flat) if threads == 2 else (flat,)
     middle = len(halves[0].left)
-    x, y, theta = (part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad))
+    poses = [part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad)]
     with ThreadPoolExecutor(2) as pool:
         places = zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
-        waiting = [pool.submit(fill, half, x[where], y[where], theta[where]) for half, where in places]
+        waiting = [pool.submit(fill, half, *(part[where] for part in poses)) for half, where in places]
         for half in waiting:
             half.result()
     return out

@@ -124,9 +124,7 @@ def law_journey(
     radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
     reference = [float(wheel.radius_m(load)) for (wheel, _), load in zip(pairs, reference_N, strict=True)]
     end = route.poses()[-1]
-    distance: dict[str, FloatArray] = {}
-    square: dict[str, FloatArray] = {}
-    intervals: dict[str, dict[str, Interval]] = {}
+    distance, square, intervals = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, dict[str, Interval]]()
     for name, believed in (("without", reference), ("corrected", mean)):
         axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
         errors = pose_errors(end_of_route(route, axle, Axle(radii[0], radii[1], track_m)), end)
@@ -141,8 +139,8 @@ def law_journey(
             value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
             intervals[name][component] = Interval.of(value, half_width(scales, dof), drawn)
     ratios = np.sqrt(square["without"] / square["corrected"])
-    ratio_low, ratio_high = np.quantile(ratios[1:], [0.025, 0.975])
-    each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975])
+    low, high = np.quantile(ratios[1:], [0.025, 0.975]).tolist()
+    each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975]).tolist()
     return Journey(
         load_left_N=loads_N[0],
         load_right_N=loads_N[1],
@@ -157,17 +155,16 @@ def law_journey(
         without_95_m=float(np.quantile(distance["without"], 0.95)),
         corrected_95_m=float(np.quantile(distance["corrected"], 0.95)),
         ratio=float(ratios[0]),
-        ratio_ci95=(float(ratio_low), float(ratio_high)),
-        journeys_ratio=(float(each[0]), float(each[1]), float(each[2])),
+        ratio_ci95=(low, high),
+        journeys_ratio=(each[0], each[1], each[2]),
         draws=draws,
     )
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
     left, right, track = wheel_travel(route, believed, real)
-    real_left, real_right, _ = real.arrays()
-    path = steps(left[0], right[0], track[0], radius_left_m=real_left, radius_right_m=real_right)
-    by_radius = jacobian(path)[-1][:, [0, 2]]
+    radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
+    by_radius = jacobian(steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2]]
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])

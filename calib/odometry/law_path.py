@@ -5,24 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.odometry.poses import (
-    COMPONENTS,
-    POSE,
-    PoseErrors,
-    Poses,
-    RandomWalk,
-    ellipses,
-    jacobian,
-    pose_errors,
-    rows_of,
-    steps,
-)
+from calib.odometry import poses as posing
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, RandomWalk, rows_of
 from calib.odometry.routes import SPACING_M, Route, radii_under_load
 from calib.radius.law import RadiusLaw, half_width
 from calib.types import FloatArray
@@ -50,10 +41,9 @@ class Loading:
                 "the first at 0 m and each at a place of its own; give each place once"
             )
         if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
-            raise BadInputError(
-                "loads along the path: found one of 0 N or below, or no number; expected loads above 0 N"
-            )
-        return Loading(ordered[:, 0], ordered[:, 1], ordered[:, 2])
+            text = "found one of 0 N or below, or no number; expected loads above 0 N"
+            raise BadInputError(f"loads along the path: {text}")
+        return Loading(*ordered.T)
 
     @property
     def rows(self) -> list[tuple[float, float, float]]:
@@ -86,20 +76,12 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
 
     source = coefficients_of(path)
     file = source.file
-    return AxleLaw(
-        file.law,
-        file.geometry.track_m if track_m is None else track_m,
-        file.vehicle.track_std.value,
-        RandomWalk(
-            sigma_along_m_per_sqrt_m=file.noise.along.value,
-            sigma_heading_rad_per_sqrt_m=file.noise.heading.value,
-            count_std=file.noise.count_std.value,
-            counts_per_rev_left=file.encoder.counts_per_rev_left.value,
-            counts_per_rev_right=file.encoder.counts_per_rev_right.value,
-        ),
-        file.geometry,
-        (*source.notes, *effects_left_out(file, "not simulated")),
-    )
+    noise, encoder = file.noise, file.encoder
+    per_rev = encoder.counts_per_rev_left.value, encoder.counts_per_rev_right.value
+    walk = RandomWalk(noise.along.value, noise.heading.value, noise.count_std.value, *per_rev)
+    notes = (*source.notes, *effects_left_out(file, "not simulated"))
+    track_m = file.geometry.track_m if track_m is None else track_m
+    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.geometry, notes)
 
 
 def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
@@ -182,12 +164,11 @@ class LawPath:
             f"{left:.0f} / {right:.0f} N" + (f" from {s:g} m" if s else "") for s, left, right in self.loading.rows
         )
 
-    def document(self) -> dict[str, Any]:
-        """Return loads and end errors, ready for JSON."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return loads and end errors as plain values."""
+        names = ("from_m", "load_left_N", "load_right_N")
         return {
-            "loading": [
-                {"from_m": s, "load_left_N": left, "load_right_N": right} for s, left, right in self.loading.rows
-            ],
+            "loading": [dict(zip(names, row, strict=True)) for row in self.loading.rows],
             "reference_load_N": list(self.reference_N),
             "without": self.without.end(),
             "corrected": self.corrected.end(),
@@ -206,16 +187,14 @@ class LawPath:
 
     def covariance_rows(self) -> list[dict[str, float]]:
         """Return pose and covariance along the path with the correction on, one row a point."""
-        poses, units = self.corrected.poses, ("m", "m", "rad")
+        poses, axes, units = self.corrected.poses, ("x", "y", "theta"), ("m", "m", "rad")
         columns = {"distance_m": self.distance_m} | self._loads()
         columns |= {"x_m": poses.x_m, "y_m": poses.y_m, "theta_rad": poses.theta_rad}
         for part in ("systematic", "random"):
-            matrix = getattr(self.corrected, part)
-            for i, first in enumerate(("x", "y", "theta")):
-                for j, second in enumerate(("x", "y", "theta")[i:], start=i):
-                    unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
-                    columns[f"{part}_{first}_{second}_{unit}"] = matrix[:, i, j]
-        regions = ellipses(self.corrected.systematic + self.corrected.random)
+            for i, j in combinations_with_replacement(range(3), 2):
+                unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
+                columns[f"{part}_{axes[i]}_{axes[j]}_{unit}"] = getattr(self.corrected, part)[:, i, j]
+        regions = posing.ellipses(self.corrected.systematic + self.corrected.random)
         columns |= {"ellipse95_major_m": regions.major_m, "ellipse95_minor_m": regions.minor_m}
         return rows_of(columns | {"ellipse95_angle_rad": regions.angle_rad})
 
@@ -254,9 +233,9 @@ def law_path(
     driven = []
     for believed in (kept, real):
         left, right = real[0] / believed[0] * (fine.length_m - half), real[1] / believed[1] * (fine.length_m + half)
-        path = steps(left, right, axle.track_m, radius_left_m=real[0], radius_right_m=real[1])
+        path = posing.steps(left, right, axle.track_m, radius_left_m=real[0], radius_right_m=real[1])
         above = [load - wheel.reference_load_N for load, wheel in zip(loads, (law.left, law.right), strict=True)]
-        slopes = jacobian(path, load_offset_left_N=above[0], load_offset_right_N=above[1])
+        slopes = posing.jacobian(path, load_offset_left_N=above[0], load_offset_right_N=above[1])
         systematic = _from_start(slopes @ spread @ np.swapaxes(slopes, -1, -2))
         random = np.zeros_like(systematic) if axle.walk is None else _from_start(axle.walk.covariance(path))
         poses = path.poses.from_origin()
@@ -267,7 +246,7 @@ def law_path(
         variance, dof = by_wheel[0][3:], by_wheel[1][3:]
         # of the larger of x and y
         dofs = dof[np.argmax(variance, axis=0), [0, 1]]
-        errors = pose_errors(poses, reference)
+        errors = posing.pose_errors(poses, reference)
         driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
     interval = None if rng is None else _ratio_interval(driven[0], driven[1], draws, rng)
     return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)

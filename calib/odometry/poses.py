@@ -59,11 +59,8 @@ class Poses:
     def moved(self, by: Poses) -> Poses:
         """Return the poses seen as relative to `by`, expressed in the frame in which `by` stands (``by`` o self)."""
         cosine, sine = np.cos(by.theta_rad), np.sin(by.theta_rad)
-        return Poses(
-            by.x_m + cosine * self.x_m - sine * self.y_m,
-            by.y_m + sine * self.x_m + cosine * self.y_m,
-            by.theta_rad + self.theta_rad,
-        )
+        x_m, y_m = cosine * self.x_m - sine * self.y_m, sine * self.x_m + cosine * self.y_m
+        return Poses(by.x_m + x_m, by.y_m + y_m, by.theta_rad + self.theta_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,9 +131,7 @@ def read_tum(path: Path) -> tuple[FloatArray, Poses]:
     path = Path(path)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
-            raise BadFileError(
-                path, found="a file above 2 GiB", expected="a trajectory", remedy="cut it into several files"
-            )
+            raise BadFileError(path, "a file above 2 GiB", "a trajectory", "cut it into several files")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         found = getattr(error, "strerror", None) or "no UTF-8 text"
@@ -150,13 +145,8 @@ def read_tum(path: Path) -> tuple[FloatArray, Poses]:
         except ValueError:
             values = []
         if len(values) != 8 or not all(map(math.isfinite, values)) or not math.hypot(*values[4:]) > 0.0:
-            raise BadFileError(
-                path,
-                row=number,
-                found=repr(line.strip()[:60]),
-                expected="t x y z qx qy qz qw, eight finite numbers and a quaternion that is not zero",
-                remedy="correct the line",
-            )
+            expected = "t x y z qx qy qz qw, eight finite numbers and a quaternion that is not zero"
+            raise BadFileError(path, repr(line.strip()[:60]), expected, "correct the line", row=number)
         rows.append(values)
     if not rows:
         raise BadFileError(path, found="no pose", expected="one line or more", remedy="write the trajectory again")
@@ -176,11 +166,10 @@ class PathSteps:
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     track_m: FloatArray
-    #: shape (..., n): motion in each step
-    dx_m: FloatArray
-    dy_m: FloatArray
-    by_path: FloatArray  #: shape (2, ..., n): derivatives of dx, dy by the length of the step
-    by_turn: FloatArray  #: shape (2, ..., n): derivatives of dx, dy by the turn of the step
+    #: shape (2, ..., n): derivatives of the motion in each step by its length, its turn, and the heading before it
+    by_path: FloatArray
+    by_turn: FloatArray
+    by_heading: FloatArray
     poses: Poses  #: poses after each step, shape (..., n)
 
 
@@ -196,27 +185,18 @@ def steps(
 
     Travel has shape (..., n); the track and the radii that it was computed with broadcast to that.
     """
-    left, right = floats(travel_left_m), floats(travel_right_m)
-    track = floats(track_m)
+    left, right, track = floats(travel_left_m), floats(travel_right_m), floats(track_m)
     path, turn = 0.5 * (left + right), (right - left) / track
     theta = np.cumsum(turn, axis=-1)
     half = 0.5 * turn
     ratio, slope = sinc(half), _sinc_slope(half)
-    cos, sin = np.cos(theta - half), np.sin(theta - half)
-    dx, dy = path * ratio * cos, path * ratio * sin
-    bend = 0.5 * path * slope
-    return PathSteps(
-        left_m=left,
-        right_m=right,
-        radius_left_m=floats(radius_left_m),
-        radius_right_m=floats(radius_right_m),
-        track_m=track,
-        dx_m=dx,
-        dy_m=dy,
-        by_path=np.stack([ratio * cos, ratio * sin]),
-        by_turn=np.stack([bend * cos - 0.5 * dy, bend * sin + 0.5 * dx]),
-        poses=Poses(np.cumsum(dx, axis=-1), np.cumsum(dy, axis=-1), theta),
-    )
+    ahead = np.stack([np.cos(theta - half), np.sin(theta - half)])
+    dx, dy = path * ratio * ahead
+    by_heading = np.stack([-dy, dx])
+    by_turn = 0.5 * path * slope * ahead + 0.5 * by_heading
+    poses = Poses(np.cumsum(dx, axis=-1), np.cumsum(dy, axis=-1), theta)
+    radii = floats(radius_left_m), floats(radius_right_m)
+    return PathSteps(left, right, *radii, track, ratio * ahead, by_turn, by_heading, poses)
 
 
 def jacobian(
@@ -239,13 +219,8 @@ def jacobian(
     slopes = np.empty((*path.left_m.shape, 3, len(JOINT)))
     for number, (along, turn) in enumerate(parts):
         heading = np.cumsum(turn, axis=-1)
-        before = heading - turn
-        slopes[..., 0, number] = np.cumsum(
-            path.by_path[0] * along + path.by_turn[0] * turn - path.dy_m * before, axis=-1
-        )
-        slopes[..., 1, number] = np.cumsum(
-            path.by_path[1] * along + path.by_turn[1] * turn + path.dx_m * before, axis=-1
-        )
+        moved = path.by_path * along + path.by_turn * turn + path.by_heading * (heading - turn)
+        slopes[..., :2, number] = np.moveaxis(np.cumsum(moved, axis=-1), 0, -1)
         slopes[..., 2, number] = heading
     return slopes
 
@@ -269,31 +244,19 @@ class RandomWalk:
         centre and times its squares.
         """
         distance = np.abs(0.5 * (path.left_m + path.right_m))
-        along = self.sigma_along_m_per_sqrt_m**2 * distance
-        heading = self.sigma_heading_rad_per_sqrt_m**2 * distance
         x, y = path.poses.x_m, path.poses.y_m
-        cx, cy = x - path.by_turn[1], y + path.by_turn[0]
-        q, qx, qy, qxx, qxy, qyy = (
-            np.cumsum(part, axis=-1)
-            for part in (heading, heading * cx, heading * cy, heading * cx * cx, heading * cx * cy, heading * cy * cy)
-        )
-        covariance = np.empty((*path.left_m.shape, 3, 3))
-        covariance[..., 0, 0] = y * y * q - 2 * y * qy + qyy + np.cumsum(along * path.by_path[0] ** 2, axis=-1)
-        covariance[..., 1, 1] = x * x * q - 2 * x * qx + qxx + np.cumsum(along * path.by_path[1] ** 2, axis=-1)
-        covariance[..., 0, 1] = covariance[..., 1, 0] = (
-            y * qx + x * qy - x * y * q - qxy + np.cumsum(along * path.by_path[0] * path.by_path[1], axis=-1)
-        )
-        covariance[..., 0, 2] = covariance[..., 2, 0] = qy - y * q
-        covariance[..., 1, 2] = covariance[..., 2, 1] = x * q - qx
-        covariance[..., 2, 2] = q
-        if self.count_std:
-            covariance += self._readings(path)
-        return covariance
+        centre = np.stack([y + path.by_turn[0], path.by_turn[1] - x, np.ones_like(x)])
+        to_end = np.zeros((*x.shape, 3, 3)) + np.eye(3)
+        to_end[..., 0, 2], to_end[..., 1, 2] = -y, x
+        of_heading = _running(self.sigma_heading_rad_per_sqrt_m**2 * distance, centre)
+        covariance = to_end @ of_heading @ np.swapaxes(to_end, -1, -2)
+        covariance[..., :2, :2] += _running(self.sigma_along_m_per_sqrt_m**2 * distance, path.by_path)
+        return covariance + self._readings(path) if self.count_std else covariance
 
     def _readings(self, path: PathSteps) -> FloatArray:
         left = 2 * np.pi * path.radius_left_m / self.counts_per_rev_left * self.count_std
         right = 2 * np.pi * path.radius_right_m / self.counts_per_rev_right * self.count_std
-        left, right, track = (np.broadcast_to(part, path.left_m.shape) for part in (left, right, path.track_m))
+        left, right, track, _ = np.broadcast_arrays(left, right, path.track_m, path.left_m)
         theta = path.poses.theta_rad
         start = theta[..., :1] - (path.right_m[..., :1] - path.left_m[..., :1]) / track[..., :1]
         covariance = np.zeros((*path.left_m.shape, 3, 3))
@@ -307,6 +270,11 @@ class RandomWalk:
             begin = np.stack(np.broadcast_arrays(along, across, turned), axis=-1)
             covariance += end[..., :, None] * end[..., None, :] + begin[..., :, None] * begin[..., None, :]
         return covariance
+
+
+def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return running sums of variances (..., n) along directions (k, ..., n), shape (..., n, k, k)."""
+    return np.moveaxis(np.cumsum(variance * direction[:, None] * direction, axis=-1), (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

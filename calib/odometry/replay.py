@@ -83,15 +83,9 @@ class Replay(Result):
             for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
                 columns[f"{method}_{name}"] = getattr(self.errors[method], name)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        return {
-            "rms_m": self.rms_m,
-            "rms_heading_rad": self.rms_heading_rad,
-            "ratio": self.ratio,
-            "ratio_ci95": list(self.ratio_ci95),
-            "runtime": plain(self.runtime),
-            "left_out": self.left_out,
-            "runs": [dict(zip(columns, row, strict=True)) for row in rows],
-        }
+        written = ("rms_m", "rms_heading_rad", "ratio", "ratio_ci95", "runtime", "left_out")
+        document = {name: plain(getattr(self, name)) for name in written}
+        return document | {"runs": [dict(zip(columns, row, strict=True)) for row in rows]}
 
 
 def replay(
@@ -123,10 +117,8 @@ def replay(
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
     in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
     if not in_range.any():
-        raise RefusedError(
-            f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in; "
-            "give coefficients that were measured under these loads"
-        )
+        text = f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in"
+        raise RefusedError(f"{text}; give coefficients that were measured under these loads")
     square = {method: errors[method].distance_m[in_range] ** 2 for method in METHODS}
     picks = rng.integers(0, in_range.sum(), size=(RESAMPLES, int(in_range.sum())))
     means = {method: square[method][picks].mean(axis=1) for method in ("constant", "corrected")}
@@ -188,42 +180,33 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
     campaign, notes = with_loads(with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
-    needed = (*WHEEL_COLUMNS[source], "t_s")
-    needed = (*needed, "steer_rad") if source in STEERED else needed
     posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
     loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
     counted = logs.present.copy()
-    for name in needed:
-        column = logs.columns.get(name)
-        if column is None:
-            counted[:] = False
-            continue
+    for name in (*WHEEL_COLUMNS[source], "t_s", *(["steer_rad"] if source in STEERED else [])):
+        column = logs.columns.get(name, np.full(logs.offsets[-1], np.nan))
         gaps = np.concatenate(([0], np.cumsum(~np.isfinite(column))))
-        counted &= gaps[logs.offsets[1:]] == gaps[logs.offsets[:-1]]
-    excluded = runs.excluded
-    left_out = {
-        "excluded": int(excluded.sum()),
-        "without a complete log": int((~excluded & ~counted).sum()),
-        "without a reference end pose": int((~excluded & counted & ~posed).sum()),
-        "without wheel loads": int((~excluded & counted & posed & ~loaded).sum()),
-    }
-    return campaign.select(~excluded & counted & posed & loaded), left_out, notes
+        counted &= (gaps[logs.offsets[1:]] == gaps[logs.offsets[:-1]]) & (name in logs.columns)
+    left_out, usable = {}, np.ones(len(runs), dtype=np.bool_)
+    reasons = ("excluded", "without a complete log", "without a reference end pose", "without wheel loads")
+    for reason, fits in zip(reasons, (~runs.excluded, counted, posed, loaded), strict=True):
+        left_out[reason] = int((usable & ~fits).sum())
+        usable &= fits
+    return campaign.select(usable), left_out, notes
 
 
 def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
-    inside = np.ones(len(load_left_N), dtype=np.bool_)
-    for wheel, load in ((law.left, load_left_N), (law.right, load_right_N)):
-        inside &= (load >= wheel.load_min_N - 1.0) & (load <= wheel.load_max_N + 1.0)
-    return inside
+    loads = ((law.left, load_left_N), (law.right, load_right_N))
+    inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
+    return np.asarray(np.all(inside, axis=0))
 
 
 def with_end_poses(campaign: Campaign) -> Campaign:
     """Return the campaign with the end poses that its logs' own references say, where a row has none."""
-    columns, offsets = campaign.logs.columns, campaign.logs.offsets
-    names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
-    ends = np.stack([campaign.runs.number(name) for name in names])
+    columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, ("ref_x_m", "ref_y_m", "ref_theta_rad")
     if not set(names) <= columns.keys():
         return campaign
+    ends = np.stack([campaign.runs.number(name) for name in names])
     for run in np.flatnonzero(campaign.logs.present & np.isnan(ends).all(axis=0)):
         poses = np.stack([columns[name][offsets[run] : offsets[run + 1]] for name in names])
         if np.isfinite(poses[:, [0, -1]]).all():
@@ -260,12 +243,9 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     wheels. The way, to the side included, is 0 at the first of a run.
     """
     axle = on_one_axle(campaign, model)
-    columns, offsets = axle.logs.columns, axle.logs.offsets
-    n = int(offsets[-1])
-    radii = np.full(n, model.radius_left_m), np.full(n, model.radius_right_m)
-    left, right = travel_from_counts(
-        columns["counts_left"], columns["counts_right"], axle.encoder, *radii, offsets=offsets
-    )
+    columns, offsets, radii = axle.logs.columns, axle.logs.offsets, (model.radius_left_m, model.radius_right_m)
+    counts = columns["counts_left"], columns["counts_right"]
+    left, right = travel_from_counts(*counts, axle.encoder, *radii, offsets=offsets)
     poses = integrate(left, right, model.track_m, offsets=offsets, scheme=scheme)
     ahead = 0.5 * (left + right)
     if ASIDE not in columns:
@@ -284,13 +264,10 @@ def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
 
     The geometry of the coefficient file says where on the vehicle the sensor sits, X.
     """
-    together = coefficients.joint_geometry
-    values = {} if together is None else {name: part.value for name, part in together.parameters.items()}
-    x, y, yaw = (values.get(name, 0.0) for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"))
-    place = Poses(np.array(x), np.array(y), np.array(yaw))
+    x, y, yaw = (coefficients.together.get(name, 0.0) for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"))
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    back = Poses(np.array(-cosine * x - sine * y), np.array(sine * x - cosine * y), np.array(-yaw))
-    return back.moved(ends.moved(place))
+    back = Poses.from_stacked([-cosine * x - sine * y, sine * x - cosine * y, -yaw])
+    return back.moved(ends.moved(Poses.from_stacked([x, y, yaw])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -78,15 +78,12 @@ class Route:
 
     def cut(self, at_m: ArrayLike) -> Route:
         """Return the same route with a border between two segments at each of these distances along it."""
-        wanted = np.unique(floats(at_m))
-        edges = self.distance_m()
-        pieces: list[Segment] = []
-        for k, (length, turn) in enumerate(zip(self.length_m.tolist(), self.turn_rad.tolist(), strict=True)):
-            first, last = edges[k], edges[k + 1]
+        wanted, edges, pieces = np.unique(floats(at_m)), self.distance_m(), []
+        for length, turn, first, last in zip(self.length_m, self.turn_rad, edges, edges[1:], strict=False):
             inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
-            shares = np.diff(np.concatenate(([first], inside, [last]))) / (last - first) if len(inside) else [1.0]
-            pieces += [(length * float(share), turn * float(share)) for share in shares]
-        return Route.from_segments(self.name, *pieces)
+            shares = np.diff([first, *inside, last]) / (last - first) if len(inside) else np.ones(1)
+            pieces.append(np.outer([length, turn], shares))
+        return Route(self.name, *np.concatenate(pieces, axis=1))
 
     def mirrored(self) -> Route:
         """Return the route with left and right swapped."""
@@ -127,9 +124,8 @@ def find_route(name: str) -> Route:
         return read_route(Path(name))
     if name.endswith(".tum"):
         return driven_route(Path(name))
-    raise BadInputError(
-        f"route: found {name!r}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them"
-    )
+    found = f"route: found {name!r}"
+    raise BadInputError(f"{found}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them")
 
 
 def driven_route(path: Path) -> Route:
@@ -198,24 +194,23 @@ class Axle:
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
-        parts = tuple(floats(part) for part in (self.radius_left_m, self.radius_right_m, self.track_m))
-        for name, part in zip(("left radius", "right radius", "track"), parts, strict=True):
+        left, right, track = map(floats, (self.radius_left_m, self.radius_right_m, self.track_m))
+        for name, part in (("left radius", left), ("right radius", right), ("track", track)):
             impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
             if part.ndim > 1 or impossible.any():
                 found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
                 expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
                 raise BadInputError(f"{name}: found {found}; expected {expected}")
-        return parts[0], parts[1], parts[2]
+        return left, right, track
 
 
 def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
-    left, right, track = believed.arrays()
-    real_left, real_right, real_track = real.arrays()
-    ratio_left, ratio_right = np.atleast_1d(real_left / left)[:, None], np.atleast_1d(real_right / right)[:, None]
-    half = 0.5 * np.atleast_1d(track)[:, None] * route.turn_rad
-    travel = ratio_left * (route.length_m - half), ratio_right * (route.length_m + half)
-    parts = np.broadcast_arrays(*travel, np.atleast_1d(real_track)[:, None])
+    left, right, track = (np.atleast_1d(part)[:, None] for part in believed.arrays())
+    real_left, real_right, real_track = (np.atleast_1d(part)[:, None] for part in real.arrays())
+    half = 0.5 * track * route.turn_rad
+    travel = real_left / left * (route.length_m - half), real_right / right * (route.length_m + half)
+    parts = np.broadcast_arrays(*travel, real_track)
     return parts[0], parts[1], parts[2][:, :1]
 
 
@@ -252,12 +247,10 @@ def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayL
     carried = np.repeat(floats(run_N), np.diff(edges))
     if logged_N is None:
         return carried
-    logged = floats(logged_N)
-    own = np.arange(len(carried))
-    first = np.repeat(edges[:-1], np.diff(edges))
+    logged, first = floats(logged_N), np.repeat(edges[:-1], np.diff(edges))
     # the last sample before, of the same run, that has a load
-    last = np.maximum.accumulate(np.where(np.isfinite(logged), own, -1))
-    last = np.where(own > first, np.concatenate(([-1], last[:-1])), -1)
+    last = np.maximum.accumulate(np.where(np.isfinite(logged), np.arange(len(carried)), -1))
+    last = np.concatenate(([-1], last))[:-1]
     known = last >= first
     carried[known] = logged[last[known]]
     return carried
@@ -272,11 +265,9 @@ def radii_of_model(
     model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
-    left_N, right_N = floats(load_left_N), floats(load_right_N)
-    return (
-        np.asarray(model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)),
-        np.asarray(model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)),
-    )
+    above_left_N, above_right_N = (floats(load) - model.reference_load_N for load in (load_left_N, load_right_N))
+    left_m = model.radius_left_m + model.slope_left_m_per_N * above_left_N
+    return np.asarray(left_m), np.asarray(model.radius_right_m + model.slope_right_m_per_N * above_right_N)
 
 
 def travel_from_counts(
@@ -294,18 +285,17 @@ def travel_from_counts(
     see `integrate`; radii: a number, one a run, or one a sample.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
-    travels = []
-    for counts, per_rev, radius in (
-        (counts_left, encoder.counts_per_rev_left, radius_left_m),
-        (counts_right, encoder.counts_per_rev_right, radius_right_m),
-    ):
-        values = floats(counts)
-        travel = np.diff(values, prepend=values[:1])
-        firsts = edges[:-1][np.diff(edges) > 0]
-        travel[firsts] = 0.0
-        travel *= (2 * np.pi / per_rev) * _wide(floats(radius), edges, len(values))
-        travels.append(travel)
-    return travels[0], travels[1]
+    firsts = edges[:-1][np.diff(edges) > 0]
+
+    def travel(counts: FloatArray, per_rev: float, radius_m: FloatArray) -> FloatArray:
+        steps = np.diff(counts, prepend=counts[:1])
+        steps[firsts] = 0.0
+        return np.asarray(steps * ((2 * np.pi / per_rev) * _wide(radius_m, edges, len(counts))))
+
+    return (
+        travel(floats(counts_left), encoder.counts_per_rev_left, floats(radius_left_m)),
+        travel(floats(counts_right), encoder.counts_per_rev_right, floats(radius_right_m)),
+    )
 
 
 def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
@@ -313,6 +303,5 @@ def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
         return radius
     if len(radius) == len(edges) - 1:
         return np.repeat(radius, np.diff(edges))
-    raise BadInputError(
-        f"radii: found {len(radius)} values; expected one, one a run ({len(edges) - 1}) or one a sample ({n})"
-    )
+    found = f"radii: found {len(radius)} values"
+    raise BadInputError(f"{found}; expected one, one a run ({len(edges) - 1}) or one a sample ({n})")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.campaign.checks.design import SIDES
 from calib.campaign.checks.measurements import off
-from calib.documents import Result
+from calib.documents import Result, plain
 from calib.errors import DRAWN_PIECES, DRAWS, SIMULATED_POSES, BadInputError, refuse_more
 from calib.odometry.law_journey import BANDS, Journey, TableRow, law_journey, law_table
 from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
@@ -23,9 +23,6 @@ from calib.types import FloatArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-#: which wheel is off -> (left, right) radius over the believed one, for E_r = right / left (Eq. 15)
-WHICH: Final = ("right", "left", "both", "equal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +68,15 @@ def ratios(which: str, ratio: float) -> tuple[float, float]:
     """
     if not (math.isfinite(ratio) and ratio > 0.0):
         raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
-    if which == "right":
-        return 1.0, ratio
-    if which == "left":
-        return 1.0 / ratio, 1.0
-    if which == "both":
-        return 2.0 / (1.0 + ratio), 2.0 * ratio / (1.0 + ratio)
-    if which == "equal":
-        return ratio, ratio
-    raise BadInputError(f"which wheel: found {which!r}; expected one of {', '.join(WHICH)}; choose one of them")
+    radii = {
+        "right": (1.0, ratio),
+        "left": (1.0 / ratio, 1.0),
+        "both": (2.0 / (1.0 + ratio), 2.0 * ratio / (1.0 + ratio)),
+        "equal": (ratio, ratio),
+    }
+    if which not in radii:
+        raise BadInputError(f"which wheel: found {which!r}; expected one of {', '.join(radii)}; choose one of them")
+    return radii[which]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +138,6 @@ class Sweep:
             rows += [{"which": case.which, "ratio": case.ratio, **row} for row in rows_of(columns)]
         return rows
 
-    def largest_m(self) -> float:
-        """Return the largest error in global x at the end of the route, by absolute value."""
-        return float(np.abs(self.errors.global_x_m[:, -1]).max())
-
 
 def run_sweep(
     route: Route | str, cases: Sequence[Case], *, track_m: float = 0.7, real_track_m: float | None = None
@@ -154,24 +147,15 @@ def run_sweep(
     Only the ratios of real to believed radii matter.
     """
     way = find_route(route) if isinstance(route, str) else route
-    vehicles = tuple(cases)
     believed = Axle(1.0, 1.0, track_m)
-    left, right = np.array([case.left for case in vehicles]), np.array([case.right for case in vehicles])
-    real = Axle(left, right, track_m if real_track_m is None else real_track_m)
+    radii = ([case.left for case in cases], [case.right for case in cases])
+    real = Axle(*radii, track_m if real_track_m is None else real_track_m)
     fine = way.divided(SPACING_M)
-    what = f"poses of {len(vehicles)} vehicles along {way.name}"
-    refuse_more(what, len(vehicles) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
-    reference, poses = fine.poses(), follow(fine, believed, real)
-    return Sweep(
-        route=way,
-        track_m=track_m,
-        cases=vehicles,
-        distance_m=fine.distance_m(),
-        reference=reference,
-        poses=poses,
-        errors=pose_errors(poses, reference),
-        corners=follow(way, believed, real),
-    )
+    what = f"poses of {len(cases)} vehicles along {way.name}"
+    refuse_more(what, len(cases) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
+    reference, poses, corners = fine.poses(), follow(fine, believed, real), follow(way, believed, real)
+    errors = pose_errors(poses, reference)
+    return Sweep(way, track_m, tuple(cases), fine.distance_m(), reference, poses, errors, corners)
 
 
 #: end error along the route without and with the load correction, as printed (Sect. 7.3)
@@ -204,14 +188,12 @@ class Headline:
 
 def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
     """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
-    before, after = STUDIES["asymmetric"], STUDIES["corrected"]
     lines = []
-    for which in before.which:
-        first, second = (
-            run_sweep(route, [Case.off(which, ratio) for ratio in study.ratios], track_m=track_m).largest_m()
-            for study in (before, after)
-        )
-        lines.append(Headline(which, first, second, first / second))
+    for which in STUDIES["asymmetric"].which:
+        sweeps = ([Case.off(which, ratio) for ratio in STUDIES[study].ratios] for study in ("asymmetric", "corrected"))
+        ends = (np.abs(run_sweep(route, cases, track_m=track_m).errors.global_x_m[:, -1]).max() for cases in sweeps)
+        before, after = map(float, ends)
+        lines.append(Headline(which, before, after, before / after))
     return tuple(lines)
 
 
@@ -239,12 +221,12 @@ SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_
 class LawPart:
     """What a fitted law says."""
 
-    law: RadiusLaw
+    law: RadiusLaw = field(metadata={"json": False})
     table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
     journeys: tuple[Journey, ...]  #: journeys without and with correction, for each pair of loads and each band
-    notes: tuple[str, ...]  #: what the reader should know
     #: errors and covariance along the last route, driven under the loads that change on the way, or else the first pair
     path: LawPath
+    notes: tuple[str, ...]  #: what the reader should know
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,30 +256,21 @@ class Simulation(Result):
         """The end of every vehicle's drive as a table; SI units."""
         from pandas import DataFrame
 
-        rows = [{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()]
-        return DataFrame(rows)
+        return DataFrame([{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the simulation as plain values, the points along the routes aside: ``calib simulate --json``."""
-        document: dict[str, object] = {
+        return {
             "study": self.study,
             "title": self.title,
             "sweeps": [
                 {"figure": name, "route": sweep.route.name, "track_m": sweep.track_m, "cases": sweep.ends()}
                 for name, sweep in self.sweeps.items()
             ],
-            "headline": [asdict(line) for line in self.headlines],
-            "paper": asdict(paper_headline()) if self.headlines else None,
-            "law": None,
+            "headline": plain(self.headlines),
+            "paper": plain(paper_headline()) if self.headlines else None,
+            "law": plain(self.law),
         }
-        if self.law is not None:
-            document["law"] = {
-                "table": [asdict(row) for row in self.law.table],
-                "journeys": [asdict(journey) for journey in self.law.journeys],
-                "path": self.law.path.document(),
-                "notes": list(self.law.notes),
-            }
-        return document
 
 
 def simulate(
@@ -372,10 +345,9 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
         for band in BANDS
     )
     notes = []
-    for side, wheel, number in (("left", law.left, 0), ("right", law.right, 1)):
-        carried = (path.loading.left_N, path.loading.right_N)[number].tolist()
-        loads = sorted({pair[number] for pair in pairs} | {reference_N[number], *carried})
-        beyond = [load for load in loads if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]
+    carried = [reference_N, *pairs, *zip(path.loading.left_N.tolist(), path.loading.right_N.tolist(), strict=True)]
+    for side, wheel, loads in zip(SIDES, wheels, map(set, zip(*carried, strict=True)), strict=True):
+        beyond = [load for load in sorted(loads) if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]
         if beyond:
             notes.append(
                 f"{side} wheel: {', '.join(f'{load:g}' for load in beyond)} N lie outside the "

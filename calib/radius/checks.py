@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
-from calib.radius.law import COVERAGE
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
@@ -158,8 +157,7 @@ def _equal_scatter(runs: _Residuals) -> Check:
     if runs.fit.design == "confounded":
         hold = "the intervals rest on session means and hold"
     finding = f"The scatter changes with load; {hold}, the prediction band is too narrow at one end."
-    sentences = ("The scatter is the same at every load.", finding)
-    return tested("equal_scatter", statistic, "chi2(1)", p_value, sentences)
+    return tested("equal_scatter", statistic, "chi2(1)", p_value, ("The scatter is the same at every load.", finding))
 
 
 def _influence(runs: _Residuals) -> Check | None:
@@ -176,10 +174,8 @@ def _influence(runs: _Residuals) -> Check | None:
     pulling = int(np.argmax(runs.fit.cook))
     cook = float(runs.fit.cook[pulling])
     if p_value >= NOTE_BELOW and cook > 1:
-        sentence = (
-            f"Run {runs.run_id[pulling]} alone moves the line by more than its uncertainty (Cook's distance "
-            f"{cook:.1f}): repeat its load."
-        )
+        words = f"Run {runs.run_id[pulling]} alone moves the line by more than its uncertainty"
+        sentence = f"{words} (Cook's distance {cook:.1f}): repeat its load."
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
     found = _with_other_load(runs, several=False) if p_value < NOTE_BELOW else ""
     times = f"{studentised[worst]:.1f}" if studentised[worst] < 1000.0 else "over 1000"
@@ -199,7 +195,7 @@ def _normality(runs: _Residuals) -> Check | None:
         return None
     from scipy.stats import shapiro
 
-    statistic, p_value = (float(number) for number in shapiro(runs.residual_m))
+    statistic, p_value = map(float, shapiro(runs.residual_m))
     sentences = (
         "The residuals look normal, as the intervals assume.",
         "The residuals are not normal: the intervals of the coefficients still hold for means of many runs, the "
@@ -209,8 +205,7 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    direction = np.char.lower(runs.direction)
-    out, back = runs.residual_m[direction == "out"], runs.residual_m[direction == "back"]
+    out, back = (runs.residual_m[np.char.lower(runs.direction) == sense] for sense in ("out", "back"))
     dof = runs.dof - 1
     if len(out) < 3 or len(back) < 3 or dof < 3:
         return None
@@ -234,11 +229,8 @@ def _range(fit: WheelFit) -> Check:
     if law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin:
         sentence = f"The law was measured for {span} a wheel; files of it hold 1 % of that span (at least 1 N) beyond."
         return Check("range", OK, sentence)
-    sentence = (
-        f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
-        "extrapolated; measure near it, or set reference_load_N in campaign.toml."
-    )
-    return Check("range", NOTE, sentence)
+    words = f"The reference load {law.reference_load_N:.0f} N lies outside the measured {span}: the radius there is "
+    return Check("range", NOTE, f"{words}extrapolated; measure near it, or set reference_load_N in campaign.toml.")
 
 
 def tested(
@@ -263,23 +255,19 @@ def p_of_t(statistic: float, dof: float) -> float:
 
 def on_one_load(fit: WheelFit) -> str:
     """Return what a single load allows."""
-    return (
-        f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load "
-        "only, and no slope; drive two further loads at least."
-    )
+    words = f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load only"
+    return f"{words}, and no slope; drive two further loads at least."
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
     loads = distinct_loads(fit.load_N)
     few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
-    level = NOTE
-    blank = int(groups.sizes[groups.names == ""].sum())
+    level, blank = NOTE, int(groups.sizes[groups.names == ""].sum())
     if len(groups) > 1 and blank:
         level = FAILED
         sentence = f"{blank} runs have no session and count as one: fill in the column session of runs.csv."
     elif fit.model == "constant":
-        few = ""
-        sentence = on_one_load(fit)
+        few, sentence = "", on_one_load(fit)
     elif len(groups) == 1:
         sentence = ""
     elif len(groups) == len(fit.load_N):
@@ -303,10 +291,9 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
         level = NOTE if few or len(several) == 1 else OK
         sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
         if len(several) == 1:
-            sentence = (
-                f"Session {several[0]} alone has more than one load: the slope is that of this day, the others show "
-                "how far the radius shifts only; drive two loads or more in another session."
-            )
+            words = f"Session {several[0]} alone has more than one load: the slope is that of this day"
+            remedy = "drive two loads or more in another session"
+            sentence = f"{words}, the others show how far the radius shifts only; {remedy}."
     if len(groups) == 1:
         level = FAILED
         one_session = (
@@ -341,15 +328,12 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None
-    confounded = estimate.design == "confounded"
     p_value = _p_of_f(estimate.session_f, estimate.dof_between, estimate.dof_within)
     width_ratio = _against_naive(fit)
-    subject = "Session means leave the line" if confounded else "Sessions differ"
-    cause = (
-        "a bend of the law, or a shift from session to session, which these runs cannot tell apart"
-        if confounded
-        else "temperature, a remounted rangefinder, wear"
-    )
+    subject, cause = "Sessions differ", "temperature, a remounted rangefinder, wear"
+    if estimate.design == "confounded":
+        subject = "Session means leave the line"
+        cause = "a bend of the law, or a shift from session to session, which these runs cannot tell apart"
     sentences = (
         f"{subject} no more than their runs explain; the intervals allow for sessions all the same.{width_ratio}",
         f"{subject} by {UM * fit.session_std_m:.2g} um more than their runs explain ({cause}); the intervals allow for "
@@ -362,12 +346,11 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
 def _against_naive(fit: WheelFit) -> str:
     if fit.naive is None:
         return ""
-    aware, naive = (float(estimate.half_width((0.0, 1.0), COVERAGE)) for estimate in (fit.estimate, fit.naive))
+    aware, naive = (float(estimate.half_width((0.0, 1.0))) for estimate in (fit.estimate, fit.naive))
     if naive <= 0 or aware <= 0:
         return ""
-    ratio = naive / aware
     # a twentieth of a width is nothing to act on
-    wide = "as wide as this one" if abs(ratio - 1.0) < 0.05 else f"{ratio:.2g} times as wide"
+    wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{naive / aware:.2g} times as wide"
     return f" Counting every run as independent would give a slope interval {wide}."
 
 
@@ -385,15 +368,12 @@ def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
         return None
     change = np.where(usable, (sxy - sx * sy / kept) / np.where(usable, spread, 1.0), 0.0)
     worst = int(np.argmax(np.abs(change)))
-    half = float(fit.estimate.half_width((0.0, 1.0), COVERAGE))
+    half = float(fit.estimate.half_width((0.0, 1.0)))
     ratio = abs(float(change[worst])) / half if half > 0 else 0.0
     slope, name = fit.law.slope_m_per_N, groups.names[worst]
     words = f"changes the slope by {100 * change[worst] / slope:+.2g} %" if slope else ""
     level, sentence = OK, f"No session carries the slope alone: leaving out {name} {words}, within its interval."
     if ratio > 1:
-        level = NOTE
-        sentence = (
-            f"The slope depends on session {name}: leaving it out {words}, more than the interval's half width; "
-            "repeat its loads."
-        )
+        level, subject = NOTE, f"The slope depends on session {name}: leaving it out {words}"
+        sentence = f"{subject}, more than the interval's half width; repeat its loads."
     return Check("session_influence", level, sentence, ratio, "change over half interval")

@@ -59,8 +59,7 @@ def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> Floa
 
 def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
     """Return the small-amplitude form ``(pi A / lambda)^2`` of `whole_period_excess`."""
-    ratio = floats(amplitude_m) / floats(wavelength_m)
-    return np.asarray((np.pi * ratio) ** 2)
+    return np.asarray((np.pi * (floats(amplitude_m) / floats(wavelength_m))) ** 2)
 
 
 def weave_excess(

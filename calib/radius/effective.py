@@ -99,7 +99,13 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Raises RefusedError
     where none can be used.
     """
-    _refuse_without_rear_wheels(campaign)
+    if without_rear_wheels(campaign):
+        wheels = SOURCE_NAMES[odometry_source(campaign)]
+        raise RefusedError(
+            f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and "
+            "counts_right of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, "
+            "or run 'calib geometry' for the radius and the lengths of this vehicle"
+        )
     runs, notes = campaign.runs, []
     loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
     if need_load and not any(np.isfinite(load).any() for load in loads.values()):
@@ -114,8 +120,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
-    if not straight.any():
-        straight = np.ones(len(runs), dtype=np.bool_)
+    straight |= not straight.any()
     counts = {side: runs.number(f"counts_{side}") for side in loads}
     distance = runs.number("distance_m")
     reasons = (
@@ -137,8 +142,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         ),
     )
     hits = np.stack([hit for hit, _ in reasons])
-    keep = ~hits.any(axis=0)
-    first_reason = hits.argmax(axis=0)
+    keep, first_reason = ~hits.any(axis=0), hits.argmax(axis=0)
     left_out = tuple(UnusedRun(str(runs.run_id[run]), reasons[first_reason[run]][1]) for run in np.flatnonzero(~keep))
     if not keep.any():
         first = left_out[0] if left_out else UnusedRun("(none)", "the run table is empty")
@@ -148,17 +152,6 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
     numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
     return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
-
-
-def _refuse_without_rear_wheels(campaign: Campaign) -> None:
-    if not without_rear_wheels(campaign):
-        return
-    wheels = SOURCE_NAMES[odometry_source(campaign)]
-    raise RefusedError(
-        f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and counts_right "
-        "of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, or run "
-        "'calib geometry' for the radius and the lengths of this vehicle"
-    )
 
 
 def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
@@ -190,15 +183,12 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     for side, (per_rev, excess) in wheels.items():
         counts = np.abs(runs.number(f"counts_{side}"))
         radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
-        off, logged = (
-            radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std),
-            path.source == "log",
-        )
+        off = radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std)
         parts[side] = {
             "rangefinder": radius * sigma / distance,
             "quantisation": radius * QUANTISATION_COUNTS / counts,
-            "path": np.where(logged, 0.0, off),
-            "weave": np.where(logged, off, 0.0),
+            "path": np.where(path.source == "log", 0.0, off),
+            "weave": np.where(path.source == "log", off, 0.0),
         }
         std = np.sqrt(sum(part**2 for part in parts[side].values()))
         arrays |= {f"load_{side}_N": runs.number(f"load_{side}_N"), f"radius_{side}_m": radius}
@@ -339,7 +329,6 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
     known = (path.source != "none") & ~unseen
     left, right = radius_error(path.left), radius_error(path.right)
-    worse = np.maximum(np.abs(left), np.abs(right))
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
     phased = weaving & np.isfinite(path.phase_rad)
     allowed = np.full(len(runs), np.nan)
@@ -360,7 +349,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         tolerance=tolerance,
         run_id=runs.run_id,
         source=path.source,
-        verdict=np.where(~known, UNKNOWN, np.where(worse <= tolerance, PASSED, BEYOND)),
+        verdict=np.select([~known, np.maximum(np.abs(left), np.abs(right)) <= tolerance], [UNKNOWN, PASSED], BEYOND),
         distance_m=distance,
         amplitude_m=path.amplitude_m,
         wavelength_m=path.wavelength_m,

@@ -41,19 +41,14 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`: the campaign's. Raises
     RefusedError with fewer than three runs.
     """
-    wheels = {}
-    driven = {
-        "left": (radii.load_left_N, radii.radius_left_m, radii.std_left_m),
-        "right": (radii.load_right_N, radii.radius_right_m, radii.std_right_m),
-    }
-    for wheel, (load, radius, std) in driven.items():
-        unchecked = fit_wheel(wheel, load, radius, radii.session, reference_load_N=reference_load_N)
+    wheels = []
+    for side in ("left", "right"):
+        load, radius, std = (getattr(radii, name.format(side)) for name in ("load_{}_N", "radius_{}_m", "std_{}_m"))
+        unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
-        wheels[wheel] = with_instrument_checks(checked, radii.distance_m, std, radii.session)
-    radii = replace(radii, budget=(*radii.budget, *observed_components(radii, wheels["left"], wheels["right"])))
-    return Fit(
-        name=name, simulated=simulated, left=wheels["left"], right=wheels["right"], radii=radii, notes=radii.notes
-    )
+        wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
+    radii = replace(radii, budget=(*radii.budget, *observed_components(radii, *wheels)))
+    return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
 
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
@@ -69,7 +64,11 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     findings = [f"{note.where}: {note.text}" for note in implausible(campaign)]
     try:
         radii = effective_radii(campaign)
-        _refuse_far(reference, radii)
+        loads = np.append(radii.load_left_N, radii.load_right_N)
+        largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
+        if reference > MAX_REFERENCE_RATIO * largest:
+            expected = f"a load near those driven, up to {largest:g} N"
+            raise BadInputError(f"reference load: found {reference:g} N; expected {expected}; correct it")
         fit = fit_law(radii, reference_load_N=reference, name=campaign.name, simulated=campaign.simulated)
     except RefusedError as error:
         if findings:
@@ -90,6 +89,9 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
             wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
         wheels[name] = wheel
     static, notes = _static(campaign, reference)
+    stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
+    driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
+    conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
     return replace(
         fit,
         left=wheels["left"],
@@ -97,39 +99,21 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*notes_for_results(campaign), *fit.notes, *notes),
-        setup=Setup(
-            vehicle=campaign.vehicle,
-            encoder=campaign.encoder,
-            model=campaign.model,
-            rangefinder=campaign.rangefinder,
-            reference=campaign.reference,
-            conditions={
-                name: (float(np.nanmin(column)), float(np.nanmax(column)))
-                for name, column in {name: used.number(name) for name in CONDITIONS}.items()
-                if np.isfinite(column).any()
-            },
-            assumed=assumed_settings(campaign),
-        ),
+        setup=Setup(*stated, conditions, assumed_settings(campaign)),
     )
 
 
 def _without_loads(wheel: WheelFit) -> WheelFit:
-    words, checks = "No run's load is given: add load_left_N and load_right_N to runs.csv.", []
-    for check in wheel.checks:
+    words = "No run's load is given: add load_left_N and load_right_N to runs.csv."
+
+    def changed(check: Check) -> Check:
         if check.name == "design":
-            check = replace(check, sentence=check.sentence.replace(on_one_load(wheel), words))
-        elif check.name == "scatter" and check.level != OK:
-            check = replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
-        checks.append(check)
-    return replace(wheel, checks=tuple(checks))
+            return replace(check, sentence=check.sentence.replace(on_one_load(wheel), words))
+        if check.name == "scatter" and check.level != OK:
+            return replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
+        return check
 
-
-def _refuse_far(reference_load_N: float, radii: EffectiveRadii) -> None:
-    loads = np.append(radii.load_left_N, radii.load_right_N)
-    largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
-    if reference_load_N > MAX_REFERENCE_RATIO * largest:
-        expected = f"a load near those driven, up to {largest:g} N"
-        raise BadInputError(f"reference load: found {reference_load_N:g} N; expected {expected}; correct it")
+    return replace(wheel, checks=tuple(map(changed, wheel.checks)))
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
@@ -218,11 +202,11 @@ class SystematicSource:
 
 
 def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
+    mean, x = sensitivity.mean(), wheel.load_N - wheel.law.reference_load_N
     if wheel.model != "line":
-        return np.array([float(sensitivity.mean()), 0.0])
-    x = wheel.load_N - wheel.law.reference_load_N
-    slope = float(np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2))
-    return np.array([float(sensitivity.mean()) - slope * float(x.mean()), slope])
+        return np.array([mean, 0.0])
+    slope = np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2)
+    return np.array([mean - slope * x.mean(), slope])
 
 
 _WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
@@ -301,9 +285,9 @@ def systematic_components(
     for source in sources:
         sizes = []
         for wheel in wheels.values():
-            gradient = _gradient(source, wheel, radii.distance_m)
+            radius, slope = _gradient(source, wheel, radii.distance_m).tolist()
             middle = float(np.mean(wheel.load_N)) - wheel.law.reference_load_N if wheel.model == "line" else 0.0
-            sizes.append(abs(float(gradient[0] + middle * gradient[1])))
+            sizes.append(abs(radius + middle * slope))
         dof = source.dof if math.isfinite(source.dof) else None
         lines.append(Component(source.name, source.kind, source.distribution, source.words, sizes[0], sizes[1], dof))
     return tuple(lines)

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.radius.checks import NOTE_BELOW, UM, p_of_t, tested
-from calib.radius.law import COVERAGE
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, t_quantile
 from calib.radius.sessions import groups_of
 from calib.types import BoolArray, FloatArray, StrArray
@@ -54,11 +53,8 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     if dof < MIN_SLOPE_DOF or np.std(reach) <= least:
         return
     if np.sqrt(norm / len(own)) <= least:
-        sentence = (
-            "The lengths of the runs follow loads or sessions, which hides a constant error of the distances; drive "
-            "each load over the same lengths."
-        )
-        yield Check("run_length", NOTE, sentence)
+        hidden = "The lengths of the runs follow loads or sessions, which hides a constant error of the distances; "
+        yield Check("run_length", NOTE, f"{hidden}drive each load over the same lengths.")
         return
     offset = float(own @ residual) / norm
     # HC3, since short runs may scatter more; no less than the instruments
@@ -74,9 +70,8 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
         f"{1e3 * (offset + half):+.3g}), and the law by {UM * offset * mean:+.3g} um: short runs give other radii. "
         "Check the rangefinder's zero, and slip at start and stop; correct distance_m, or drive long runs alone.",
     )
-    fails = abs(offset * mean) > float(fit.estimate.half_width((1.0, 0.0), COVERAGE))
-    p_value = p_of_t(statistic, carrying)
-    yield tested("run_length", statistic, f"t({carrying:.3g})", p_value, sentences, fails=fails)
+    fails = abs(offset * mean) > float(fit.estimate.half_width((1.0, 0.0)))
+    yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
 
 
 def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:

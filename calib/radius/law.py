@@ -23,8 +23,9 @@ from calib.types import FloatArray, floats
 
 #: order of the joint covariance
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
-#: of all intervals
+#: of all intervals, and the quantile at their upper end
 COVERAGE: Final = 0.95
+UPPER: Final = 0.5 + COVERAGE / 2
 #: observed shares of the between part with solved critical values; denser at both ends, where they bend
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
@@ -69,8 +70,7 @@ class WheelLaw:
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
-        offset = floats(load_N) - self.reference_load_N
-        return np.asarray(self.radius_ref_m + self.slope_m_per_N * offset)
+        return np.asarray(self.radius_ref_m + self.slope_m_per_N * (floats(load_N) - self.reference_load_N))
 
     def mean_std_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the standard uncertainty of the mean radius at `load_N` (any shape), same shape, in m."""
@@ -92,9 +92,9 @@ class WheelLaw:
         """
         contrast = self.contrast(load_N)
         if self.strata is not None:
-            return self.strata.half_width(contrast, COVERAGE, **self._more(contrast, single_run))
+            return self.strata.half_width(contrast, **self._more(contrast, single_run))
         std = self.prediction_std_m(load_N) if single_run else self.mean_std_m(load_N)
-        return np.asarray(std * (stdtrit(self.dof, 0.5 + COVERAGE / 2) if self.dof > 0 else np.nan))
+        return np.asarray(std * (stdtrit(self.dof, UPPER) if self.dof > 0 else np.nan))
 
     def dof_of(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives the 95 % band of ``contrast @ (radius_ref, slope)``.
@@ -225,20 +225,18 @@ class LineEstimate:
         """Covariance of the coefficients, shape (2, 2)."""
         return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
 
-    def half_width(
-        self, contrast: ArrayLike, coverage: float, *, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
-    ) -> FloatArray:
+    def half_width(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
-        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more_within`,
-        `more_between`: variances of a further run and session, for a prediction.
+        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more`: ``more_within``
+        and ``more_between``, variances of a further run and session, for a prediction.
         """
-        total, share = self._variance(contrast, more_within, more_between)
-        random = critical_value(share, self.dof_between, self.dof_within, coverage) * np.sqrt(total)
+        total, share = self._variance(contrast, **more)
+        random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
         if not len(self.systematic):
             return random
         each = floats(contrast) @ self.systematic.T
-        factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), 0.5 + coverage / 2)
+        factor = stdtrit(np.minimum(self.systematic_dof, LARGEST_DOF), UPPER)
         return np.asarray(np.hypot(random, np.sqrt(np.sum((each * factor) ** 2, axis=-1))))
 
     @property
@@ -252,17 +250,16 @@ class LineEstimate:
         return self._interval(1)
 
     def _interval(self, index: int) -> tuple[float, float]:
-        value, half = self.coefficients[index], self.half_width(np.eye(2)[index], COVERAGE)
+        value, half = self.coefficients[index], self.half_width(np.eye(2)[index])
         return float(value - half), float(value + half)
 
-    def dof(self, contrast: ArrayLike, coverage: float = COVERAGE, **more: ArrayLike) -> FloatArray:
+    def dof(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
         total, share = self._variance(contrast, **more)
         if len(self.systematic):
-            each = floats(contrast) @ self.systematic.T
-            std = np.sqrt(total + np.sum(each**2, axis=-1))
-            return equivalent_dof(self.half_width(contrast, coverage, **more) / np.where(std > 0, std, 1.0), coverage)
-        dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within, coverage), coverage)
+            std = np.sqrt(total + np.sum((floats(contrast) @ self.systematic.T) ** 2, axis=-1))
+            return equivalent_dof(self.half_width(contrast, **more) / np.where(std > 0, std, 1.0))
+        dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within))
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
     def _variance(
@@ -283,29 +280,29 @@ class LineEstimate:
 
 
 @lru_cache(maxsize=64)
-def critical_curve(dof_between: float, dof_within: float, coverage: float) -> FloatArray:
+def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
     """Return the critical values at the observed shares `SHARES` of the between part.
 
     Shape (25,), from Student's t of `dof_within` to that of `dof_between`, both above 0; read-only: wheels and bands
     share it.
     """
     if dof_between < FEWEST_BETWEEN_DOF:
-        within, between = stdtrit([dof_within, dof_between], 0.5 + coverage / 2)
+        within, between = stdtrit([dof_within, dof_between], UPPER)
         return np.asarray(np.sqrt(SHARES * between**2 + (1.0 - SHARES) * within**2))
     q_between, q_within = np.meshgrid(_nodes(dof_between), _nodes(dof_within), indexing="ij")
     share = SHARES[:, None, None]
     variance = share * q_between + (1 - share) * q_within
     observed = share * q_between / variance
     spread = np.sqrt(variance)
-    ends = floats(stdtrit([dof_within, dof_between], 0.5 + coverage / 2))
-    pooled_t = float(stdtrit(dof_within + dof_between, 0.5 + coverage / 2))
+    ends = floats(stdtrit([dof_within, dof_between], UPPER))
+    pooled_t = float(stdtrit(dof_within + dof_between, UPPER))
     curve = np.asarray(ends[0] + (ends[1] - ends[0]) * SHARES)
     for _ in range(WELCH_ITERATIONS):
         reach = np.interp(observed, SHARES, curve) * spread
         covered = np.mean(2 * ndtr(reach) - 1, axis=(1, 2))
         rate = np.mean(2 * spread * np.exp(-0.5 * reach**2) / np.sqrt(2 * np.pi), axis=(1, 2))
         # half steps: a neighbour's change moves the coverage too
-        curve = np.clip(curve + 0.5 * (coverage - covered) / rate, pooled_t, ends.max())
+        curve = np.clip(curve + 0.5 * (COVERAGE - covered) / rate, pooled_t, ends.max())
         curve[0], curve[-1] = ends
         if ends[1] >= ends[0]:
             # past the dip that pooled degrees of freedom allow, more weight on fewer of them never narrows it
@@ -315,24 +312,24 @@ def critical_curve(dof_between: float, dof_within: float, coverage: float) -> Fl
     return curve
 
 
-def critical_value(share: ArrayLike, dof_between: float, dof_within: float, coverage: float) -> FloatArray:
+def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> FloatArray:
     """Return the critical value for observed shares, V_between over the sum; it multiplies the root of the sum.
 
     `dof_between`, `dof_within`: 0 where there is no such part.
     """
     observed = floats(share)
-    within = stdtrit(dof_within, 0.5 + coverage / 2) if dof_within > 0 else np.nan
-    between = stdtrit(dof_between, 0.5 + coverage / 2) if dof_between > 0 else np.nan
+    within = stdtrit(dof_within, UPPER) if dof_within > 0 else np.nan
+    between = stdtrit(dof_between, UPPER) if dof_between > 0 else np.nan
     if dof_between <= 0 or not (observed > 0).any():
         return np.full(observed.shape, within)
     if dof_within <= 0 or not (observed < 1).any():
         return np.full(observed.shape, between)
-    return np.asarray(np.interp(observed, SHARES, critical_curve(dof_between, dof_within, coverage)))
+    return np.asarray(np.interp(observed, SHARES, critical_curve(dof_between, dof_within)))
 
 
-def equivalent_dof(critical: ArrayLike, coverage: float) -> FloatArray:
+def equivalent_dof(critical: ArrayLike) -> FloatArray:
     """Return the degrees of freedom, 1 to 1e6, whose Student's t is `critical`."""
-    dof = stdtridf(0.5 + coverage / 2, floats(critical))
+    dof = stdtridf(UPPER, floats(critical))
     return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 

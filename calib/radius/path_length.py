@@ -9,6 +9,7 @@ is not corrected.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -77,18 +78,15 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     )
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
     # the measured distance says how far the radii are from those assumed: headings are too large by that, too
-    rolled = sum(
-        np.abs(runs.number(f"counts_{side}")) * size / 2
-        for side, size in zip(("left", "right"), metres_per_count, strict=True)
-    )
+    left, right = (np.abs(runs.number(f"counts_{side}")) for side in ("left", "right"))
+    rolled = left * metres_per_count[0] / 2 + right * metres_per_count[1] / 2
     scale = distance * (1 + weaves.excess) / rolled
     weaves = Weaves(*(part * scale**power for part, power in zip(weaves, SCALED, strict=True)))
     logged = weaves.known
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
 
-    centre, centre_std = np.zeros(n), np.zeros(n)
-    yaw, yaw_std = np.zeros(n), np.zeros(n)
+    centre, centre_std, yaw, yaw_std = np.zeros((4, n))
     shown = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
     centre[logged], yaw[logged] = weaves.excess[logged], np.where(shown, weaves.yaw_rad, 0.0)[logged]
     yaw_std[logged] = np.hypot(weaves.yaw_std_rad, np.where(shown, 0.0, weaves.yaw_rad))[logged]
@@ -107,26 +105,16 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     ends = (runs.number(name) for name in ("ref_x_m", "ref_y_m"))
     # an arc is longer than its chord by a 24th of the squared turn, than its way along the start heading by a 6th
     ahead = campaign.reference.frame != "map" and looks_ahead(distance, *ends)
-    arcs = arc_excess(2.0 * arc if ahead else arc, 1.0, 0.0)
-    centre = (1 + centre) * (1 + arcs.centre) - 1
+    centre = (1 + centre) * (1 + arc_excess(2.0 * arc if ahead else arc, 1.0, 0.0).centre) - 1
     yaw = yaw + arc
     yaw_std = np.where(used, campaign.reference.sigma_theta_rad * np.sqrt(reliability), yaw_std)
     half = 0.5 * track * yaw / np.where(distance > 0, distance, np.nan)
     source = np.where(logged, "log", np.where(listed, "columns", "none")).astype("<U16")
     source = np.where(used, np.char.add(source, "+heading"), source)
-    return RunPaths(
-        centre=centre,
-        left=centre - half,
-        right=centre + half,
-        yaw_rad=yaw,
-        yaw_std_rad=yaw_std,
-        centre_std=centre_std,
-        amplitude_m=np.where(logged, weaves.amplitude_m, amplitude),
-        wavelength_m=np.where(logged, weaves.wavelength_m, wavelength),
-        phase_rad=weaves.phase_rad,
-        source=source,
-        notes=_notes(logged, listed, used),
-    )
+    amplitude = np.where(logged, weaves.amplitude_m, amplitude)
+    wavelength = np.where(logged, weaves.wavelength_m, wavelength)
+    weave, notes = (amplitude, wavelength, weaves.phase_rad), tuple(_notes(logged, listed, used))
+    return RunPaths(centre, centre - half, centre + half, yaw, yaw_std, centre_std, *weave, source, notes)
 
 
 def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
@@ -158,24 +146,22 @@ def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> t
     return reliability * surplus, reliability
 
 
-def _notes(logged: BoolArray, listed: BoolArray, used: BoolArray) -> tuple[str, ...]:
+def _notes(logged: BoolArray, listed: BoolArray, used: BoolArray) -> Iterator[str]:
     n, nothing = len(logged), ~(logged | listed | used)
-    notes = []
     if logged.any():
-        notes.append(f"Path of {int(logged.sum())} of {n} runs corrected for the weave in their logs.")
+        yield f"Path of {logged.sum()} of {n} runs corrected for the weave in their logs."
     if listed.any():
-        notes.append(
-            f"Path of {int(listed.sum())} of {n} runs corrected by amplitude_m and wavelength_m over whole periods; "
+        yield (
+            f"Path of {listed.sum()} of {n} runs corrected by amplitude_m and wavelength_m over whole periods; "
             "where in the period they began and ended is not known and counts as uncertainty."
         )
     if used.any():
-        notes.append(f"Turn of {int(used.sum())} of {n} runs corrected by the measured heading at their end.")
+        yield f"Turn of {used.sum()} of {n} runs corrected by the measured heading at their end."
     if nothing.any():
-        notes.append(
-            f"Path of {int(nothing.sum())} of {n} runs not corrected: no log, no weave columns, no measured heading. "
+        yield (
+            f"Path of {nothing.sum()} of {n} runs not corrected: no log, no weave columns, no measured heading. "
             "Weave makes such radii too small and its turn scatters them; add logs, or keep the vehicle on the line."
         )
-    return tuple(notes)
 
 
 class Weaves(NamedTuple):
@@ -205,8 +191,7 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
     `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's
     error is taken out with the trend.
     """
-    n_runs = len(logs.lengths)
-    out = np.full((7, n_runs), np.nan)
+    out = np.full((7, len(logs.lengths)), np.nan)
     if "counts_left" in logs.columns and "counts_right" in logs.columns:
         usable = np.flatnonzero(logs.lengths >= MIN_SAMPLES)
         for first in range(0, len(usable), RUN_CHUNK):
@@ -221,18 +206,14 @@ def _headings(
     logs: Logs, runs: IntArray, metres_per_count: tuple[float, float], track_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return rolled distance (n,), heading on equal steps of it (n, steps), and usable runs."""
-    rolled = np.zeros(len(runs))
-    heading = np.zeros((len(runs), HEADING_POINTS))
-    good = np.zeros(len(runs), dtype=np.bool_)
-    steps = np.linspace(0.0, 1.0, HEADING_POINTS)
-    left_all, right_all = logs.columns["counts_left"], logs.columns["counts_right"]
+    rolled, heading = np.zeros(len(runs)), np.zeros((len(runs), HEADING_POINTS))
+    good, steps = np.zeros(len(runs), dtype=np.bool_), np.linspace(0.0, 1.0, HEADING_POINTS)
+    columns = [logs.columns[name] for name in ("counts_left", "counts_right")]
     for row, run in enumerate(runs):
-        part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-        left = (left_all[part] - left_all[part.start]) * metres_per_count[0]
-        right = (right_all[part] - right_all[part.start]) * metres_per_count[1]
+        counts = (column[logs.offsets[run] : logs.offsets[run + 1]] for column in columns)
+        left, right = ((part - part[0]) * size for part, size in zip(counts, metres_per_count, strict=True))
         middle = 0.5 * (left + right)
-        sign = 1.0 if middle[-1] >= 0 else -1.0
-        middle = sign * middle
+        middle *= 1.0 if middle[-1] >= 0 else -1.0
         known = np.isfinite(middle)
         if known.sum() < MIN_SAMPLES or not middle[known][-1] > track_m:
             continue
@@ -281,9 +262,8 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
         periods = periods * before / x[:, -1]
         angle = 2 * np.pi * periods[:, None] * x
     line, wave = _without_diverged(heading_rad, u, line, wave, weave)
-    weave = np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
     about_axis = heading_rad - line[0, :, None] - line[1, :, None] * u
-    residual = about_axis - weave
+    residual = about_axis - np.arctan(wave[0, :, None] * np.cos(angle) + wave[1, :, None] * np.sin(angle))
     rms = np.sqrt(np.mean(residual**2, axis=1))
     power = np.maximum(np.einsum("nm,nm->n", residual, residual), 1e-300)
     correlation = np.clip(np.einsum("nm,nm->n", residual[:, 1:], residual[:, :-1]) / power, 0.0, 0.999)
@@ -354,10 +334,7 @@ def _sines(m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     grid = np.arange(MIN_PERIODS, MAX_PERIODS + PERIOD_STEP / 2, PERIOD_STEP)
     trend, _ = np.linalg.qr(np.column_stack((np.ones_like(u), u)))
     angle = 2 * np.pi * np.outer(u, grid)
-    first, second = np.cos(angle), np.sin(angle)
-    first = first - trend @ (trend.T @ first)
+    first, second = (wave - trend @ (trend.T @ wave) for wave in (np.cos(angle), np.sin(angle)))
     first = first / np.linalg.norm(first, axis=0)
-    second = second - trend @ (trend.T @ second)
     second = second - first * np.sum(first * second, axis=0)
-    second = second / np.linalg.norm(second, axis=0)
-    return grid, first, second
+    return grid, first, second / np.linalg.norm(second, axis=0)

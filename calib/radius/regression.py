@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius import sessions
-from calib.radius.law import COVERAGE, LineEstimate, WheelLaw
+from calib.radius.law import UPPER, LineEstimate, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.types import FloatArray, IntArray, floats
 
@@ -245,7 +245,7 @@ def from_plain(kind: type[Plain], value: Any) -> Plain:
 
 def t_quantile(dof: ArrayLike) -> FloatArray:
     """Return Student's t such that ``+-t`` covers 95 % with `dof` degrees of freedom."""
-    return np.asarray(stdtrit(floats(dof), 0.5 + COVERAGE / 2))
+    return np.asarray(stdtrit(floats(dof), UPPER))
 
 
 def distinct_loads(load_N: FloatArray) -> int:
@@ -255,10 +255,9 @@ def distinct_loads(load_N: FloatArray) -> int:
 
 def load_groups(load_N: FloatArray) -> IntArray:
     """Return the load group of each run, shape (n_runs,); loads within 2 % of the largest count as one."""
-    order = np.argsort(load_N, kind="stable")
-    width = SAME_LOAD * float(np.max(np.abs(load_N)))
-    group, number, start = np.zeros(len(load_N), dtype=np.int64), 0, float(load_N[order[0]])
-    for index in order:
+    width, group = SAME_LOAD * float(np.max(np.abs(load_N))), np.zeros(len(load_N), dtype=np.int64)
+    number, start = 0, float(load_N.min())
+    for index in np.argsort(load_N, kind="stable"):
         if load_N[index] - start > width:
             number, start = number + 1, float(load_N[index])
         group[index] = number
@@ -275,10 +274,8 @@ def fit_wheel(
     """
     load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:
-        raise RefusedError(
-            f"{wheel} wheel: found {len(load)} usable runs; expected three or more; drive more corridor runs, "
-            "or see 'calib check' for why runs were omitted"
-        )
+        found = f"{wheel} wheel: found {len(load)} usable runs; expected three or more"
+        raise RefusedError(f"{found}; drive more corridor runs, or see 'calib check' for why runs were omitted")
     groups = groups_of(session)
     grouped = 2 <= len(groups) < len(load)
     if distinct_loads(load) == 1:

@@ -131,9 +131,8 @@ class Fit(Result):
         Raises BadInputError where a key is missing or of the wrong kind.
         """
         if value.get("format") != FORMAT:
-            raise BadInputError(
-                f"found format {value.get('format')!r}; expected {FORMAT!r}; make it anew with 'calib fit'"
-            )
+            found = f"found format {value.get('format')!r}"
+            raise BadInputError(f"{found}; expected {FORMAT!r}; make it anew with 'calib fit'")
         try:
             setup, notes = value.get("setup"), tuple(value["notes"])
             fit = Fit(
@@ -160,9 +159,8 @@ class Fit(Result):
             return fit
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             text = " ".join(str(error).split())
-            raise BadInputError(
-                f"the fit is damaged ({type(error).__name__}: {text}); expected what 'calib fit' wrote; make it anew"
-            ) from error
+            text = f"the fit is damaged ({type(error).__name__}: {text})"
+            raise BadInputError(f"{text}; expected what 'calib fit' wrote; make it anew") from error
 
 
 def _rows(fit: Fit) -> list[Row]:
@@ -178,11 +176,8 @@ def _columns(rows: Any) -> dict[str, Any]:
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
     """Return where a fit comes from: version, arguments, the SHA-256 of every file read, what the campaign states."""
-    record: dict[str, object] = {
-        "version": version,
-        "arguments": dict(arguments),
-        "inputs": dict(sorted(campaign.hashes.items())),
-    }
+    inputs = dict(sorted(campaign.hashes.items()))
+    record: dict[str, object] = {"version": version, "arguments": dict(arguments), "inputs": inputs}
     for section in STATED_SECTIONS:
         if section in campaign.extra:
             # dates of TOML become texts
@@ -312,9 +307,8 @@ class ModelComparison:
         wheels: dict[str, dict[str, object]] = {side: {"radius_ref": None, "slope": None} for side in ("left", "right")}
         for one in self.differences:
             unit = "m" if one.quantity == "radius_ref" else "m_per_N"
-            values = {name: getattr(one, name) for name in ("fitted", "model", "difference")}
-            values |= {"difference_ci95": list(one.ci95)}
-            document = {f"{name}_{unit}": value for name, value in values.items()}
+            names = {"fitted": "fitted", "model": "model", "difference": "difference", "difference_ci95": "ci95"}
+            document = {f"{key}_{unit}": plain(getattr(one, name)) for key, name in names.items()}
             wheels[one.wheel][one.quantity] = document | {"model_inside": one.inside}
         verdict = {"model_inside": self.inside, "model_exact": self.exact}
         return {"reference_load_N": self.reference_load_N, **verdict, "wheels": wheels}
@@ -327,15 +321,13 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
     """
     differences = []
     for wheel, law in ((left, model.left), (right, model.right)):
-        own, load = wheel.law, wheel.reference_load_N
-        quantities = {"radius_ref": (own.contrast(load), law.contrast(load))}
+        laws, load = (wheel.law, law), wheel.reference_load_N
+        quantities = {"radius_ref": [one.contrast(load) for one in laws]}
         if wheel.model == "line":
-            quantities["slope"] = (np.array([0.0, 1.0]),) * 2
+            quantities["slope"] = [np.array([0.0, 1.0])] * 2
         for quantity, contrasts in quantities.items():
-            fitted, believed = (
-                float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in zip((own, law), contrasts, strict=True)
-            )
-            pairs = list(zip((own, law), contrasts, strict=True))
+            pairs = list(zip(laws, contrasts, strict=True))
+            fitted, believed = (float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in pairs)
             # not estimated, but stated
             dof = [float(one.dof_of(c)) or LARGEST_DOF for one, c in pairs]
             half = half_width(np.array([float(one.std_of(c)) for one, c in pairs]), dof)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -124,25 +124,18 @@ def line_of_strata(strata: Strata) -> LineEstimate | None:
     # slope between sessions; within sessions alone the means only scatter about the slope from there
     between = strata.slope if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
     slope = weight_within * strata.slope + (1 - weight_within) * between if weight_within else between
-    between_square = float(weight @ (y_mean - mean_radius - between * centred) ** 2) / dof_between
-    between_square = max(between_square, _least_between(run_variance, sizes, weight, dof_within, dof_between))
-
+    departures = y_mean - mean_radius - between * centred
+    between_square, scatter = _of_sessions(departures, sizes, dof_between, run_variance, dof_within)
     lever = np.array([[centre**2, -centre], [-centre, 1.0]])
     cov_between = np.diag([between_square / weight.sum(), 0.0])
     if not only_within:
         cov_between = cov_between + (1 - weight_within) ** 2 * between_square / info_between * lever
-    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, sizes)
     return LineEstimate(
         design="crossed" if only_within else "confounded" if only_between else "mixed",
         coefficients=np.array([mean_radius - slope * centre, slope]),
         cov_within=lever * (weight_within**2 * run_variance / strata.info if weight_within else 0.0),
-        dof_within=dof_within,
         cov_between=cov_between,
-        dof_between=float(dof_between),
-        run_variance=run_variance,
-        session_variance=session_variance,
-        session_f=session_f,
-        hc3=False,
+        **scatter,
     )
 
 
@@ -167,22 +160,29 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     return replace(estimate, cov_within=estimate.cov_within * (variance * info / estimate.run_variance), hc3=True)
 
 
-def _least_between(
-    run_variance: float, sizes: FloatArray, weight: FloatArray, dof_within: float, dof_between: float
-) -> float:
-    """Return the mean square of two sessions below which they agree better than their runs allow, by chance.
+def _of_sessions(
+    departures: FloatArray, sizes: FloatArray, dof_between: float, run_variance: float, dof_within: float
+) -> tuple[float, dict[str, Any]]:
+    """Return the mean square of session means about the law, and the fields of an estimate that follow from it.
 
-    There an interval is as wide as by the runs alone. With more sessions it is rare, and Student's t holds.
+    `departures`, `sizes` (shape (n_sessions,)): of the means from the law, and runs a session. Two sessions may agree
+    better than their runs allow, by chance: there an interval is as wide as by the runs alone. With more sessions it is
+    rare, and Student's t holds.
     """
-    if dof_between > 1.0:
-        return 0.0
-    of_runs, of_sessions = (float(stdtrit(dof, 0.975)) for dof in (dof_within, dof_between))
-    return run_variance * float(np.mean(1.0 / sizes)) * float(weight.mean()) * (of_runs / of_sessions) ** 2
-
-
-def _session_scatter(mean_variance: float, run_variance: float, sizes: FloatArray) -> tuple[float, float | None]:
-    explained = run_variance * float(np.mean(1.0 / sizes))
-    return max(mean_variance - explained, 0.0), mean_variance / explained if run_variance > 0 else None
+    weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
+    square = float(weight @ departures**2) / dof_between
+    if dof_between <= 1.0:
+        of_runs, of_sessions = stdtrit([dof_within, dof_between], 0.975).tolist()
+        square = max(square, explained * float(weight.mean()) * (of_runs / of_sessions) ** 2)
+    variance = square / float(weight.mean())
+    return square, {
+        "dof_within": float(dof_within),
+        "dof_between": float(dof_between),
+        "run_variance": run_variance,
+        "session_variance": max(variance - explained, 0.0),
+        "session_f": variance / explained if run_variance > 0 else None,
+        "hc3": False,
+    }
 
 
 def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
@@ -193,24 +193,15 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
         part = np.diag([variance / n, 0.0])
         return LineEstimate.one_stratum("constant", np.array([y.mean(), 0.0]), part, float(n - 1), variance)
     mean, inner = groups.means(y), groups.within(y)
-    run_variance = float(inner @ inner) / (n - n_sessions)
-    weight = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes)
-    value = float(weight @ mean / weight.sum())
-    between_square = float(weight @ (mean - value) ** 2) / (n_sessions - 1)
-    least = _least_between(run_variance, groups.sizes, weight, float(n - n_sessions), n_sessions - 1.0)
-    between_square = max(between_square, least)
-    session_variance, session_f = _session_scatter(between_square / float(weight.mean()), run_variance, groups.sizes)
+    weight, dof_within = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes), n - n_sessions
+    value, run_variance = float(weight @ mean / weight.sum()), float(inner @ inner) / dof_within
+    square, scatter = _of_sessions(mean - value, groups.sizes, n_sessions - 1, run_variance, dof_within)
     return LineEstimate(
         design="constant",
         coefficients=np.array([value, 0.0]),
         cov_within=np.zeros((2, 2)),
-        dof_within=float(n - n_sessions),
-        cov_between=np.diag([between_square / weight.sum(), 0.0]),
-        dof_between=float(n_sessions - 1),
-        run_variance=run_variance,
-        session_variance=session_variance,
-        session_f=session_f,
-        hc3=False,
+        cov_between=np.diag([square / weight.sum(), 0.0]),
+        **scatter,
     )
 
 
@@ -252,18 +243,16 @@ class _Series:
         return float(len(self.residual) - self.fitted.shape[1])
 
     def neighbours(self, columns: FloatArray) -> FloatArray:
-        joined = (1.0 - self.begins[1:])[:, None]
-        product = np.zeros_like(columns)
-        product[1:] += 0.5 * joined * columns[:-1]
-        product[:-1] += 0.5 * joined * columns[1:]
+        half, product = 0.5 * (1.0 - self.begins[1:])[:, None], np.zeros_like(columns)
+        product[1:] += half * columns[:-1]
+        product[:-1] += half * columns[1:]
         return product
 
     def correlated(self, columns: FloatArray, rho: float) -> FloatArray:
         from scipy.signal import lfilter
 
-        edges = [*np.flatnonzero(self.begins), len(columns)]
         product = np.empty_like(columns)
-        for first, behind in pairwise(edges):
+        for first, behind in pairwise([*np.flatnonzero(self.begins), len(columns)]):
             block = columns[first:behind]
             forward = lfilter([1.0], [1.0, -rho], block, axis=0)
             product[first:behind] = forward + lfilter([1.0], [1.0, -rho], block[::-1], axis=0)[::-1] - block

@@ -50,7 +50,7 @@ def test_the_interval_of_the_slope_holds_the_truth(design: str, rho: float) -> N
         line = line_from_sums(sums.runs)
         assert line is not None
         estimate, _ = widened(line, sums)
-        held += bool(abs(estimate.coefficients[1] - SLOPE) <= estimate.half_width(np.eye(2), 0.95)[1])
+        held += bool(abs(estimate.coefficients[1] - SLOPE) <= estimate.half_width(np.eye(2))[1])
     assert held / WHEELS >= LEAST
 
 

@@ -21,10 +21,10 @@ from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
 from calib.kinematics.adequacy import GeometryVerdict
-from calib.kinematics.drives import Steps
+from calib.kinematics.drives import RearShaft, Steps, rear_shaft
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters, steering_zero_spread_rad
-from calib.kinematics.model import RearShaft, rear_shaft, window_segments
+from calib.kinematics.model import window_segments
 from calib.kinematics.recording import recording_of
 from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
 from tests.real.recordings import available
@@ -246,7 +246,7 @@ def test_the_play_of_a_steering_is_the_scatter_of_its_zero_between_recordings(tm
     recording = recording_of(read, "shaft")
     drive = drive_of(read, "shaft", recording)
     fitted = fit_parameters(read, drive, recording, window_segments(recording, 60), sensor=True)
-    found = steering_zero_spread_rad(fitted.model, fitted.solution, fitted.parameters)
+    found = steering_zero_spread_rad(fitted)
     # six recordings know a standard deviation to a third; without play nothing beyond the noise of a recording's zero
     assert found == pytest.approx(play_rad, rel=0.7, abs=2e-3)
 

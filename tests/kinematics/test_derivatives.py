@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, Steps, integrate_motion
-from calib.kinematics.model import Model, RearShaft, Segments, window_segments
+from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, RearShaft, Steps, integrate_motion
+from calib.kinematics.model import Model, Segments, window_segments
 from calib.kinematics.recording import Recording
 
 #: relative step of the finite differences, and how well they can agree with the derivative

@@ -71,10 +71,10 @@ def test_the_track_of_a_skid_steered_vehicle_is_an_effective_one(wider: float) -
 
 def test_a_track_that_no_skid_steering_makes_is_a_fault() -> None:
     """Up to 2.5 times it is none of a skid-steered vehicle; of two wheels skid steering is named."""
-    (fault,) = factor_faults({"track_m": 0.5}, {"track_m": 0.98})
+    (fault,) = factor_faults({"track_m": 1.96})
     assert 'drive = "skid"' in fault.text
-    assert not factor_faults({"track_m": 0.5}, {"track_m": 0.98}, "skid")
-    assert factor_faults({"track_m": 0.5}, {"track_m": 0.25}, "skid")
+    assert not factor_faults({"track_m": 1.96}, "skid")
+    assert factor_faults({"track_m": 0.5}, "skid")
     for times, wrong in ((2.4, False), (2.6, True), (0.6, True)):
         assert implausible("track_m", times, PLAUSIBLE_TRACK_CHANGE, "skid") is wrong
     assert implausible("track_m", 1.6, PLAUSIBLE_TRACK_CHANGE, "differential")

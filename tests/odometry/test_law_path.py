@@ -61,7 +61,7 @@ def test_two_straight_pieces_with_two_pairs_of_radii_are_two_arcs() -> None:
         pose = circle(pose, left, right)
     np.testing.assert_allclose(path.without.poses[-1].stacked(), pose, rtol=0.0, atol=ROUNDING_M)
     np.testing.assert_allclose(path.corrected.poses[-1].stacked(), [10.0, 0.0, 0.0], rtol=0.0, atol=ROUNDING_M)
-    end = path.document()["without"]
+    end = path.to_dict()["without"]
     assert end["error_lateral_m"] == pytest.approx(pose[1], abs=ROUNDING_M)
     assert end["error_global_x_m"] == pytest.approx(pose[0] - 10.0, abs=ROUNDING_M)
     assert path.ratio > 1.0

@@ -225,7 +225,7 @@ def test_one_load_on_another_day_is_a_remark_and_its_intervals_hold() -> None:
         radius = 0.1 + 1.3e-6 * (load - 300.0) + shift + rng.normal(0.0, SCATTER_M, 26)
         fit = fit_wheel("left", load, radius, names, reference_load_N=300.0)
         off = np.abs(np.array([fit.law.radius_ref_m - 0.1, fit.law.slope_m_per_N - 1.3e-6]))
-        held += off <= fit.estimate.half_width(np.eye(2), 0.95)
+        held += off <= fit.estimate.half_width(np.eye(2))
     assert (held / HELD >= LEAST_HELD).all()
     checked = with_checks(fit, names, np.resize(["out", "back"], 26), names)
     design = checked.checks[0]

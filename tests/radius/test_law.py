@@ -9,7 +9,7 @@ from tests.radius.coverage import DESIGNS, coverage
 
 
 def test_pure_parts_are_students_t() -> None:
-    critical = critical_value([0.0, 1.0], 4.0, 54.0, 0.95)
+    critical = critical_value([0.0, 1.0], 4.0, 54.0)
     np.testing.assert_allclose(critical, stats.t.ppf(0.975, [54, 4]), rtol=1e-12)  # rounding
 
 
@@ -19,7 +19,7 @@ def test_coverage_is_as_stated_for_every_true_share(share: float) -> None:
     rng, n = np.random.default_rng(5), 100_000
     between = share * rng.chisquare(4, n) / 4
     within = (1 - share) * rng.chisquare(54, n) / 54
-    critical = critical_value(between / (between + within), 4.0, 54.0, 0.95)
+    critical = critical_value(between / (between + within), 4.0, 54.0)
     covered = np.mean(2 * stats.norm.cdf(critical * np.sqrt(between + within)) - 1)
     # solution of the integral equation to 0.15 %, Monte Carlo to 0.05 %
     assert covered == pytest.approx(0.95, abs=0.002)
@@ -27,11 +27,11 @@ def test_coverage_is_as_stated_for_every_true_share(share: float) -> None:
 
 def test_equivalent_dof_is_the_inverse_of_students_t() -> None:
     dof = np.array([1.0, 3.0, 4.86, 54.0, 300.0])
-    np.testing.assert_allclose(equivalent_dof(stats.t.ppf(0.975, dof), 0.95), dof, rtol=1e-8)  # flat at many degrees
+    np.testing.assert_allclose(equivalent_dof(stats.t.ppf(0.975, dof)), dof, rtol=1e-8)  # flat at many degrees
 
 
 def test_the_curve_stays_between_the_pooled_and_the_wider_t() -> None:
-    curve = critical_curve(4.0, 54.0, 0.95)
+    curve = critical_curve(4.0, 54.0)
     assert curve.min() >= stats.t.ppf(0.975, 58) - 1e-12
     assert curve.max() <= stats.t.ppf(0.975, 4) + 1e-12
 

@@ -19,8 +19,8 @@ import pandas as pd
 from calib.campaign.model import Campaign
 from calib.campaign.settings import SPEED_COUNT_M, Encoder, FrontModel, OdometryModel, Reference
 from calib.campaign.wheels import shaft_motion
+from calib.kinematics.drives import SIDE_SLIP, UNDERSTEER
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.model import SIDE_SLIP, UNDERSTEER
 from calib.types import FloatArray
 from calib.vehicle import Vehicle
 from tests.real.recordings import available, in_memory

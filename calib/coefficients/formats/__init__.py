@@ -128,8 +128,7 @@ def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
     unloaded = left.slope_m_per_N == right.slope_m_per_N == 0.0
     if unloaded or low > high:
         return (LoadPair(left.reference_load_N, right.reference_load_N, "any load" if unloaded else "reference"),)
-    points = {low, high, left.reference_load_N}
-    return tuple(LoadPair(load, load) for load in sorted(points) if low <= load <= high)
+    return tuple(LoadPair(load, load) for load in sorted({low, high, left.reference_load_N}) if low <= load <= high)
 
 
 def radii_m(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:

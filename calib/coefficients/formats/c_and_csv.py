@@ -163,8 +163,7 @@ def effects_header(file: CoefficientFile, options: ExportOptions) -> tuple[Artif
     effects = []
     for section in acting:
         sizes = {name: quantity.value for name, quantity in section.parameters.items()}
-        column = section.effect.partition(":")[2]
-        at = covariates.index(column) if column else -1
+        at = covariates.index(section.effect.partition(":")[2]) if ":" in section.effect else -1
         effects.append(_Effect(section.effect, section.form, section.settings, sizes, reference_N, at))
     values = {"acting": effects, "others": others, "accepted": formats.accepted_lines(file), "covariates": covariates}
     data = rendered("c_effects.h.j2", file=file, **values)
@@ -193,10 +192,10 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
         # valid ends, rounded between them
         between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
-    columns = {f"load_{side}_N": [pair[at] for pair in pairs] for at, side in enumerate(sides)}
-    cells: dict[str, list[str]] = {name: [repr(value) for value in values] for name, values in columns.items()}
+    columns = dict(zip(sides, zip(*pairs, strict=True), strict=True))
+    cells = {f"load_{side}_N": list(map(repr, loads)) for side, loads in columns.items()}
     for side, law in sides.items():
-        cells |= _columns_of(law, np.array(columns[f"load_{side}_N"]), side, clamp=file.outside == "clamp")
+        cells |= _columns_of(law, np.array(columns[side]), side, clamp=file.outside == "clamp")
     empty = [row for row in range(len(pairs)) if all(not cells[TABLE_COLUMNS[0].format(side)][row] for side in sides)]
     if empty:
         left, right = pairs[empty[0]]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NoReturn
@@ -54,10 +55,9 @@ class Node:
 
     def ancestors(self) -> Iterator[Node]:
         """Yield the parents, the nearest first."""
-        node = self.parent
-        while node is not None:
-            yield node
-            node = node.parent
+        if self.parent is not None:
+            yield self.parent
+            yield from self.parent.ancestors()
 
 
 class ModelFile:
@@ -96,22 +96,16 @@ class ModelFile:
                 open_nodes[-1].text += data
 
         def refused(*_args: object) -> NoReturn:
-            raise BadFileError(
-                self.path,
-                "a DOCTYPE, or an entity",
-                "a model file without one",
-                "remove it; a model needs neither",
-                row=parser.CurrentLineNumber,
-            )
+            words = ("a DOCTYPE, or an entity", "a model file without one", "remove it; a model needs neither")
+            raise BadFileError(self.path, *words, row=parser.CurrentLineNumber)
 
         parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, text
         parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.ExternalEntityRefHandler = refused
         try:
             parser.Parse(self.data, True)
         except expat.ExpatError as error:
-            raise BadFileError(
-                self.path, expat.ErrorString(error.code), "XML in UTF-8", "correct the file", row=error.lineno
-            ) from error
+            found = expat.ErrorString(error.code)
+            raise BadFileError(self.path, found, "XML in UTF-8", "correct the file", row=error.lineno) from error
         return roots[0]
 
     def _tag_end(self, at: int) -> int:
@@ -137,13 +131,10 @@ class ModelFile:
         begin = self.data.index(b">", node.tag_end) + 1
         between = self.data[begin : node.close]
         if between.strip() != node.text.strip().encode():
-            raise RefusedError(
-                f"{self.path}: found <{node.tag}> with comments or entities in its number; expected a plain number; "
-                "write it so"
-            )
+            found = f"{self.path}: found <{node.tag}> with comments or entities in its number"
+            raise RefusedError(f"{found}; expected a plain number; write it so")
         node.text = value
-        left = len(between) - len(between.lstrip())
-        right = len(between.rstrip())
+        left, right = len(between) - len(between.lstrip()), len(between.rstrip())
         self._changes[begin + left, begin + right] = value.encode()
 
     def insert_child(self, node: Node, text: str) -> None:
@@ -290,13 +281,11 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
     for joint in model.root.walk():
         if joint.tag != "joint" or joint.attributes.get("type", "hinge") not in TURNING or joint.parent is None:
             continue
-        try:
+        with suppress(CalibError):
             found = wheel(model, joint.attributes.get("name") or joint.parent.attributes.get("name", ""), "")
-        except CalibError:
-            continue
-        if found.node not in seen and abs(found.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
-            seen.append(found.node)
-            others.append(f"{found.name} (radius {found.radius_m:g} m)")
+            if found.node not in seen and abs(found.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
+                seen.append(found.node)
+                others.append(f"{found.name} (radius {found.radius_m:g} m)")
     note = f"not set: {', '.join(others)}; for a second pair export again, --into the copy, and name its joints"
     return (note,) if others else ()
 
@@ -351,12 +340,13 @@ def patched(
                 notes.append(f"{name} of a plugin: {lost}")
     notes += _beyond(file, pair)
     comment = (
-        f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right; coefficient file "
-        f"{file.checksum[:CHECKSUM_DIGITS]}; campaign {ascii_line(file.name)}"
-        + ("; SIMULATED DATA" if file.simulated else "")
-        + "".join(f"; {line}" for line in accepted_lines(file))
+        f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right",
+        f"coefficient file {file.checksum[:CHECKSUM_DIGITS]}",
+        f"campaign {ascii_line(file.name)}",
+        *(["SIMULATED DATA"] if file.simulated else []),
+        *accepted_lines(file),
     )
-    return (Artifact(options.model.name, model.render(comment), tuple(dict.fromkeys(notes))),)
+    return (Artifact(options.model.name, model.render("; ".join(comment)), tuple(dict.fromkeys(notes))),)
 
 
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:

@@ -54,9 +54,8 @@ def render(file: CoefficientFile, options: formats.ExportOptions) -> tuple[Artif
     controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
     unknown = [name for name in controllers if name not in CONTROLLERS]
     if unknown:
-        raise BadInputError(
-            f"controller: found {unknown[0]!r}; expected one of {', '.join(CONTROLLERS)}; choose one of them"
-        )
+        found = f"controller: found {unknown[0]!r}"
+        raise BadInputError(f"{found}; expected one of {', '.join(CONTROLLERS)}; choose one of them")
     values = {
         "file": file,
         "options": options,
@@ -74,8 +73,7 @@ def render(file: CoefficientFile, options: formats.ExportOptions) -> tuple[Artif
                 f"{_MECANUM}: found open_loop or position_feedback chosen; expected neither, since this "
                 "controller has no such parameter; leave them out"
             )
-        used = within_N(file, pair)
-        data = rendered("ros2.yaml.j2", pair=pair, left=left, right=right, used=used, **values)
+        data = rendered("ros2.yaml.j2", pair=pair, left=left, right=right, used=within_N(file, pair), **values)
         artifacts.setdefault(_name(pair), Artifact(_name(pair), data))
     return tuple(artifacts.values())
 

@@ -37,10 +37,8 @@ def link_radii(
             found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
     contact = found["collision"] or found["visual"]
     if not contact:
-        raise RefusedError(
-            f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius; "
-            "a mesh has none: add a collision cylinder"
-        )
+        text = f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius"
+        raise RefusedError(f"{text}; a mesh has none: add a collision cylinder")
     largest = max(slot.values[0] for slot in contact)
     return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
 
@@ -69,29 +67,32 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
     link = model.root.child("link", _link(joint, "child"))
 
     def stated(shape: Node) -> Slot | None:
-        return (
-            model_file.attribute_slot(model, shape, "radius", f"radius of {name!r}")
-            if "radius" in shape.attributes
-            else None
-        )
+        if "radius" not in shape.attributes:
+            return None
+        return model_file.attribute_slot(model, shape, "radius", f"radius of {name!r}")
 
     radius, slots = link_radii(model, link, name, stated)
-    tilted = _tilted(model, joints, _link(joint, "parent"))
+    frame = _link(joint, "parent")
+    tilted = _tilted(model, joints, frame)
     assert link is not None
     if tilted:
         return Wheel(name, link, radius, slots, None, why_fixed=f"since joint {tilted!r} above it is tilted")
-    origin = joint.child("origin")
-    text = "0 0 0" if origin is None else origin.attributes.get("xyz", "0 0 0")
-    place = numbers(text, f"{model.path}, origin of {name!r}", 3)
 
     def write(values: tuple[float, ...]) -> None:
-        if origin is None:
+        if (origin := joint.child("origin")) is None:
             model.insert_child(joint, f'<origin xyz="{written(values)}"/>')
         else:
             model.set_attribute(origin, "xyz", written(values))
 
-    frame = _link(joint, "parent")
-    return Wheel(name, link, radius, slots, Slot(place, write), frame=frame, beside=sits_off(link))
+    place = Slot(_origin(model, joint, "xyz", name), write)
+    return Wheel(name, link, radius, slots, place, frame=frame, beside=sits_off(link))
+
+
+def _origin(model: ModelFile, joint: Node, attribute: str, name: str) -> tuple[float, ...]:
+    """Return where a joint sits (``xyz``), or how it is turned (``rpy``); zero where it does not say."""
+    origin = joint.child("origin")
+    text = "0 0 0" if origin is None else origin.attributes.get(attribute, "0 0 0")
+    return numbers(text, f"{model.path}, origin of {name!r}", 3)
 
 
 def _link(joint: Node, tag: str) -> str:
@@ -105,10 +106,8 @@ def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
         above = next((joint for joint in joints if _link(joint, "child") == link), None)
         if above is None:
             return ""
-        origin, name = above.child("origin"), above.attributes.get("name", "")
-        text = "0 0 0" if origin is None else origin.attributes.get("rpy", "0 0 0")
-        roll, pitch, _yaw = numbers(text, f"{model.path}, origin of {name!r}", 3)
-        if roll != 0.0 or pitch != 0.0:
+        name = above.attributes.get("name", "")
+        if any(_origin(model, above, "rpy", name)[:2]):
             return name
         link = _link(above, "parent")
     raise RefusedError(f"{model.path}: found joints that form a loop above {link!r}; expected a tree; correct the file")
@@ -158,11 +157,9 @@ def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
     siblings = [] if link.parent is None else link.parent.children
     joints = [node for node in siblings if node.tag == "joint" and _child_link(node) is link and node.child("pose")]
     stated = [pose for part in (*shapes, *joints) if (pose := part.child("pose")) is not None]
-    if (
-        not shapes
-        or len(stated) < len(shapes) + len(joints)
-        or any("relative_to" in pose.attributes for pose in stated)
-    ):
+    if not shapes or len(stated) < len(shapes) + len(joints):
+        return None
+    if any("relative_to" in pose.attributes for pose in stated):
         return None
     poses = [text_slot(model, pose, f"pose of {name!r}", 6) for pose in stated]
     tags = [part.tag for part in shapes]
@@ -212,11 +209,9 @@ def _of_mjcf(model: ModelFile, name: str, option: str) -> Wheel:
         return Slot(shape, lambda values: model.set_attribute(geom, "size", written(values)))
 
     slots = tuple(slot(geom, shape) for geom, shape in sizes if shape[0] == radius)
-    turned = next(
-        (node.attributes.get("name", node.tag) for node in body.ancestors() if set(TURNS) & set(node.attributes)), None
-    )
-    if turned is not None:
-        return Wheel(name, body, radius, slots, None, why_fixed=f"since the frame of {turned!r} is turned")
+    for turned in (node for node in body.ancestors() if set(TURNS) & set(node.attributes)):
+        why = f"since the frame of {turned.attributes.get('name', turned.tag)!r} is turned"
+        return Wheel(name, body, radius, slots, None, why_fixed=why)
     place = numbers(body.attributes.get("pos", "0 0 0"), f"{model.path}, pos of {name!r}", 3)
     position = Slot(place, lambda values: model.set_attribute(body, "pos", written(values)))
     off = any(off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
