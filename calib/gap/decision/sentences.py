@@ -268,11 +268,18 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
     confounded = {effect for group in diagnosis.groups for effect in group.effects}
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
-    groups = [joined((_named(effect, diagnosis) for effect in group.effects), "or") for group in diagnosis.groups]
+    groups = [joined(_choices(group.effects, diagnosis), "or") for group in diagnosis.groups]
     several = bool(sure) or len(groups) > 1
     parts = ([_listed(sure)] if sure else []) + [f"either {group}" if several else group for group in groups]
     which = "which" if len(groups) == 1 else "which of each"
     return f"The gap is explained by {joined(parts, 'and by')}: these runs cannot tell {which}"
+
+
+def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
+    """Return the causes of a group, which act together, and each effect that does the same alone."""
+    causes = {cause.effect for cause in diagnosis.causes}
+    together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
+    return [*filter(None, [together]), *(_named(effect, diagnosis) for effect in effects if effect not in causes)]
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:
