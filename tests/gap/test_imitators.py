@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.settings import Reference
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.part import as_delivered
+from calib.gap.effects.encoder import WheelEccentricity
+from calib.gap.observations.from_campaign import observations_of
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import MODEL, ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign, end_pose
 
@@ -251,6 +254,31 @@ def test_scrub_on_the_spot_is_no_track_with_a_load_that_moves(diagnosing: Diagno
     verdict = diagnosing(campaign(runs, truth=noisy(scrubbing, 11), vehicle=DIFFERENTIAL))
     assert [(cause.effect, cause.form) for cause in verdict.causes] == [("curve_scrub", "on the spot")]
     assert verdict.recommended
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_constant_of_a_route_is_no_eccentric_wheel_of_assumed_phase(kept: bool, diagnosing: Diagnosing) -> None:
+    """Counters that begin at 0 in each run give all ends of a route one phase; those that keep their place do not.
+
+    Corridors alone are longer than the wheels roll, by 0.2 %: eccentric wheels of 3 mm, at 0.84, took it.
+    """
+    truth = noisy(lambda *_: None, 1)
+
+    def bumpy(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.left = now.right = -2e-3 * (run.kind == "corridor")
+
+    arc = [(2.0, 0.0), (6.0, 0.5)]
+    routes = [(STRAIGHT, "corridor"), (SQUARE, "square_ccw"), (turned(SQUARE), "square_cw")]
+    routes += [(arc, "arc_left"), (turned(arc), "arc_right")]
+    runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 6]
+    made = replace(campaign(runs, truth=bumpy, vehicle=DIFFERENTIAL), reference=Reference(frame="start"))
+    before = np.repeat(1e4 * np.arange(len(runs)) * kept, np.diff(made.logs.offsets))
+    columns = {name: made.logs.columns[name] + before for name in ("counts_left", "counts_right")}
+    made = replace(made, logs=replace(made.logs, columns=made.logs.columns | columns))
+    assert WheelEccentricity().is_assumed(observations_of(made)) is not kept
+    verdict = diagnosing(made, plan=False)
+    assert "wheel_eccentricity" not in {cause.effect for cause in verdict.causes}
 
 
 def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
