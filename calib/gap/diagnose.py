@@ -17,6 +17,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
+from calib.gap.decision.sentences import fails
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
@@ -115,12 +116,12 @@ def diagnose_in_full(
     if planted is None and simulator is None:
         _check_copied(campaign, nominal)
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
-    noise, base, searched = _searched(nominal, effects, settings, progress)
+    effects, noise, base, searched = _searched(nominal, effects, settings, progress)
     if refined := _refined(situation, searched.fitted):
         again = sought.corrected(given, refined, situation.as_counted)
         situation = replace(again, omitted=situation.omitted)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
-        noise, base, searched = _searched(nominal, effects, settings, progress)
+        effects, noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
     held_out = _held_out(situation, searched, effects, left_out, rng)
@@ -147,6 +148,18 @@ def diagnose_in_full(
     progress(0, 0, "next runs")
     ties = [group.effects for group in diagnosis.groups]
     return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, searched.fitted, model=model)))
+
+
+def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:
+    """Return whether assumed effects have plausible sizes, and the correction fails on no held-out route but helps."""
+    best, gap = searched.fitted, residuals(nominal, nominal)
+    for form, theta in zip(best.forms, best.theta, strict=True):
+        if form.effect in assumed and np.linalg.norm(theta / [each.largest for each in form.parameters]) > 1.0:
+            return False
+    tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap, noise.dof)
+    routes = [trial for trial in tried if trial.left_out == "kind"]
+    gained = sum(trial.before_square - trial.after_square for trial in routes)
+    return gained > 0.0 and not any(map(fails, routes))
 
 
 def diagnosed(
@@ -297,8 +310,11 @@ def _check_copied(campaign: Campaign, nominal: Path) -> None:
 
 def _searched(
     nominal: Path, effects: Sequence[Effect], settings: SearchSettings, progress: Progress
-) -> tuple[Noise, Fitted, SearchResult]:
-    """Return noise, recalibration alone and model search; the noise is that beside the best hypothesis."""
+) -> tuple[list[Effect], Noise, Fitted, SearchResult]:
+    """Return effects, noise, recalibration alone and model search; the noise is that beside the best hypothesis.
+
+    What rests on an assumption is none of the effects where it does not hold on routes that it was not fitted on.
+    """
     passes = count(1)
 
     def passed() -> None:
@@ -326,7 +342,10 @@ def _searched(
             break
         noise, base = again, recalibrate(nominal, again, base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
-    return noise, base, searched
+    assumed = {each.id for each in effects if each.id in searched.effects and each.is_assumed(nominal.s)}
+    if assumed and not _holds(assumed, nominal, noise, searched):
+        return _searched(nominal, [each for each in effects if each.id not in assumed], settings, progress)
+    return [*effects], noise, base, searched
 
 
 def _held_out(

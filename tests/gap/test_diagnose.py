@@ -18,7 +18,8 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.plan.next_runs import read_plan
 from calib.radius.fit import fit_campaign
-from tests.gap.effects.making import Motion, Run, campaign, rich_runs
+from calib.vehicle import Vehicle
+from tests.gap.effects.making import ROUTE, SQUARE, Motion, Run, campaign, rich_runs
 
 Diagnosed = Callable[[str], tuple[Campaign, Diagnosis]]
 FIELDS = {
@@ -228,3 +229,30 @@ def test_a_diagnosis_is_json_with_the_fields_of_the_contract(case: str, request:
 
 def test_causes_are_plain_json(crossed: Diagnosis) -> None:
     assert all(plain(cause) for cause in crossed.to_dict()["causes"])
+
+
+@pytest.mark.parametrize(("aside_m", "expected"), [(0.0, VerdictKind.UNDECIDED), (0.2, VerdictKind.UNKNOWN)])
+def test_a_gap_beyond_all_that_differs_between_runs_is_one_at_any_noise_level(
+    aside_m: float, expected: VerdictKind
+) -> None:
+    """Ends scatter by twelve times what is stated, no run is repeated, and one route ends 0.2 m aside, or none does."""
+    rng = np.random.default_rng(1)
+
+    def scattered(run: Run, now: Motion) -> None:
+        now.end_x_m, now.end_y_m, now.end_rad = 12.0 * rng.normal(0.0, (2e-3, 2e-3, 1e-3))
+        now.end_y_m += aside_m * (run.kind == "route_left")
+
+    runs = [
+        Run([(length, sign * kappa) for length, kappa in pieces], kind=f"{kind}_{side}", front=False, speed_mps=speed)
+        for speed in (0.3, 0.6)
+        for _ in range(2)
+        for pieces, kind in ((ROUTE, "route"), (SQUARE, "square"))
+        for sign, side in ((1, "left"), (-1, "right"))
+    ]
+    for number, run in enumerate(runs, start=1):
+        run.numbers = {"temperature_C": 15.0 + 7.3 * number % 11.0, "minutes_under_load": 37.0 * number % 61.0}
+    made = campaign(runs, truth=scattered, vehicle=Vehicle(track_m=0.7, drive="differential"))
+    verdict = diagnose_in_full(made, plan=False)
+    assert not verdict.noise_level.supported
+    assert (verdict.kind, verdict.causes) == (expected, ())
+    assert "Drive one route several times" in verdict.sentence

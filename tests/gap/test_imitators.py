@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.settings import Reference
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.part import as_delivered
+from calib.gap.effects.encoder import WheelEccentricity
+from calib.gap.observations.from_campaign import observations_of
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import MODEL, ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign, end_pose
 
@@ -253,23 +256,69 @@ def test_scrub_on_the_spot_is_no_track_with_a_load_that_moves(diagnosing: Diagno
     assert verdict.recommended
 
 
-def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
-    """Radii, track and rangefinder off by the same share would leave as little."""
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_constant_of_a_route_is_no_eccentric_wheel_of_assumed_phase(kept: bool, diagnosing: Diagnosing) -> None:
+    """Counters that begin at 0 in each run give all ends of a route one phase; those that keep their place do not.
 
-    def scaled(run: Run, now: Motion) -> None:
-        now.end_x_m, now.end_y_m = 5e-3 * end_pose(now.ds_m, now.turn_rad)[:2]
+    Corridors alone are longer than the wheels roll, by 0.2 %: eccentric wheels of 3 mm, at 0.84, took it.
+    """
+    truth = noisy(lambda *_: None, 1)
 
-    truth = noisy(lambda *_: None, 12)
+    def bumpy(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.left = now.right = -2e-3 * (run.kind == "corridor")
+
+    arc = [(2.0, 0.0), (6.0, 0.5)]
+    routes = [(STRAIGHT, "corridor"), (SQUARE, "square_ccw"), (turned(SQUARE), "square_cw")]
+    routes += [(arc, "arc_left"), (turned(arc), "arc_right")]
+    runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 6]
+    made = replace(campaign(runs, truth=bumpy, vehicle=DIFFERENTIAL), reference=Reference(frame="start"))
+    before = np.repeat(1e4 * np.arange(len(runs)) * kept, np.diff(made.logs.offsets))
+    columns = {name: made.logs.columns[name] + before for name in ("counts_left", "counts_right")}
+    made = replace(made, logs=replace(made.logs, columns=made.logs.columns | columns))
+    assert WheelEccentricity().is_assumed(observations_of(made)) is not kept
+    verdict = diagnosing(made, plan=False)
+    assert "wheel_eccentricity" not in {cause.effect for cause in verdict.causes}
+
+
+def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
+    """A reference that reads every way longer by a share, beside a track that is off."""
+    truth = noisy(lambda *_: None, seed)
 
     def both(run: Run, now: Motion) -> None:
         truth(run, now)
-        x, y = now.end_x_m, now.end_y_m
-        scaled(run, now)
+        now.track = track
+        x, y = share * end_pose(now.ds_m, now.turn_rad)[:2]
         now.end_x_m, now.end_y_m = now.end_x_m + x, now.end_y_m + y
 
-    verdict = diagnosing(campaign(loaded(), truth=both, vehicle=DIFFERENTIAL))
+    return both
+
+
+def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
+    """Radii, track and rangefinder off by the same share would leave as little."""
+    verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL))
     assert [cause.effect for cause in verdict.causes] == ["reference_scale"]
     assert not verdict.correction.calibration.any()
+
+
+@pytest.mark.parametrize(("track", "alike"), [(0.0, True), (5e-3, False)])
+def test_radii_and_track_off_alike_may_be_the_scale_of_a_reference_that_alone_measures(
+    track: float, alike: bool, diagnosing: Diagnosing
+) -> None:
+    """Longer ways by 0.5 % are radii and track 0.5 % larger; a track off otherwise is one."""
+    made = campaign(loaded(), truth=stretched(5e-3, 12, track=track), vehicle=DIFFERENTIAL)
+    runs = replace(made.runs, numbers={**made.runs.numbers, "distance_m": np.full(len(made.runs), np.nan)})
+    verdict = diagnosing(replace(made, runs=runs))
+    assert {cause.effect for cause in verdict.causes} == {"radius_scale", "track_width"}
+    assert verdict.recommended is not alike
+    told = [group.effects[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
+    assert told is alike
+    if alike:
+        assert verdict.kind is VerdictKind.AMBIGUOUS
+        assert "(radius_scale) with a wrong track width (track_width)" in verdict.sentence
+        assert max(cause.probability for cause in verdict.causes) <= 0.5
+        assert "by tape or laser (distance_m)" in " ".join(verdict.fix.why)
+        assert verdict.next_runs[0].tape
 
 
 @pytest.mark.parametrize("n_runs", [12, 30])

@@ -81,11 +81,8 @@ def causes_of(
     """
     from scipy.special import stdtrit
 
-    fitted = evidence.fitted
+    variance_factor = evidence.variance_factor
     coverage = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975))
-    free = max(len(evidence.system.gap) - len(fitted.parameters) - 4, 1)
-    # the covariance beside an unexplained residual holds that residual already
-    variance_factor = 1.0 if evidence.search.weighting.name else max(1.0, fitted.chi_square / free)
     every = _sized(evidence)
     scatter = session_scatter(evidence)
     causes = [

@@ -12,7 +12,8 @@ from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.sentences import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.effect import Family, Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, RadiusScale, SpeedRadius, TrackWidth
+from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -29,6 +30,8 @@ LOG_EVIDENCE_WINDOW: Final = 2.3
 OTHER_EFFECTS_SD: Final = 3.0
 #: the most probable sets hold so much together
 CREDIBLE: Final = 0.95
+#: radii and track that are off by the same share, and what does the same where no other instrument measures a length
+SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
 #: a radius or track is wrong so many times as often as any one effect that looks like it is at work
 CALIBRATION_ODDS: Final = 5.0
 #: an effect that the search gives more than this was weighed together with the calibration there
@@ -55,6 +58,14 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
     fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
     forms = evidence.search.forms
     free = [system.calibration[:, 3:], *(OTHER_EFFECTS_SD * system.columns(form) for form in fitted.forms)]
+    if evidence.unaided_scale and set(calibration).issuperset(SCALED[:2]):
+        ratio = [evidence.per_unit @ DIRECTIONS[[NAMES.index(name)]].T for name in calibration if name not in SCALED]
+        nuisance = Nuisance.of(np.concatenate([*free, *(CALIBRATION_SD[0] * column for column in ratio)], axis=1))
+        both = evidence.calibration_contribution(SCALED[:2]) / np.sqrt(evidence.variance_factor)
+        near = aliases_of(system, nuisance, both, forms | evidence.unaided_scale, evidence.named)
+        if near.pop(ReferenceScale.id, None) is not None:
+            groups.append([*SCALED, *sorted(near, key=near.__getitem__)])
+            calibration = tuple(name for name in calibration if name not in SCALED)
     if len(calibration) > 1:
         # one cause may look like two calibration parameters off at once (counts lost on one wheel)
         nuisance = Nuisance.of(np.concatenate(free, axis=1))
@@ -222,7 +233,7 @@ def _is_recalibrated(evidence: Evidence, name: str) -> bool:
 
 def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
     kept = [form for form in evidence.fitted.forms if form.effect not in named]
-    offered = evidence.search.forms.get(other, ())
+    offered = (evidence.search.forms | evidence.unaided_scale).get(other, ())
     candidates = [kept] if _is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
     fixed = [NAMES.index(name) for name in named if _is_recalibrated(evidence, name)]
     refitted = [_refitted(evidence, forms, fixed) for forms in candidates]
@@ -351,11 +362,12 @@ def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         own = [name for name in group if name in NAMES and name in evidence.calibration]
         if own and group[0] in own:
             forms = {name: evidence.search.forms.get(name, ()) for name in group if name not in {*own, *weighed}}
-            # of an effect's prior, the form that has most of it
+            # of an effect's prior, the form that has most of it; radii and track off alike are a rare chance
             odds = {
                 name: prior / CALIBRATION_ODDS * max((1.0 / form.tries for form in offered), default=1.0)
                 for name, offered in forms.items()
             }
+            odds |= {name: prior for name in evidence.unaided_scale if name in odds}
             total = prior + sum(odds.values())
             shared |= {name: {alias: each / total for alias, each in odds.items()} for name in own}
     return shared

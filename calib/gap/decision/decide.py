@@ -157,8 +157,13 @@ def _kind(
     improvement = evidence.held_out.improvement
     if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
         causes = []
-    if not evidence.noise.supported and sentences.is_shown(causes, evidence.held_out.improvement):
-        return VerdictKind.PARTLY_EXPLAINED
+    if not evidence.noise.supported:
+        if sentences.is_shown(causes, evidence.held_out.improvement):
+            return VerdictKind.PARTLY_EXPLAINED
+        # runs that differ hold all their noise, and windows but what neighbours do not share: beyond the first is a gap
+        differ = evidence.noise.dof > 0.0 and not evidence.observations.windowed
+        if differ and gap_probability >= 1.0 - FALSE_ALARM:
+            return VerdictKind.UNKNOWN
     return sentences.kind_of(
         gap_probability,
         causes,

@@ -14,10 +14,10 @@ from calib.campaign.model import Campaign
 from calib.documents import Result, plain, plain_fields
 from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
-from calib.gap.effects.effect import Effect
+from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.radii import DIRECTIONS, NAMES
-from calib.gap.effects.reference import TurnedReference
+from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
@@ -98,9 +98,23 @@ class Evidence:
         return (*self.search.effects, *self.calibration)
 
     @cached_property
+    def unaided_scale(self) -> dict[str, list[Form]]:
+        """The scale of a reference that alone measures lengths, which no search can weigh; empty beside another."""
+        name, usable = ReferenceScale.id, self.observations.usable
+        if name not in self.effects or usable[:, Channel.DISTANCE].any() or not usable[:, Channel.ALONG].any():
+            return {}
+        return {name: ReferenceScale().unaided(self.observations)[:1]}
+
+    @property
+    def variance_factor(self) -> float:
+        """What an unexplained residual widens intervals by, squared; beside one that was weighed they hold it."""
+        free = max(len(self.system.gap) - len(self.fitted.parameters) - 4, 1)
+        return 1.0 if self.search.weighting.name else max(1.0, self.fitted.chi_square / free)
+
+    @cached_property
     def system(self) -> WhitenedSystem:
         """The whitened system about the path of the most probable hypothesis."""
-        offered = [form for forms in self.search.forms.values() for form in forms]
+        offered = [form for forms in (self.search.forms | self.unaided_scale).values() for form in forms]
         return WhitenedSystem(self.fitted.path, self.nominal, self.noise, offered)
 
     @cached_property

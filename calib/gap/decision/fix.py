@@ -20,6 +20,8 @@ from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
+#: and what a reference's scale is told by, where nothing else measures a length
+TAPE: Final = "the length of one run by tape or laser (distance_m) tells"
 REPEAT: str = "drive one route several times under the same conditions"
 #: family of a cause -> that of causes that follow something else, which may have gone together with it
 PARTING: Final = {Family.DRIFT: Family.DRIFT, Family.DIRECTION: Family.SPEED}
@@ -256,10 +258,12 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
             f"these runs cannot tell {' or '.join(found)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
-    if apart_m is None or corrections_agree(apart_m, closure):
+    # a scale grows with the way: what agrees on these runs does not on longer ones
+    by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
+    if apart_m is None or (corrections_agree(apart_m, closure) and not by_tape):
         return
     groups = "; ".join(" or ".join(group) for group in tied)
     yield (
         f"these runs cannot tell {groups}, and their corrections differ by {1e3 * apart_m:.3g} mm at the end of the "
-        f"{on} (noise {1e3 * (closure.floor_rms_m or 0.0):.3g} mm); {PLAN}"
+        f"{on} (noise {1e3 * (closure.floor_rms_m or 0.0):.3g} mm); {TAPE if by_tape else PLAN}"
     )

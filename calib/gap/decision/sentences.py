@@ -158,7 +158,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         lead += f"The probability of a gap is {gap:.2f} only; if there is one: "
     if kind is VerdictKind.UNKNOWN:
         cause = f"There is a gap, but no effect of the library explains it{_located(diagnosis.where)}."
-        return f"{lead}{cause}{_nearest(diagnosis)} Add columns of suspected quantities to runs.csv."
+        open_noise = "" if diagnosis.noise_level.supported else f" {_capital(_unexplained(diagnosis))}."
+        return f"{lead}{cause}{_nearest(diagnosis)}{open_noise or ' Add columns of suspected quantities to runs.csv.'}"
     if kind is VerdictKind.PARTLY_EXPLAINED:
         causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
         return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
@@ -191,7 +192,8 @@ def _but_single_runs(diagnosis: Diagnosis) -> str:
 def _nearest(diagnosis: Diagnosis) -> str:
     probable = [name for name, p in diagnosis.probabilities.items() if p >= EVEN_PROBABILITY and name != "unknown"]
     names = joined((_named(name, diagnosis) for name in probable), "and")
-    return f" Closest: {names}; more than half of the gap remains." if probable else ""
+    left = "more than half of the gap remains" if diagnosis.noise_level.supported else "not certain to close half of it"
+    return f" Closest: {names}; {left}." if probable else ""
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:
@@ -280,11 +282,18 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
     confounded = {effect for group in diagnosis.groups for effect in group.effects}
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
-    groups = [joined((_named(effect, diagnosis) for effect in group.effects), "or") for group in diagnosis.groups]
+    groups = [joined(_choices(group.effects, diagnosis), "or") for group in diagnosis.groups]
     several = bool(sure) or len(groups) > 1
     parts = ([_listed(sure)] if sure else []) + [f"either {group}" if several else group for group in groups]
     which = "which" if len(groups) == 1 else "which of each"
     return f"The gap is explained by {joined(parts, 'and by')}: these runs cannot tell {which}"
+
+
+def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
+    """Return the causes of a group, which act together, and each effect that does the same alone."""
+    causes = {cause.effect for cause in diagnosis.causes}
+    together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
+    return [*filter(None, [together]), *(_named(effect, diagnosis) for effect in effects if effect not in causes)]
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:

@@ -196,6 +196,10 @@ class Effect(ABC):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
 
+    def is_assumed(self, observations: Observations) -> bool:  # noqa: ARG002
+        """Return whether it rests on what these runs do not tell: then it has to predict routes that are held out."""
+        return False
+
     def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
         """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""
         return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]

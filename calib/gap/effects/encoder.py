@@ -16,12 +16,15 @@ from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
+#: counters that begin within a hundredth of a turn in all runs are set back before each
+SAME_PHASE_RAD: Final = 0.06
+
 
 class WheelEccentricity(Effect):
     """The travel of a wheel gains e [sin(phi + phi_0) - sin(phi_0)], never more than 2 e.
 
     Linear in e cos(phi_0) and e sin(phi_0). The wheel angle phi is the counter's, so phi_0 is common to runs only
-    where the counter keeps its place between them.
+    where the counter keeps its place between them; else it is assumed.
     """
 
     id = "wheel_eccentricity"
@@ -59,6 +62,16 @@ class WheelEccentricity(Effect):
             return Form(self.id, label, parameters, lambda path: perturbations(path, sides), tries=3, by_parts=True)
 
         return [form("left wheel", ["left"]), form("right wheel", ["right"]), form("both wheels", ["left", "right"])]
+
+    def is_assumed(self, observations: Observations) -> bool:
+        """Return whether all counters begin alike in every run, which wheels do not.
+
+        All ends of a route then have one phase, and the effect is a constant of each route, as any cause may have.
+        """
+        s, first = observations, observations.starts[:-1][observations.from_log]
+        rolled = ((s.phase_left_rad, s.roll_left_rad), (s.phase_right_rad, s.roll_right_rad))
+        begun = np.array([phase[first] - roll[first] for phase, roll in rolled])
+        return not s.windowed and len(first) > 1 and float(np.ptp(begun, axis=1).max()) < SAME_PHASE_RAD
 
 
 def _eccentric(

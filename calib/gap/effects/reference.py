@@ -180,8 +180,11 @@ class ReferenceScale(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a constant scale and one by temperature; none without both: what alone measures is the standard."""
-        if not (observations.usable[:, Channel.DISTANCE].any() and observations.usable[:, Channel.ALONG].any()):
-            return []
+        known = observations.usable[:, Channel.DISTANCE].any() and observations.usable[:, Channel.ALONG].any()
+        return self.unaided(observations) if known else []
+
+    def unaided(self, observations: Observations) -> list[Form]:
+        """Return the forms where nothing else may measure a length: radii and track imitate the constant one."""
 
         def of(values: FloatArray) -> Callable[[Centre], Perturbations]:
             def scaled(path: Path, centre: Centre) -> list[Perturbation]:

@@ -10,13 +10,16 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields
+from calib.gap.effects.applied import matching_form
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library
-from calib.gap.inference.fit import CALIBRATION_SD, signature_columns, whitened_rows
+from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
+from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
@@ -76,6 +79,26 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
     scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
     covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
+
+
+def fitted_sizes(
+    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
+) -> dict[str, tuple[Form, FloatArray]]:
+    """Return form and size of each fitted effect on some observations, and of radii and track; empty without a fit."""
+    sizes: dict[str, tuple[Form, FloatArray]] = {}
+    if fitted is None:
+        return sizes
+    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
+    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
+    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+        here = matching_form(forms.get(form.effect, []), form.label, form.settings)
+        if here is not None:
+            known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
+            sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
+    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
+        if forms.get(name) and abs(size) > 1e-12:
+            sizes[name] = forms[name][0], np.array([size])
+    return sizes
 
 
 class Signatures:

@@ -17,15 +17,14 @@ from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
-from calib.gap.effects.applied import matching_form
-from calib.gap.effects.effect import Effect, Family, Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, SpeedRadius
+from calib.gap.effects.effect import Effect, Family
+from calib.gap.effects.radii import AnySpeed, SpeedRadius
+from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
-from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
-from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, noise_at
+from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, fitted_sizes, noise_at
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import predict
 from calib.types import FloatArray
@@ -64,7 +63,7 @@ def next_runs(
     The runs are driven in one session that begins with a repeat of an unladen corridor run, those of a route that was
     not repeated so far `REPEATS` times. Each greedy step takes the run after which the two nearest confounded effects
     are furthest apart; where none are confounded, the run after which most effects of the library are detected and
-    separated. A run that the law of the load lacks comes first.
+    separated. What the law of the load lacks comes first, and a length beside a reference that alone measures any.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of effects that are
     confounded there, the named one first; `fitted`: gives sizes, typical for other effects; `model`: the simulator's,
@@ -75,7 +74,7 @@ def next_runs(
     if model is not None:
         driven = replace(driven, model=model)
     measured = _measured(driven)
-    candidates = _candidates(driven, measured) if candidates is None else candidates
+    candidates = _candidates(driven, measured, ties) if candidates is None else candidates
     if not candidates:
         return []
     candidates = [replace(run, count=_count(driven, run)) for run in candidates]
@@ -83,7 +82,7 @@ def next_runs(
     planned = drive(driven, [reference, *candidates], measured, _corridor_m(driven))
     observations = observations_of(joined(driven, planned))
     path = predict(observations)
-    sizes = _sizes(observations, effects, fitted)
+    sizes = fitted_sizes(observations, effects, fitted)
     directed = {effect.id for effect in effects if effect.family is Family.DIRECTION}
     if any(tie[0] in directed and SpeedRadius.id in tie for tie in ties):
         effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
@@ -100,9 +99,11 @@ def next_runs(
     }
     task = _Task(signatures, ties)
     chosen: list[PlannedRun] = []
-    for number in _of_law(driven, candidates)[:most]:
+    taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
+    first = [(n, _OF_LAW) for n in _of_law(driven, candidates)]
+    for number, why in [*first, *((n, _OF_SCALE) for n, run in enumerate(candidates) if taped and run.tape)][:most]:
         base = base + grams.pop(number, 0.0)
-        chosen.append(replace(candidates[number], why=_OF_LAW))
+        chosen.append(replace(candidates[number], why=why))
     while len(chosen) < most and grams and not task.done(before := task.distances(base)):
         numbers, after = list(grams), dict[int, FloatArray]()
         for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
@@ -113,23 +114,25 @@ def next_runs(
         base = base + grams.pop(best)
         nearest = float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
-    first, then = task.distances(alone), task.distances(base)
-    if not chosen and not task.done(first) and task.gains(first, then):
-        chosen.append(replace(reference, why=task.why(first, then)))
+    before, then = task.distances(alone), task.distances(base)
+    if not chosen and not task.done(before) and task.gains(before, then):
+        chosen.append(replace(reference, why=task.why(before, then)))
     chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
     return [replace(run, size=planned_runs.size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
 
 
 _OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
+_OF_SCALE: Final = "a length by tape or laser (distance_m) tells radii and track from the scale of the reference"
 _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
 
 
-def _candidates(driven: Campaign, measured: Measured) -> list[PlannedRun]:
+def _candidates(driven: Campaign, measured: Measured, ties: Sequence[Sequence[str]]) -> list[PlannedRun]:
     tape = not (measured.distance or measured.position)
     loops = not (measured.position and measured.heading)
     candidates = planned_runs.default_candidates(driven, loops=loops, tape=tape)
-    if measured.distance and not (measured.position and measured.beside):
-        # a length by other means than the rangefinder's
+    scaled = any(ReferenceScale.id in tie for tie in ties)
+    if scaled if not measured.distance else not (measured.position and measured.beside):
+        # a length by other means than the rangefinder's, or the reference's
         candidates.append(replace(_corridor_run(driven), tape=True))
     return candidates
 
@@ -201,24 +204,6 @@ class _Task:
             return ", ".join(parts)
         clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
         return f"shows {', '.join(clear or [names[self.truths[k]] for k in gains])}" + ("" if clear else " better")
-
-
-def _sizes(
-    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
-) -> dict[str, tuple[Form, FloatArray]]:
-    if fitted is None:
-        return {}
-    sizes: dict[str, tuple[Form, FloatArray]] = {}
-    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
-    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        if here := matching_form(forms.get(form.effect, []), form.label, form.settings):
-            known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-            sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
-    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
-        if forms.get(name) and abs(size) > 1e-12:
-            sizes[name] = forms[name][0], np.array([size])
-    return sizes
 
 
 def _measured(campaign: Campaign) -> Measured:
