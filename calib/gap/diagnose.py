@@ -17,7 +17,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.sentences import fails
+from calib.gap.decision.kind import fails
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect

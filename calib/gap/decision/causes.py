@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.gap.decision.between_sessions import SessionScatter, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
-from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence
-from calib.gap.decision.sentences import SMALL_SHARE
+from calib.gap.decision.kind import SMALL_SHARE
 from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.effect import Family, Form
 from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, RadiusScale, SpeedRadius, TrackWidth

@@ -14,8 +14,16 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
+from calib.gap.decision.kind import (
+    CERTAIN_PROBABILITY,
+    NAMED_PROBABILITY,
+    SMALL_SHARE,
+    fails,
+    hides_causes,
+    is_shown,
+    kind_of,
+)
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
-from calib.gap.decision.sentences import CERTAIN_PROBABILITY, NAMED_PROBABILITY, SMALL_SHARE
 from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
@@ -65,7 +73,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
     if kind in NOTHING_NAMED:
         causes = []
-    elif sentences.hides_causes(closure, share) or not evidence.noise.supported:
+    elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
     found = naming.Finding(causes, certain, unexplained, differing, tied)
@@ -158,17 +166,17 @@ def _kind(
     if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
         causes = []
     if not evidence.noise.supported:
-        if sentences.is_shown(causes, evidence.held_out.improvement):
+        if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
         # runs that differ hold all their noise, and windows but what neighbours do not share: beyond the first is a gap
         differ = evidence.noise.dof > 0.0 and not evidence.observations.windowed
         if differ and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
-    return sentences.kind_of(
+    return kind_of(
         gap_probability,
         causes,
         evidence.held_out.closure,
-        incomplete=any(map(sentences.fails, evidence.trials))
+        incomplete=any(map(fails, evidence.trials))
         or not large.isdisjoint(differing)
         or doubted
         or any(True for cause in causes for _ in beyond_vehicles(cause)),

@@ -11,7 +11,7 @@ from calib.gap.decision import confounding
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
-from calib.gap.decision.sentences import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable

@@ -13,7 +13,7 @@ from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
-from calib.gap.decision.sentences import CERTAIN_PROBABILITY
+from calib.gap.decision.kind import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class

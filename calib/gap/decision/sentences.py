@@ -1,4 +1,4 @@
-"""The verdict and its sentences: its kind, whether to apply the fix, and the paper's figures beside the campaign's."""
+"""The verdict in sentences, whether to apply the fix, and the paper's figures beside the campaign's."""
 
 from __future__ import annotations
 
@@ -8,116 +8,19 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, ChannelClosure, Closure, Improvement
-from calib.gap.decision.trials import Trial, reach_of_noise
-from calib.gap.effects.encoder import BLUNDER_MISFIT
+from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, ON_FLOOR, fails
+from calib.gap.decision.trials import reach_of_noise
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.result import GapLocation, PlaceResult
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Improvement as Reduction
 
-
-#: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
-HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
-#: closure below which more remains than is explained: where that is certain, causes imitate the unexplained one (in 8
-#: of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
-HALF_CLOSURE: Final = 0.5
-#: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
-SMALL_SHARE: Final = 0.05
-#: a cause with less than this share of the largest one's is a hundredth of its size: no law is known closer, and what
-#: it leaves looks like a small cause
-NEGLIGIBLE_SHARE: Final = 1e-4
-#: probability below which a cause, with all that it is confounded with, is not named
-NAMED_PROBABILITY: Final = 0.1
-#: where the unexplained residual hides whether a correction helps, or the cause is small, only its own probability
-#: supports a cause: of small ones stated at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
-CERTAIN_PROBABILITY: Final = 0.9
-#: beside a larger unexplained residual a cause of a fix needs so many times its signal: half of a weaker one may be it
-SIGNAL_OVER_UNEXPLAINED: Final = 2.0
-#: how the place of an unexplained residual begins that lies on the floor
-ON_FLOOR: Final = "on the floor"
 #: runs that confound more effects than this do not identify the cause: the verdict lists no more
 LARGEST_GROUP: Final = 6
-
-
-def fails(trial: Trial) -> bool:
-    """Return whether there is a gap beyond chance where the correction was held out, and too much of it remains."""
-    gap, residual = trial.before_square - trial.noise_square, trial.after_square - trial.noise_square
-    beyond_chance = min(trial.before_square, trial.after_square) > trial.noise_limit
-    return beyond_chance and residual > (1.0 - ADEQUATE_CLOSURE) * gap
-
-
-def corrections_agree(agreement_m: float | None, closure: Closure) -> bool:
-    """Return whether the corrections of confounded effects differ by no more than the noise level."""
-    return agreement_m is not None and agreement_m <= (closure.floor_rms_m or 0.0)
-
-
-def hides_causes(closure: Closure, unexplained_share: float | None) -> bool:
-    """Return whether the closure cannot support the causes: each then needs a high probability of its own."""
-    if unexplained_share is not None and (closure.fraction is None or closure.fraction < HIDDEN_CLOSURE):
-        return True
-    return closure.ci95 is not None and closure.ci95[1] < ADEQUATE_CLOSURE and closure.ci95[0] <= HIDDEN_CLOSURE
-
-
-def is_shown(causes: Iterable[Cause], improvement: Improvement | None) -> bool:
-    """Return whether certain causes take more than half of a gap off runs not fitted on: no noise, at any level."""
-    certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
-    return certain and improvement is not None and improvement.closed_ci95[0] >= HALF_CLOSURE
-
-
-def kind_of(
-    gap_probability: float,
-    causes: Sequence[Cause],
-    closure: Closure,
-    *,
-    incomplete: bool = False,
-    unexplained_share: float | None = None,
-    tied: bool = False,
-    supported: bool = True,
-    misfit: float = 0.0,
-) -> VerdictKind:
-    """Return the verdict.
-
-    Parameters
-    ----------
-    gap_probability : float
-        Probability that there is a gap at all.
-    causes : sequence of Cause
-        What would be named.
-    closure : Closure
-        On held-out runs.
-    incomplete : bool
-        Whether the correction fails on runs held out, or a large cause has different sizes on groups of runs.
-    unexplained_share : float, optional
-        Share of the gap that no cause of the library explains; none is probable by default.
-    tied : bool
-        Whether a cause of more than a small share is confounded with an effect of another family.
-    supported : bool
-        Whether the runs support a noise level.
-    misfit : float
-        How far runs end off with the causes corrected, as a share of their length, on average.
-    """
-    high = closure.ci95[1] if closure.ci95 else 1.0
-    unexplained = unexplained_share is not None
-    # no noise takes runs so far off
-    if not supported and misfit < BLUNDER_MISFIT:
-        return VerdictKind.UNDECIDED
-    if gap_probability < REPORTED_GAP_PROBABILITY and misfit < BLUNDER_MISFIT:
-        return VerdictKind.NO_GAP
-    if not causes or misfit >= BLUNDER_MISFIT or (unexplained and high < HALF_CLOSURE):
-        return VerdictKind.UNKNOWN
-    if hides_causes(closure, unexplained_share):
-        certain = any(cause.probability >= CERTAIN_PROBABILITY for cause in causes)
-        return VerdictKind.PARTLY_EXPLAINED if certain else VerdictKind.UNKNOWN
-    if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
-        return VerdictKind.PARTLY_EXPLAINED
-    return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
-
-
 #: channels and covariates that a sentence names; the tables have them all
 MOST_CHANNELS: Final = 3
 MOST_COVARIATES: Final = 2

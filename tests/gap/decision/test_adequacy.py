@@ -13,7 +13,7 @@ from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.decide import stands_off
 from calib.gap.decision.diagnosis import Cause, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.sentences import fails, is_shown, kind_of
+from calib.gap.decision.kind import fails, is_shown, kind_of
 from calib.gap.decision.trials import Trial
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
