@@ -232,7 +232,7 @@ def _drag(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _lost(effect: _Effect, step: _Step, change: _Change) -> None:
-    over = max(step.run.speed_mps - effect.settings["speed_mps"], 0.0) if "speed_mps" in effect.settings else 1.0
+    over = max(abs(step.speed_mps) - effect.settings["speed_mps"], 0.0) if "speed_mps" in effect.settings else 1.0
     _one(change, effect.form, (effect.size("share") + effect.size("share_per_mps")) * over)
 
 

@@ -72,7 +72,7 @@ def _eccentric(
 
 
 class LostCounts(Effect):
-    """One wheel travels a share p more than its counts say: p constant, or growing with the speed above v_0.
+    """One wheel travels a share p more than its counts say: p constant, or growing with each step's speed above v_0.
 
     A constant share is an exact alias of that wheel's radius.
     """
@@ -90,7 +90,7 @@ class LostCounts(Effect):
         """Return, for each wheel, a constant share and, where speeds differ, three shares that grow with speed."""
         ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
-        shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
+        shapes: list[tuple[str, Parameter, dict[str, float]]] = [("constant share", constant, {})]
         speed = driven_speed_mps(observations)
         if varies(speed, 0.02, observations):
             growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
@@ -101,17 +101,19 @@ class LostCounts(Effect):
                 " above the median speed": np.median(speed),
             }
             for which, v_0 in above.items():
-                over = np.maximum(speed - v_0, 0.0)
-                if varies(over, 0.02, observations):
-                    shapes.append((f"share growing{which}", over, growing, {"speed_mps": float(v_0)}))
+                if varies(np.maximum(speed - v_0, 0.0), 0.02, observations):
+                    shapes.append((f"share growing{which}", growing, {"speed_mps": float(v_0)}))
 
-        def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
+        def form(side: str, label: str, parameter: Parameter, settings: dict[str, float]) -> Form:
             def at(stated: Mapping[str, float]) -> Perturbations:
-                over = np.maximum(speed - stated["speed_mps"], 0.0) if "speed_mps" in stated else part
-                return lambda path: [acting_on(path, side, over)]
+                v_0 = stated.get("speed_mps")
+                if v_0 is None:
+                    return lambda path: [acting_on(path, side, ones)]
+                # a run reverses more slowly than it drives ahead, and its ramps lose less than its mean speed says
+                return lambda path: [Perturbation(**{side: np.maximum(np.abs(path.s.speed_mps) - v_0, 0.0)})]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)
-            return Form(self.id, label, (parameter,), at(settings), settings, tries, at=at)
+            return Form(self.id, label, (parameter,), at(settings), settings, tries, at=at, by_parts=True)
 
         return [form(side, *shape) for shape in shapes for side in ("left", "right")]
 
