@@ -120,16 +120,19 @@ def _(run: Run, now: Motion) -> None:
 
 @case("lost_counts", "right wheel, share growing above the least", 5e-3, within=1e-2)
 def _(run: Run, now: Motion) -> None:
-    now.right = 1.0 / (1.0 - 5e-3 * (run.speed_mps - 0.3)) - 1.0
+    # none below the speed of the slowest run
+    own_mps = np.abs(now.ds_m + 0.5 * now.turn_rad * TRACK_M) / now.dt_s
+    now.right = 1.0 / (1.0 - 5e-3 * np.maximum(own_mps - 0.3, 0.0)) - 1.0
 
 
 RAMPED = [replace(run, ramp=True) for run in LOGGED]
 
 
-@case("lost_counts", "left wheel, share growing with speed", 5e-3, within=1e-2, runs=RAMPED)
+@case("lost_counts", "left wheel, share growing with speed", 2e-3, within=1e-2, runs=RAMPED)
 def _(run: Run, now: Motion) -> None:
-    # fewer while it speeds up
-    now.left = 1.0 / (1.0 - 5e-3 * np.abs(now.v_mps)) - 1.0
+    # by the wheel's own speed: fewer while it speeds up, and on the inner side of a turn
+    own_mps = np.abs(now.ds_m - 0.5 * now.turn_rad * TRACK_M) / now.dt_s
+    now.left = 1.0 / (1.0 - 2e-3 * own_mps) - 1.0
 
 
 @case("wheel_eccentricity", "both wheels", 2e-4, -1e-4, 1e-4, 3e-4, within=1e-2, runs=LOGGED)
