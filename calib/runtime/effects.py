@@ -232,7 +232,9 @@ def _drag(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _lost(effect: _Effect, step: _Step, change: _Change) -> None:
-    over = max(step.run.speed_mps - effect.settings["speed_mps"], 0.0) if "speed_mps" in effect.settings else 1.0
+    way_m = step.nominal.left_m if effect.form.startswith("left") else step.nominal.right_m
+    speed_mps = abs(way_m) / step.dt_s if step.dt_s > 0.0 else 0.0
+    over = max(speed_mps - effect.settings["speed_mps"], 0.0) if "speed_mps" in effect.settings else 1.0
     _one(change, effect.form, (effect.size("share") + effect.size("share_per_mps")) * over)
 
 

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
-from calib.gap.effects.quantities import driven_speed_mps, wheel_size
+from calib.gap.effects.quantities import wheel_size
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation
@@ -85,7 +85,7 @@ def _eccentric(
 
 
 class LostCounts(Effect):
-    """One wheel travels a share p more than its counts say: p constant, or growing with the speed above v_0.
+    """One wheel travels a share p more than its counts say: p constant, or growing with its own speed above v_0.
 
     A constant share is an exact alias of that wheel's radius.
     """
@@ -103,8 +103,8 @@ class LostCounts(Effect):
         """Return, for each wheel, a constant share and, where speeds differ, three shares that grow with speed."""
         ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
-        shapes: list[tuple[str, FloatArray, Parameter, dict[str, float]]] = [("constant share", ones, constant, {})]
-        speed = driven_speed_mps(observations)
+        shapes: list[tuple[str, Parameter, dict[str, float]]] = [("constant share", constant, {})]
+        speed = _wheels_mps(observations)
         if varies(speed, 0.02, observations):
             growing = Parameter("share_per_mps", "s/m", typical=5e-3, largest=5e-2, sign=1)
             # from rest on, or above a frequency that the counter still follows
@@ -114,19 +114,42 @@ class LostCounts(Effect):
                 " above the median speed": np.median(speed),
             }
             for which, v_0 in above.items():
-                over = np.maximum(speed - v_0, 0.0)
-                if varies(over, 0.02, observations):
-                    shapes.append((f"share growing{which}", over, growing, {"speed_mps": float(v_0)}))
+                if varies(np.maximum(speed - v_0, 0.0), 0.02, observations):
+                    shapes.append((f"share growing{which}", growing, {"speed_mps": float(v_0)}))
 
-        def form(side: str, label: str, part: FloatArray, parameter: Parameter, settings: dict[str, float]) -> Form:
+        def form(side: str, label: str, parameter: Parameter, settings: dict[str, float]) -> Form:
             def at(stated: Mapping[str, float]) -> Perturbations:
-                over = np.maximum(speed - stated["speed_mps"], 0.0) if "speed_mps" in stated else part
-                return lambda path: [acting_on(path, side, over)]
+                v_0 = stated.get("speed_mps")
+                if v_0 is None:
+                    return lambda path: [acting_on(path, side, ones)]
+                # step by step: a counter knows no mean of a run that reverses slowly, and a spin turns it as well
+                return lambda path: [Perturbation(**{side: np.maximum(_wheel_mps(path.s, side) - v_0, 0.0)})]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)
-            return Form(self.id, label, (parameter,), at(settings), settings, tries, at=at)
+            return Form(self.id, label, (parameter,), at(settings), settings, tries, at=at, by_parts=True)
 
         return [form(side, *shape) for shape in shapes for side in ("left", "right")]
+
+
+def _wheel_mps(observations: Observations, side: str) -> FloatArray:
+    """Return the speed of a wheel in each step by the log, else the set speed, shape (n_steps,)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logged = np.abs(getattr(observations, f"travel_{side}_m")) / observations.duration_s
+    known = observations.from_log[observations.unit] & np.isfinite(logged)
+    return np.where(known, logged, np.abs(observations.speed_mps))
+
+
+def _wheels_mps(observations: Observations) -> FloatArray:
+    """Return the mean speed of both wheels over their way, shape (n_obs,); NaN where it is not known."""
+
+    def mean(part: Observations) -> FloatArray:
+        ways = [np.abs(part.travel_left_m), np.abs(part.travel_right_m)]
+        over_way = ways[0] * _wheel_mps(part, "left") + ways[1] * _wheel_mps(part, "right")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(part.total(over_way) / part.total(ways[0] + ways[1]))
+
+    logged = observations.of_parts(mean)
+    return np.where(observations.from_log & (logged > 0.0), logged, np.abs(observations.number("speed_mps")))
 
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}

@@ -1,4 +1,4 @@
-"""Scrub, slip, understeer and load transfer in turns, and skidding at stops."""
+"""Scrub, slip, understeer and load transfer in turns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, h
 from calib.gap.observations.arrays import POSE, Observations
 from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 
 #: what slip of the typical size makes of a run is not seen below this
@@ -159,56 +159,6 @@ class CurveScrub(Effect):
         if quantities.turns_on_the_spot_too(observations):
             offers.append(("on the spot", parameters, of_spots))
         return self.offer(offers, by_parts=True)
-
-
-class BrakingSkid(Effect):
-    """A slide at each stop, the same at every stop or growing with the square of the speed before it.
-
-    The vehicle slides on along its path, so in a turn it turns on too.
-    """
-
-    id = "braking_skid"
-    title = "skidding when it stops"
-    implausible = "latency, or an offset of the reference"
-    family = Family.SPEED
-    needs = "stops"
-    separates = "runs of one length with more and fewer stops"
-    shifts = ("radius_scale",)
-
-    def forms(self, observations: Observations) -> list[Form]:
-        """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
-        if not stops(observations).any():
-            return []
-        speed = quantities.driven_speed_mps(observations)
-        per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
-        slips = [("the same at each stop", np.ones_like(speed), per_stop)]
-        if varies(speed, 0.02, observations):
-            squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
-            slips.append(("~ v^2", speed**2, squared))
-
-        def slides(path: Path, size: FloatArray) -> list[Perturbation]:
-            s = path.s
-            sense = np.where(s.path_m < 0.0, -1.0, 1.0)
-            along = np.where(stops(s), sense * s.here(size)[s.unit], 0.0)
-            return [Perturbation(along_m=along, heading_rad=np.abs(along) * quantities.curvature_per_m(s))]
-
-        return self.offer([(label, (one,), partial(slides, size=size)) for label, size, one in slips], by_parts=True)
-
-
-def stops(observations: Observations) -> BoolArray:
-    """Return the last moving step before each stop, shape (n_steps,).
-
-    A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end.
-    """
-    speed = np.abs(observations.speed_mps)
-    last = np.zeros(len(observations.unit), dtype=bool)
-    last[observations.starts[1:] - 1] = True
-    moving = speed > quantities.standstill_mps(observations)[observations.unit]
-    follows = np.concatenate((moving[1:], [False]))
-    driven = np.nan_to_num(quantities.driven_speed_mps(observations))[observations.unit]
-    within = moving & ~last & ~follows
-    at_end = last & moving & (speed < 0.5 * driven)
-    return np.where(observations.from_log[observations.unit], within | at_end, last)
 
 
 class WheelSlip(Effect):

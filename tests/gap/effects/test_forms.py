@@ -12,7 +12,7 @@ from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
 from calib.gap.effects.path import sine_excess
 from calib.gap.effects.quantities import driven_speed_mps, end_motion
-from calib.gap.effects.turning import stops
+from calib.gap.effects.stopping import stops
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals, signature
@@ -48,6 +48,22 @@ def test_stops_are_counted_in_the_log_one_without_a_log_none_when_read_rolling()
     offsets = made.logs.offsets + (np.arange(len(made.logs.offsets)) > 0)
     s = observations_of(replace(made, logs=replace(made.logs, offsets=offsets, columns=columns)))
     np.testing.assert_array_equal(s.total(stops(s))[:4], [2, 0, 1, 1])
+
+
+def test_a_turn_on_the_spot_ends_in_no_slide_of_the_axle() -> None:
+    """Its wheels roll against each other: the middle of the axle has no way to slide on, but stops before the spin."""
+    spin = [(0.01, 5.0 * np.pi)] * 10
+    s = situation([Run(spin, stops=True) for _ in range(6)] + [Run([(2.0, 0.0), *spin], stops=True) for _ in range(6)])
+    np.testing.assert_array_equal(s.total(stops(s)), [0] * 6 + [1] * 6)
+    np.testing.assert_allclose(s.curvature_per_m[stops(s)], 0.0, atol=1e-9)
+
+
+def test_a_slide_has_a_turn_of_its_own_where_a_stop_lies_in_a_curve() -> None:
+    """ROUTE ends on a straight, the first two of its pieces end in a bend."""
+    for pieces, names in ((ROUTE, ["per_stop"]), (ROUTE[:2], ["per_stop", "turning_per_stop"])):
+        s = situation([Run(pieces, kind="route", stops=True) for _ in range(12)])
+        (form,) = (form for effect in library(s) if effect.id == "braking_skid" for form in effect.forms(s))
+        assert [parameter.name for parameter in form.parameters] == names
 
 
 def test_the_driven_speed_is_the_mean_over_the_way() -> None:

@@ -120,7 +120,19 @@ def _(run: Run, now: Motion) -> None:
 
 @case("lost_counts", "right wheel, share growing above the least", 5e-3, within=1e-2)
 def _(run: Run, now: Motion) -> None:
-    now.right = 1.0 / (1.0 - 5e-3 * (run.speed_mps - 0.3)) - 1.0
+    # none below the speed of the slowest run
+    own_mps = np.abs(now.ds_m + 0.5 * now.turn_rad * TRACK_M) / now.dt_s
+    now.right = 1.0 / (1.0 - 5e-3 * np.maximum(own_mps - 0.3, 0.0)) - 1.0
+
+
+RAMPED = [replace(run, ramp=True) for run in LOGGED]
+
+
+@case("lost_counts", "left wheel, share growing with speed", 2e-3, within=1e-2, runs=RAMPED)
+def _(run: Run, now: Motion) -> None:
+    # by the wheel's own speed: fewer while it speeds up, and on the inner side of a turn
+    own_mps = np.abs(now.ds_m - 0.5 * now.turn_rad * TRACK_M) / now.dt_s
+    now.left = 1.0 / (1.0 - 2e-3 * own_mps) - 1.0
 
 
 @case("wheel_eccentricity", "both wheels", 2e-4, -1e-4, 1e-4, 3e-4, within=1e-2, runs=LOGGED)
@@ -137,22 +149,29 @@ def _(run: Run, now: Motion) -> None:
     now.left_m, now.right_m = gained(now.ds_m - half, 2e-4, -1e-4), gained(now.ds_m + half, 1e-4, 3e-4)
 
 
-def skid(run: Run, now: Motion, slide_m: float) -> None:
+def skid(run: Run, now: Motion, slide_m: float, turning: float = 1.0) -> None:
     if run.stops:
         now.along_m = np.zeros(len(now.ds_m))
         last = np.flatnonzero(now.ds_m)[-1]
         now.along_m[last] = slide_m
-        # it slides on along its curve
-        now.yaw_rad = now.along_m * now.kappa
+        now.yaw_rad = turning * now.along_m * now.kappa
 
 
-@case("braking_skid", "the same", 2e-3, runs=LOGGED)
+@case("braking_skid", "the same", 2e-3, 2e-3, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
+    # it slides on along its curve
     skid(run, now, 2e-3)
 
 
-@case("braking_skid", "~ v^2", 4e-3, within=1e-2, runs=LOGGED)
+@case("braking_skid", "the same", 2e-3, 0.0, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
+    # locked wheels do not turn it
+    skid(run, now, 2e-3, turning=0.0)
+
+
+@case("braking_skid", "~ v^2", 4e-3, 4e-3, within=1e-2, runs=RAMPED)
+def _(run: Run, now: Motion) -> None:
+    # it brakes from its full speed, which its mean speed is not
     skid(run, now, 4e-3 * run.speed_mps**2)
 
 
