@@ -22,7 +22,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.tables import write_campaign
 from calib.gap import diagnose as whole
-from calib.gap.inference import linear_model, local_search, noise
+from calib.gap.inference import fit as fitting
+from calib.gap.inference import local_search, noise
 from calib.plant.design import good_design
 from calib.plant.make import make_campaign
 
@@ -77,7 +78,7 @@ def clocked() -> Iterator[Clock]:
     """Time the stages of a diagnosis as it calls them."""
     clock = Clock()
     places = [
-        (linear_model, "signature_columns", "signatures"),
+        (fitting, "signature_columns", "signatures"),
         (whole, "estimate_noise", "noise"),
         (whole, "search", "search"),
         (local_search, "log_weights", "evidence"),

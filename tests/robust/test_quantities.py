@@ -120,7 +120,7 @@ def test_a_plan_makes_each_signature_once(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(identifiability, "signature_columns", counted)
     # any other way to the columns of a form would be a second pass
-    monkeypatch.setattr("calib.gap.inference.linear_model.signature_columns", None)
+    monkeypatch.setattr("calib.gap.inference.fit.signature_columns", None)
     path = tmp_path / "plan.toml"
     path.write_text(PLAN, encoding="utf-8")
     outlook = outlook_of(read_plan(path))

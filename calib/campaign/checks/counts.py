@@ -292,9 +292,11 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
     speed = campaign.runs.number("speed_mps")
     ratios, driven = np.full(len(speed), np.nan), np.full(len(speed), np.nan)
     for run, log in campaign.logs.each(20):
+        if "counts_left" not in log:
+            continue
         stride = max(1, len(log["t_s"]) // 50)
         step = np.diff(log["t_s"][::stride])
-        if "counts_left" in log and (step > 0).all():
+        if (step > 0).all():
             way = design.rolled_m(campaign, "left", log["counts_left"][::stride])
             rates = np.abs(np.diff(way)) / step
             ratios[run] = np.median(rates) / speed[run] if speed[run] > 0 else np.nan
