@@ -186,9 +186,16 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
     if by != "run" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
         # no other session predicts one that alone drove its route, no other route what it alone shows
         fold, by = _of_each_condition(observations), "run"
-    after = np.zeros(observations.measured.shape)
+    held = np.ones(len(fold), dtype=np.bool_)
+    for number in np.unique(fold) if by == "run" else ():
+        if not left_out.is_predictive(fold == number):
+            # what a run shows alone (one corridor beside closed loops: the radii) no other predicts
+            runs = np.flatnonzero(fold == number)
+            held[[run for run in runs if not left_out.is_predictive(np.arange(len(fold)) == run)]] = False
+    held |= 2 * held.sum() < len(held)
+    after = left_out.fitted.left.copy()
     for number in np.unique(fold):
-        out = fold == number
+        out = held & (fold == number)
         after[out] = left_out.after(out)[out]
     return after, by
 

@@ -135,17 +135,18 @@ def _moves(diagnosis: Diagnosis) -> str:
 
 
 def _advised(diagnosis: Diagnosis) -> str:
+    holds = "helps" if any(map(fails, diagnosis.fix.transfer)) else "holds"
     if diagnosis.recommended and diagnosis.fix.parameters:
         return f"Recommended: set {joined(diagnosis.fix.parameters, 'and')}; your simulator ran again with it."
     if diagnosis.recommended and diagnosis.fix.corrects is not None:
         part = joined((cause.effect for cause in diagnosis.corrected_causes), "and")
         left = "".join(f" {_capital(text)}." for text in diagnosis.fix.leaves)
-        return f"Recommended: the correction of {part} alone, which holds on held-out runs.{left}"
+        return f"Recommended: the correction of {part} alone, which {holds} on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
         groups = joined((joined(group.effects, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
     if diagnosis.recommended:
-        return "Recommended: the fix holds on held-out runs."
+        return f"Recommended: the fix {holds} on held-out runs."
     return f"Not recommended: {'. '.join(map(_capital, diagnosis.fix.why))}."
 
 

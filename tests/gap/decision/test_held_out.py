@@ -126,3 +126,23 @@ def test_what_a_session_measured_does_not_enter_its_own_prediction() -> None:
         for one in (nominal, other)
     )
     np.testing.assert_allclose((b.after - a.after)[mine & s.usable[:, 0], 0], 0.01, atol=SECOND_ORDER_M)
+
+
+def test_the_only_corridor_beside_closed_loops_says_nothing_against_a_correction() -> None:
+    """Squares do not tell the mean radius: without the one corridor its distance would be predicted by chance."""
+    numbers = {"load_left_N": 300.0, "load_right_N": 300.0}
+    square = [piece for _ in range(4) for piece in ((3.0, 0.0), (np.pi / 2, 1.0))]
+    back = [(length, -kappa) for length, kappa in square]
+    runs = [Run([square, back][n % 2], session="s", kind="ab"[n % 2], front=False, **numbers) for n in range(18)]
+    runs.append(Run([(20.0, 0.0)], session="s", kind="corridor", front=False, **numbers))
+    rng = np.random.default_rng(3)
+
+    def unequal(_: Run, now: Motion) -> None:
+        now.left, now.right = 1e-3, -1e-3
+        now.laser_m, now.end_x_m, now.end_y_m = rng.normal(0, [0.0015, 0.002, 0.002])
+        now.end_rad = rng.normal(0, 0.0008)
+
+    closure = held_out(situation(runs, truth=unequal)).closure
+    assert closure.fraction is not None and closure.fraction > 0.9
+    # each square is predicted by the others, the corridor's distance by itself
+    assert all(line.after_rms < 2.0 * line.floor_rms for line in closure.channels)
