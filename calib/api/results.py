@@ -285,11 +285,12 @@ def proposed(
     campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
 ) -> Plan:
     """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
+    from calib.gap.decision.kind import open_questions
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs, with_next
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
-    ties = [group.effects for group in full.groups]
+    ties = open_questions(full)
     runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
     with suppress(CalibError):
         from calib.kinematics.assemble import Promise

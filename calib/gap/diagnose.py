@@ -17,7 +17,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.kind import fails
+from calib.gap.decision.kind import fails, open_questions
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
@@ -146,7 +146,7 @@ def diagnose_in_full(
     from calib.gap.plan.next_runs import next_runs
 
     progress(0, 0, "next runs")
-    ties = [group.effects for group in diagnosis.groups]
+    ties = open_questions(diagnosis)
     return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, searched.fitted, model=model)))
 
 

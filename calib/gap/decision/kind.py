@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from calib.gap.decision.diagnosis import Cause, VerdictKind
+from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
@@ -104,3 +104,23 @@ def kind_of(
     if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
+
+
+#: effects beside a cause that is not sure, from the likeliest down to one in twenty, that the next runs should exclude
+MOST_RIVALS: Final = 3
+RIVAL_PROBABILITY: Final = 0.05
+
+
+def open_questions(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Return the effects that the next runs should tell apart, named ones first.
+
+    These are the confounded groups; beside a fix that is kept back else each cause that is not sure, and what the runs
+    may show instead.
+    """
+    if diagnosis.groups or diagnosis.recommended:
+        return [tuple(group.effects) for group in diagnosis.groups]
+    named = {cause.effect for cause in diagnosis.causes}
+    rivals = [name for name, p in diagnosis.probabilities.items() if p >= RIVAL_PROBABILITY and name != "unknown"]
+    rivals = [name for name in rivals if name not in named][:MOST_RIVALS]
+    doubtful = [cause.effect for cause in diagnosis.causes if cause.probability < CERTAIN_PROBABILITY]
+    return [(effect, rival) for effect in doubtful for rival in rivals]

@@ -165,7 +165,10 @@ class _Task:
         self.signatures = signatures
         number = {name: index for index, name in enumerate(signatures.names)}
         pairs = [pair for group in ties for pair in combinations(group, 2)]
-        self.pairs = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
+        known = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
+        # radii and track together do what an effect does, or not: none of the three alone is its rival
+        own = signatures.own_calibration
+        self.pairs = [(b, a) if own[a] and not own[b] else (a, b) for a, b in known]
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:

@@ -268,3 +268,14 @@ def test_where_the_repeat_alone_tells_it_is_what_is_proposed() -> None:
     (run,) = next_runs(driven, library(s), noise, ties, fitted, candidates=candidates)
     assert (run.kind, run.direction, run.size) == ("corridor", "out", "10 m")
     assert "wear from temperature_radius" in run.why
+
+
+def test_counts_lost_with_the_speed_are_told_from_radii_by_a_second_speed() -> None:
+    """Radii off by shares of their own do together at one speed what a counter does that loses counts."""
+    driven = campaign([Run(STRAIGHT, front=False, direction=way) for way in ("out", "back") for _ in range(6)])
+    s, noise = noise_of(driven)
+    candidates = [PlannedRun("corridor", "out", speed_mps=speed) for speed in (0.5, 0.25)]
+    ties = [("radius_scale", "unequal_radii", "lost_counts")]
+    runs = next_runs(driven, library(s), noise, ties, candidates=candidates)
+    assert [run.speed_mps for run in runs] == [0.25]
+    assert "tells lost_counts from radius_scale" in runs[0].why
