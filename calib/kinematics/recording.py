@@ -254,7 +254,9 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
     reference = reference[:, keep]
     if _position_alone_in_a_map(campaign, reference):
         return POSITION_ALONE
-    if np.isnan(end).all() or (np.isnan(end).any() and np.isfinite(reference).all(axis=0).any()):
+    followed = bool(np.isfinite(reference).all(axis=0).any())
+    # of an end pose in a map only the log says where the run began
+    if np.isnan(end).all() or (followed and (np.isnan(end).any() or campaign.reference.frame == "map")):
         end = _last_pose(reference)
     if np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
@@ -279,7 +281,7 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
     turned_rad = 2.0 * np.pi * np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]]) / per_rev
     if np.isnan(turned_rad).any():
         return "it has no log and no end counts"
-    if np.isnan(end).any():
+    if np.isnan(end).any() or campaign.reference.frame == "map":
         end = _straight_end(campaign, row, source, turned_rad)
     if np.isnan(end[0]):
         return "it has no log, and no end pose or distance_m of a straight run"

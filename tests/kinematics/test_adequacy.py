@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,33 @@ def test_positions_in_a_map_without_headings_say_what_is_missing(tmp_path: Path)
     settings.write_text(settings.read_text().replace("[reference]", '[reference]\nframe = "map"'))
     with pytest.raises(RefusedError, match="positions alone, not from the start pose"):
         estimate_geometry(read_campaign(tmp_path / "c"), using="windows")
+
+
+def test_end_poses_in_a_map_are_seen_from_where_the_log_began(tmp_path: Path) -> None:
+    """Every run from another place and heading of the map: the same vehicle as from the start pose."""
+    campaign = recorded(tmp_path, along=True)
+    rng, numbers, columns = np.random.default_rng(5), dict(campaign.runs.numbers), dict(campaign.logs.columns)
+    names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+    for table in (numbers, columns):
+        table.update({name: table[name].copy() for name in names})
+    for run in range(len(campaign.runs)):
+        x_m, y_m, heading_rad = rng.uniform(-9.0, 9.0, 3)
+        rows = slice(campaign.logs.offsets[run], campaign.logs.offsets[run + 1])
+        for table, at in ((numbers, slice(run, run + 1)), (columns, rows)):
+            place = (table["ref_x_m"][at] + 1j * table["ref_y_m"][at]) * np.exp(1j * heading_rad) + x_m + 1j * y_m
+            table["ref_x_m"][at], table["ref_y_m"][at] = place.real, place.imag
+            table["ref_theta_rad"][at] += heading_rad
+    mapped = replace(
+        campaign,
+        reference=replace(campaign.reference, frame="map"),
+        runs=replace(campaign.runs, numbers=numbers),
+        logs=replace(campaign.logs, columns=columns),
+    )
+    found = estimate_geometry(mapped)
+    assert found.passed
+    for name, truth in TRUTH.items():
+        low, high = found[name].ci95
+        assert low < truth < high
 
 
 def test_a_doubtful_geometry_gives_no_coefficients_without_a_reason(tmp_path: Path) -> None:
