@@ -1,4 +1,4 @@
-"""A case from its recipe: first its truth, then its campaigns.
+"""A case from its recipe: its truth, then its campaigns.
 
 The truth says the best that any diagnosis can do there, all being known: no rule gets a larger share of cases right
 than the mean of the largest posterior probability, computed exactly from whitened signatures.
@@ -22,7 +22,7 @@ from calib.plant.world import Cause, Noise, random_noise
 from calib.types import BoolArray, FloatArray, grouped
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
-#: effects of which only positive sizes have a meaning
+#: only positive sizes have a meaning
 ONE_SIGN: Final = (
     "lost_counts", "beam_misalignment", "floor_undulation", "path_weave", "load_creep", "wear", "reference_latency",
     "steering_backlash", "steering_delay", "drive_slip", "braking_skid", "curve_scrub", "side_slip",
@@ -35,14 +35,14 @@ _TRIES: Final = 6
 class Recipe:
     """One case to make."""
 
-    case: str  #: its neutral name
+    case: str  #: neutral name
     number: int  #: place in the unshuffled list, which with the seed determines all that is drawn
     group: str  #: one of `GROUPS`
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
     design: str = "good"  #: ``good``, ``laser_only``, or a poor design of the plant
-    aliases: tuple[str, ...] = ()  #: effects that these runs cannot tell from the truth, exactly
-    deleted: str = ""  #: effect to be deleted from the library; empty is none
+    aliases: tuple[str, ...] = ()  #: exact aliases on these runs
+    deleted: str = ""  #: deleted from the library
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Truth:
     seed: int
     max_runs: int
     redraw: int  #: times the pair was drawn again as its effects hid in one another
-    causes: tuple[Cause, ...]  #: what is wrong, at its size
+    causes: tuple[Cause, ...]
     typical: tuple[float, ...]
     #: signal of each alone, and after what the other could imitate was projected out
     signals: tuple[float | None, ...]
@@ -64,9 +64,9 @@ class Truth:
     noise: Noise  #: noise and model are those of the case
     model: OdometryModel
     n_runs: int
-    #: what the best rule reaches on these runs at this signal, freely and behind the gate; None where there is none
+    #: of the best rule on these runs at this signal, freely and behind the gate
     ceiling: tuple[float, float] | None = None
-    #: the same for this effect as it acts here; None where a recalibration absorbs it
+    #: of this effect as it acts here; None where a recalibration absorbs it
     own_ceiling: tuple[float, float] | None = None
 
     @staticmethod
@@ -170,7 +170,7 @@ def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
     return campaign, fresh
 
 
-#: false alarms that the gate allows
+#: allowed by the gate
 ALARMS: Final = 0.05
 #: draws of effect and noise; the standard error of a share is then at most 0.018
 DRAWS: Final = 800
@@ -294,7 +294,7 @@ def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) 
 
 
 def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray, signal: float) -> FloatArray:
-    """Return each effect's log likelihood against noise alone, its direction averaged out, (n, n_effects)."""
+    """Return log likelihoods against noise alone, directions averaged out, (n, n_effects)."""
     by_effect = grouped((space.effect, _log_likelihood(space, readings, signal)) for space in spaces)
     return np.stack([_log_mean(np.stack(by_effect[effect], axis=1)) for effect in range(n_effects)], axis=1)
 

@@ -53,9 +53,9 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
     return compared
 
 
-#: two causes nearer than this, in standard deviations of the noise, form one group
+#: nearer causes, in standard deviations of the noise, form one group
 APART: Final = 3.0
-#: an effect of a crowded case that shows by so much has to be named
+#: signal from which an effect of a crowded case has to be named
 STRONG: Final = 20.0
 _OPEN: Final = ("unknown", "partly_explained")
 
@@ -68,18 +68,18 @@ class Judged:
     group: str
     design: str
     truth: tuple[str, ...]
-    deleted: str  #: effect deleted from the library
+    deleted: str
     signal: float | None  #: target signal; None where there is none or it is natural
-    verdict: str  #: the verdict's word; ``error`` where the diagnosis failed, ``missing`` where there is no verdict
-    named: tuple[str, ...]  #: effects named as causes, likeliest first
+    verdict: str  #: the verdict's word, ``error`` (diagnosis failed) or ``missing``
+    named: tuple[str, ...]  #: likeliest first
     right: bool  #: the right answer of its group, see `judge`
     first: bool  #: a true effect is named first (for empty cases: nothing is named)
     in_group: bool  #: every true effect is named, or stands in a group with a named one
     covered: bool | None  #: the 95 % set holds the truth; None where the truth is in no library
-    set_size: int  #: hypotheses in the 95 % set
+    set_size: int
     #: the plant's own measure: no other effect comes nearer than `APART`; None where it was not taken
     separable: bool | None
-    rival: str  #: the nearest other effect, with its distance
+    rival: str
     #: a fix is recommended; and a cause of it is neither true nor in a group with the truth
     recommended: bool
     wrong_fix: bool
@@ -87,15 +87,15 @@ class Judged:
     harmful: bool | None
     statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
     intervals: tuple[Compared, ...]  #: parameter, truth, low, high
-    #: closure on held-out runs as stated, and on the fresh campaign
+    #: closure on held-out runs, and on the fresh campaign
     predicted: float | None
     achieved: float | None
     seconds: float | None
-    #: in a crowded case, of each effect at a signal of `STRONG` and more, whether it is named or in a group with one
+    #: in a crowded case: each effect from `STRONG` on is named or in a group with one
     strong: tuple[bool, ...] = ()
     decided: bool = False  #: the verdict is ``explained``, and what it names first is true or of a true effect's family
     error: str = ""
-    #: what the best rule reaches on its runs at its signal, freely and behind a gate; None where it was not taken
+    #: see `calib.challenge.cases.Truth`
     ceiling: tuple[float, float] | None = None
     own_ceiling: tuple[float, float] | None = None  #: the same for the true effect as it acts there
 

@@ -1,4 +1,4 @@
-"""What is planted on a campaign: the library's effects in the plant's own forms, and causes outside it, by size."""
+"""What is planted: the library's effects in the plant's forms, and causes outside it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ SizedAct = Callable[[World, float], None]
 #: outside cause -> size at which it is tried first
 OUTSIDERS: Final = {"interaction": 1e-3, "one_speed": 2e-3, "left_turns": 1e-2, "unlogged": 1e-3}
 
-#: two columns nearer than this, as a correlation, are one column
+#: columns of this correlation are one
 ALIKE: Final = 0.9
-#: width of the resonance, as a share of the speed it is at
+#: width of the resonance over its speed
 NARROW: Final = 0.1
 #: left turns tighter than this count
 TIGHT_PER_M: Final = 0.05
@@ -88,7 +88,6 @@ def _left_turns(world: World, size: float) -> None:
 
 
 def _unlogged(drawn: FloatArray, condition: IntArray) -> SizedAct:
-    """Another pull in each condition, the same in its repeats."""
     left, right = drawn[0, condition], 0.7 * (drawn[0, condition] + drawn[1, condition])
     return lambda world, size: world.enlarge(size * left, size * right)
 
@@ -101,7 +100,7 @@ NOT_PLANTED: Final = {
 }
 #: share of an effect left beside a recalibration, below which it cannot be asked for
 ABSORBED: Final = 0.02
-#: what is planted where the front wheel alone drives the odometry, which is calibrated by them
+#: planted where the front wheel alone drives the odometry, calibrated by them
 STEERED: Final = ("steering_zero", "steering_scale")
 #: what only the front wheel shows, and its odometry where no rear wheel is counted
 OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
@@ -120,7 +119,7 @@ class Size:
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
-    """Return sizes as written: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself."""
+    """Return sizes: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself."""
     sizes = []
     for part in text.split(","):
         match = _SIZE.fullmatch(part)
@@ -227,7 +226,7 @@ def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> 
 
 
 def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
-    """Return what small changes of radii and track do, along and across the end heading, (n_units, 6, 3)."""
+    """Return what changes of radii and track do, along and across the end heading, (n_units, 6, 3)."""
 
     def of(name: str) -> FloatArray:
         enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)

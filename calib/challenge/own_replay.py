@@ -1,4 +1,4 @@
-"""A campaign driven again: its own route and counts with a planted effect, and its own noise drawn again."""
+"""A campaign driven again, with a planted effect and its own noise redrawn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calib.plant.design import Design
 from calib.plant.world import Moment, World, build_world
 from calib.types import BoolArray, FloatArray, IntArray, floats
 
-#: with fewer units the draws repeat one another: the next wider circle is taken
+#: of fewer units draws repeat: the next wider circle is taken
 ENOUGH: Final = 8
 
 
@@ -90,7 +90,7 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:
-    """Return to which side each angle last moved: beyond the play the wheel is ahead there."""
+    """Return to which side each angle last moved: there the wheel is ahead beyond the play."""
     side = np.zeros_like(angle)
     bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
     noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
@@ -108,9 +108,8 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
     return side
 
 
-#: the speed is smoothed over so long before it is differentiated: counters come in whole steps
+#: before the speed is differentiated: counters come in whole steps
 SMOOTH_S: Final = 0.5
-#: a unit that turns by less goes straight
 STRAIGHT_RAD: Final = 0.5
 ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
 
@@ -188,7 +187,7 @@ def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> Flo
 
 
 def design_of(observations: Observations) -> Design:
-    """Return what was driven as the plant's forms ask for it: loads, speeds, temperatures, sessions, directions."""
+    """Return what was driven as the plant's forms ask for it."""
     n_units = len(observations)
 
     def number(name: str) -> FloatArray:
@@ -219,10 +218,10 @@ def design_of(observations: Observations) -> Design:
 
 
 def world_of(observations: Observations, design: Design) -> World:
-    """Return the world in which the model is right, with the loads that the campaign states."""
+    """Return the world in which the model is right, with stated loads."""
     world = build_world(design, observations.model)
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
-    # where payloads are stated the plant's own statics stay: another payload changes both
+    # stated payloads keep the plant's statics: another payload changes both
     stated = np.isfinite(left) & np.isfinite(right) & (np.ptp(design.payload_kg) == 0)
     world.load_left_N = np.where(stated, left, world.load_left_N)
     world.load_right_N = np.where(stated, right, world.load_right_N)
@@ -300,7 +299,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the factor of the way ahead where the front wheel's angle is other than read, and the turn.
+    """Return the factor of the way ahead for the front wheel's true angle, and the turn.
 
     The turn comes on top of the one read, multiplied alike (Eqs 12 to 14).
     """

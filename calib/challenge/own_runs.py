@@ -1,4 +1,4 @@
-"""Planting, diagnosing and counting: what this lab's data would find, how often, and how often wrongly."""
+"""Planting, diagnosing, counting: what this lab's data would find, and how often wrongly."""
 
 from __future__ import annotations
 
@@ -22,9 +22,7 @@ from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
 from calib.types import FloatArray, Progress, grouped, silent
 
-#: verdicts that name no cause
 SILENT: Final = ("no_gap", "undecided", "unknown")
-#: verdicts that see no gap
 UNSEEN: Final = ("no_gap", "undecided")
 #: families with nothing in common but the name
 NO_FAMILY: Final = ("own", "covariate", "")
@@ -39,7 +37,7 @@ class Answer:
     first: bool  #: the planted effect is named first
     in_group: bool  #: it is named, stands in a group with a named one, or its family is named
     open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
-    #: causes are named, and neither it nor its group is among them; of an outside one: a fix is recommended
+    #: others are named, neither it nor its group; of an outside cause: a fix is recommended
     wrong: bool
 
 
@@ -108,10 +106,10 @@ class Own:
     runs: int
     units: int
     units_with_repeats: int
-    found: tuple[Found, ...]  #: each effect and outside cause at each size
+    found: tuple[Found, ...]
     empty: tuple[Answer, ...]  #: on campaigns with nothing planted
-    left_out: Mapping[str, str]  #: what was not planted, and why
-    #: diagnoses wanted, and how many the time was enough for
+    left_out: Mapping[str, str]
+    #: diagnoses, and those in time
     asked: int
     done: int
     seed: int
@@ -179,9 +177,9 @@ class Asked:
     sizes: tuple[Size, ...] = parse_sizes(SIZES)
     planted: int = 5  #: how often each is planted at each size
     workers: int = 2
-    #: time after which no further diagnosis is begun; each size is planted once before any is planted twice
+    #: then no further diagnosis begins; each size is planted once before any is twice
     seconds: float = 900.0
-    seed: int = 0  #: of everything that is drawn
+    seed: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,7 +245,7 @@ def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
     observations = diagnosis.observations
     simulated = observations.simulated
     readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
-    # the logs are in the observations already; without them a campaign is quick to hand over
+    # logs are in the observations; without them a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
     noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
     return _Bench(light, observations, readings, noise)
@@ -271,7 +269,7 @@ def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
     try:
         verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed)
     except RefusedError:
-        # a diagnosis that refuses has seen nothing
+        # refused: nothing seen
         document: dict[str, object] = {"verdict": "undecided"}
     else:
         document = verdict.to_dict()
@@ -281,7 +279,7 @@ def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
 def with_readings(
     observations: Observations, readings: FloatArray, noise: OwnNoise, seeds: Sequence[int]
 ) -> Observations:
-    """Return the campaign as it would have been observed: readings (n_units, 6) with the noise that `seeds` draw."""
+    """Return the campaign as observed: readings (n_units, 6) with the noise that `seeds` draw."""
     drawn = noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured

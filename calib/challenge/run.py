@@ -1,4 +1,4 @@
-"""Diagnosing every case of a set, and trying each fix on a fresh campaign; the truth is never opened here."""
+"""Diagnosing every case, and trying each fix on a fresh campaign; the truth stays closed."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Ma
 class Ran:
     """What a run did."""
 
-    #: cases diagnosed now, found diagnosed already, and ended by an error (written down as such)
+    #: cases diagnosed now, before, and ended by an error
     done: int
     skipped: int
     failed: int

@@ -1,4 +1,4 @@
-"""The score of a set: the truth is opened once, its hash checked, every verdict judged."""
+"""The score of a set: truth opened, its hash checked, every verdict judged."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _EDGES: Final = [number / _BINS for number in range(_BINS + 1)]
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """Statements of a probability within a tenth: their mean, and the share of them that is true."""
+    """Probabilities within a tenth: their mean, and the share that is true."""
 
     low: float
     high: float
@@ -133,7 +133,7 @@ class Score:
 
 
 def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
-    """Open the sealed truth of a set, once its hash agrees with the one that was stored first."""
+    """Open the sealed truth of a set whose hash is the one stored first."""
     public = read_public(folder)
     path = truth_file or truth_path(folder)
     if not path.is_file():

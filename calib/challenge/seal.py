@@ -1,4 +1,4 @@
-"""A sealed set from a seeds file: which cases, all truths into one file apart whose hash is stored, the campaigns."""
+"""A sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Seeds:
     purpose: str  #: ``development``, ``scoring`` or ``ci``
     seed: Annotated[int, Field(strict=True, ge=0)]
     cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]  #: how many cases of each of `GROUPS`
-    max_runs: Annotated[int, Field(strict=True, ge=20)] = 160  #: most runs of a case
+    max_runs: Annotated[int, Field(strict=True, ge=20)] = 160
 
 
 def read_seeds(path: Path) -> Seeds:
@@ -89,7 +89,7 @@ def _library() -> list[str]:
 
 
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
-    """Return (effect/form, signal): every effect at every signal, forms in turn, strong ones twice; blunders."""
+    """Return (effect/form, signal): forms in turn, strong ones twice; blunders."""
     faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):

@@ -1,1 +1,1 @@
-"""Radii, track and sensor together: what end poses and continuous references say about a vehicle's geometry."""
+"""Radii, track and sensor together, from end poses and continuous references."""

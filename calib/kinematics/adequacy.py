@@ -1,4 +1,4 @@
-"""Whether a geometry is adequate: its residuals on the runs used and on held-out runs, against the noise."""
+"""Whether a geometry is adequate: residuals of runs used and held out, against the noise."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: a residual of so many times the noise is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
+#: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
 #: a residual below this share of the distance travelled (of the rotation, for headings) is as small as calibrated wheel
 #: odometry gets (UMBmark's and our real recordings: 0.1 to 0.5 %), even where replicates scatter less
 SMALL_SHARE: Final = 0.005
-#: a result that leaves more of the error on held-out runs explains nothing of it
+#: a result that leaves more of the error on held-out runs explains nothing
 USELESS_SHARE: Final = 0.9
 #: where sessions differ, one calibration for all is to take away three quarters of the mean square at least
 WORTH_SHARE: Final = 0.5
@@ -36,18 +36,18 @@ FOLDS: Final = 5
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
 REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
-#: degrees of freedom from which the scatter of replicates is judged by: known to about a third
+#: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
 #: a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
-#: largest share of single bad runs, which take no part; one run always may be
+#: share of single bad runs, which take no part; one always may be
 FEW_OUTLIERS: Final = 0.1
-#: share of runs that noise cannot explain, from which the result is doubtful
+#: share of runs beyond noise that makes a result doubtful
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
-#: a turn of less is not what heading residuals are held against: chance in the reference's heading would be most of it
+#: heading residuals are not held against a smaller turn, mostly chance in the reference's heading
 LEAST_ROTATION_RAD: Final = 1.0
 
 
@@ -64,18 +64,18 @@ CALIBRATED, DOUBTFUL, WRONG = GeometryVerdict
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Root mean squares of position (m) or heading (rad), and the distance or rotation that they are relative to."""
+    """Root mean squares of position (m) or heading (rad), and the distance or rotation beside them."""
 
     before: float
     after: float
     held_out: float
     noise: float
     travelled: float
-    #: by the stated noise of the reference and the usual drift
+    #: by the reference's stated noise and usual drift
     usual_noise: float = math.inf
-    #: what fits of each session leave, where sessions differ beyond chance
+    #: left by fits of each session, where these differ beyond chance
     within: float = math.inf
-    #: what differences between recordings that are part of the fit, such as steering zeros, add to the noise
+    #: added by fitted differences between recordings, such as steering zeros
     between: float = 0.0
 
     @property
@@ -85,7 +85,7 @@ class Residuals:
 
     @property
     def apart(self) -> float:
-        """By how many times what is left within sessions they differ; 0 where that is no lack of fit."""
+        """Residual over what is left within sessions; 0 where that is no lack of fit."""
         ratio = math.sqrt(max((self.after / self.within) ** 2 - 1.0, 0.0)) if self.within > 0.0 else 0.0
         return ratio if ratio > LACK_OF_FIT else 0.0
 
@@ -97,7 +97,7 @@ class Residuals:
 
 
 def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:
-    """Return whether a result is to be used by what it leaves, and the reason why not.
+    """Return whether a result is to be used, and why not.
 
     `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
     """
@@ -209,7 +209,7 @@ def judged(
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
-    """Return the segments judged: all but those of few single bad runs, which are named by themselves.
+    """Return the segments judged: all but few single bad runs.
 
     Where all replicates are outliers, they are no single bad ones.
     """
@@ -230,7 +230,7 @@ def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def rms(residuals: FloatArray) -> float:
-    """Return the root mean square of residuals, shape (n, n_channels), of all channels together."""
+    """Return the root mean square of residuals (n, n_channels), channels together."""
     return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
 
 
@@ -241,7 +241,7 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | Non
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:
-    """Return a number for each segment, the same for replicates by their wheels."""
+    """Return each segment's group of replicates, by the wheels."""
     told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
     group = np.full(len(path), -1, dtype=np.int64)
     while (group < 0).any():
@@ -255,7 +255,7 @@ def _replicates(whole: Model, path: FloatArray) -> IntArray:
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
-    """Return the residuals of runs, or blocks of few runs, held out of the fit, shape (n, 3)."""
+    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3)."""
     model, solution = fitted.model, fitted.solution
     runs = np.unique(model.segments.run)
     by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
@@ -278,7 +278,7 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
 
 
 def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
-    """Return each segment's change by a standard deviation of the recordings' steering zeros, shape (n, 3)."""
+    """Return the change by one standard deviation of the steering zeros, shape (n, 3)."""
     if not fitted.zero_spread_rad:
         return np.zeros((len(logged.segments), 3))
     values = fitted.solution.values.copy()

@@ -1,4 +1,4 @@
-"""From a fit to the result: residuals by route, UMBmark, intervals and notes; intervals that planned runs promise.
+"""From a fit to the result; the intervals that planned runs promise.
 
 UMBmark: radii and track from squares driven both ways (Borenstein and Feng, IEEE T-RA 12, 1996). A wrong track turns
 every corner by alpha too much, unequal wheels bend every side by beta. Clockwise and counter-clockwise the two add and
@@ -148,7 +148,7 @@ def _gyro_alone(fitted: Fitted) -> bool:
 
 
 def _whole(model: Model) -> Model:
-    """Return the model of whole runs where many end poses are known, else of the longest windows.
+    """Return the model of whole runs where many have end poses, else of the longest windows.
 
     The end of one long recording shows little but the heading noise gathered by then.
     """
@@ -204,7 +204,7 @@ def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Promise:
-    """What `calib geometry` states of some runs, or will if the noise is as assumed, by the information they hold."""
+    """What `calib geometry` states of some runs, or will if the noise is as assumed."""
 
     estimates: tuple[Estimate, ...]  #: of planned runs at the nominal values
     undetermined: tuple[str, ...]  #: parameters that the runs leave open
@@ -212,7 +212,7 @@ class Promise:
 
     @classmethod
     def of(cls, geometry: Geometry) -> Promise:
-        """Return what a geometry's runs gave; noise that they do not show is assumed, as of runs not driven."""
+        """Return what a geometry's runs gave; noise that they do not show is assumed."""
         scales = np.square([geometry.noise[name] for name in COMPONENTS])
         if any(LENGTHS_ALONE in why for why in geometry.why):
             scales[1:3] = first_scales(Reference())[1:3]
@@ -248,7 +248,7 @@ SIDE_RAD: Final = 0.35
 #: share of the way that belongs to sides, and of the shortest side beside the mean one
 SIDES_SHARE: Final = 0.8
 SHORTEST_SIDE: Final = 0.7
-#: runs of each sense below which the scatter says nothing
+#: of each sense, for a scatter
 FEWEST: Final = 2
 
 
@@ -304,7 +304,7 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
 
 
 def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, float]:
-    """Return E_d and E_b of mean end position errors, rows counter-clockwise and clockwise, both axes averaged."""
+    """Return E_d and E_b of mean end position errors, rows counter-clockwise and clockwise, axes averaged."""
     (x_ccw, y_ccw), (x_cw, y_cw) = centres
     alpha = 0.5 * ((x_cw + x_ccw) + (y_cw - y_ccw)) / (4.0 * side_m)
     beta = 0.5 * ((x_ccw - x_cw) - (y_ccw + y_cw)) / (4.0 * side_m)

@@ -1,8 +1,8 @@
-"""Search for blunders and departures of a recording: what explains the data is named.
+"""Search for blunders and departures that explain a recording.
 
-A blunder (other units, axes, columns, wraps) changes the recording, and the vehicle's parameters are fitted again
-within plausible bounds. Residuals are compared relative to the distance travelled, so that no unit makes them small by
-itself; a blunder is named only where its correction leaves a small part of them.
+A blunder (units, axes, columns, wraps) changes the recording, and the vehicle's parameters are fitted again
+within plausible bounds. Residuals count relative to the distance travelled, so that no unit makes them small by
+itself; a blunder is named where its correction leaves a small part of them.
 
 A departure is one more parameter: a change of the recording of unknown size that no residual need show, fitted beside
 those of the vehicle in the linearised problem. It is named where its size is beyond noise, by the scatter between
@@ -48,9 +48,9 @@ SAME_WAY_RAD: Final = 0.3
 TRIAL_ROUNDS: Final = 6
 #: of these, those that estimate the noise: it only weighs position against heading, and costs most of a trial
 TRIAL_NOISE_ROUNDS: Final = 1
-#: and up to a step that gains less log likelihood
+#: and up to a step of less log likelihood
 TRIAL_STEADY: Final = 0.1
-#: readings within this factor of the least are alike: the first of them, the simplest, is named
+#: readings within this factor of the least are alike: the first, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
 PLAUSIBLE_CHANGE: Final = 0.2
@@ -65,9 +65,9 @@ class Trial:
 
     #: rms residual as a share of the distance and rotation
     share: float
-    #: lengths are near nominal, and displacements as long as those of the wheels and of their direction
+    #: lengths near nominal, displacements of the wheels' length and direction
     plausible: bool
-    #: angle of the reference's displacements against those of the wheels
+    #: the reference's displacements against the wheels'
     turned_rad: float
     #: fitted mean radius over the nominal one, and scale of the steering angle
     scales: tuple[float, float] = (1.0, 1.0)
@@ -76,7 +76,7 @@ class Trial:
 def find_blunder(
     campaign: Campaign, recording: Recording, source: str, divide: Divide
 ) -> tuple[Campaign, Recording, Fault] | None:
-    """Return settings and recording corrected, and the blunder; None where no reading explains the data.
+    """Return corrected settings and recording, and the blunder; None where none explains the data.
 
     The campaign states vehicle, encoder and noise of the reference. `source`: wheels that drive the odometry (``rear``,
     ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into segments by a campaign's nominal vehicle.
@@ -89,7 +89,7 @@ def find_blunder(
         return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
 
     as_it_stands = tried(unchanged)
-    # a fit of lengths that no vehicle has explains nothing
+    # impossible lengths explain nothing
     enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share if as_it_stands.plausible else SMALL_SHARE)
     best: list[tuple[Trial, Reading]] = []
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
@@ -155,22 +155,20 @@ CLEAR_AXIS: Final = 12.0
 EXPLAINED: Final = 0.5
 #: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
 LEAD: Final = 0.1
-#: plays of a steering tried, rad
 PLAYS_RAD: Final = (0.01, 0.04)
-#: shifts in time of a steering angle tried, s: from half the least on, which is no step of a log any more
+#: of a steering angle: from half the least on, which is no step of a log any more
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
-#: scale of one axis of a tracking system, tried from this size on
+#: scale of a tracking system's axis, from which it is tried
 AXIS_SCALE: Final = 0.01
 #: resultant of the doubled start headings, above which runs begin along one axis, in either sense
 ALONG_ONE: Final = 0.9
 #: scale of the reference's heading beside its positions
 HEADING_SCALE: Final = 0.005
-#: rate of a clock: sound clocks differ by 1e-4
+#: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
 #: recordings, and part of the longest that they differ by, from which their delays tell of a clock
 FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
-#: slip by the yaw rate
 SLIP_S_PER_RAD: Final = 0.01
 
 
@@ -179,7 +177,7 @@ class Departure:
     """A change of the recording of a size that a fit tells, and its name."""
 
     change: Callable[[Recording, float], Recording]
-    #: size at which the residuals are differentiated
+    #: at which residuals are differentiated
     step: float
     named: Callable[[float], Fault]
     share: float = EXPLAINED
@@ -201,7 +199,7 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
 
 
 def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
-    """Return the clock at another rate, and the rate, whose delays recordings of different lengths have on average."""
+    """Return the clock, and its rate, that gives recordings of different lengths their delays."""
     middle_s = 0.5 * recording.t_s[recording.offsets[1:] - 1]
     if len(recording) < FEWEST_OF_A_CLOCK or np.ptp(middle_s) < OF_TWO_LENGTHS * middle_s.max():
         return None
@@ -209,7 +207,7 @@ def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
 
 
 def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
-    """Return the share of the squares that a departure explains, its size, and the standard uncertainty of that."""
+    """Return the share of squares a departure explains, its size, and that one's standard uncertainty."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
     segments = _remeasured(model.segments, model.recording.reference, recording.reference)
@@ -219,7 +217,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     shift *= np.sqrt(solution.weights)[:, None]
     flat, rest = jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel()
     both = np.column_stack([shift.ravel(), rest])
-    # what the parameters of the vehicle explain of either is taken out
+    # without what the vehicle's parameters explain
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information = float(column @ column)
     if information <= 0.0:
@@ -322,7 +320,7 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
-    """Return headings that turn more by a share from each run's start, as a gyro's do."""
+    """Return headings with a share more turn since each run's start, as a gyro's."""
     begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
     wound = _stretched(recording, share, 2)
     return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))

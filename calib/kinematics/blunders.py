@@ -16,7 +16,7 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.types import FloatArray, IntArray
 
-#: relative distance from a factor within which a ratio is taken for it
+#: relative distance of a ratio from its factor
 NEAR: Final = 0.08
 #: turns of the wheels by less, rms over the stretches, say nothing of the heading's unit
 TURNS_RAD: Final = 0.1
@@ -79,7 +79,7 @@ def rear_faults(recording: Recording, segments: Segments) -> Corrected:
 
 
 def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float:
-    """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1, along a way of any shape.
+    """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
     `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
     measured headings, and the wheels' own way.
@@ -107,7 +107,7 @@ def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
 
 
 def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = False) -> Corrected:
-    """Return the recording with steering angles from straight ahead and signs not mirrored, and what was wrong.
+    """Return the recording with steering zero and signs corrected, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
     a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's. `by_shaft`: the counter
@@ -141,7 +141,7 @@ def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = F
 
 
 def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatArray, run: IntArray) -> str:
-    """Return what is wrong where the angle never moves and the vehicle does not keep to one curvature; empty if right.
+    """Return what is wrong where the angle never moves but the curvature does; empty if right.
 
     `steer_rad` (shape (n_steps,)): angle read; `rolled`, `turned_rad`, `run` (shape (n,)): what the wheel rolled over
     each stretch, its measured turn and its run; stretches of one run follow each other.
@@ -160,7 +160,7 @@ def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatA
 
 
 def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between) -> float:
-    """Return the steering angle that is read straight ahead; 0 where the turns do not tell it, or it is near 0.
+    """Return the steering angle read straight ahead; 0 where unknown or near 0.
 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
     c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
@@ -210,7 +210,7 @@ WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
 CLEARLY_LESS: Final = 0.25
 #: and where they leave more than this part of the way and of the turns
 POOR: Final = 0.1
-#: readings within this factor of the least are as good
+#: within this factor of the least, readings are as good
 ALIKE: Final = 1.1
 #: turns of less are noise
 LEAST_TURN_RAD: Final = 0.05
@@ -236,7 +236,7 @@ def corrected(recording: Recording, segments: Segments, source: str, drive: Driv
 
 
 def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault]:
-    """Yield the counters, of two wheels, that stand still in a run whose reference does not turn about that wheel.
+    """Yield the counters that stand still in a run that does not turn about that wheel.
 
     `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
     """
@@ -302,7 +302,6 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
 
 
 def _left(model: Model, values: FloatArray) -> tuple[float, float]:
-    """Return the unexplained share of displacements and turns, and the turn of the sensor in rad."""
     seen = model.segments.seen.all(axis=1)
     measured, rest = model.segments.measured[seen], model.predict(values).residuals[seen]
     if not len(measured):

@@ -1,4 +1,4 @@
-"""Drives: how turning wheels move the body, the derivatives by each parameter, and the integrated path."""
+"""Drives: how wheels move the body, derivatives by each parameter, the integrated path."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from calib.campaign.settings import Reference
 from calib.campaign.wheels import lengthening
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
-#: factor on the true turn that a gyro measures
+#: on the true turn
 GYRO_SCALE: Final = "gyro_scale"
 #: a sensor where the settings' defaults have it
 UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
-#: scale of a gyro of moderate price as its maker states it
+#: by makers of gyros of moderate price
 GYRO_SCALE_STD: Final = 0.01
 
-#: random walks of heading and distance to begin with, per metre
+#: first random walks of heading and distance, per metre
 WALKS: Final = (2.5e-7, 2.5e-7)
 
-#: how far scale, lever arm, angle and delay may be from the settings
+#: of scale, lever arm, angle and delay from the settings
 SENSOR_STD: Final = {
     GYRO_SCALE: GYRO_SCALE_STD,
     "sensor_x_m": 0.2,
@@ -41,14 +41,13 @@ class Parameter:
 
     #: for example ``track_m``
     name: str
-    #: value before the calibration
     nominal: float
     #: standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
     #: that do not do clearly better leave it undetermined
     prior_std: float
 
 
-#: zero of the steering angle, and factor on the angle that the sensor says
+#: and factor on the sensor's angle
 STEERING_ZERO: Final = "steering_zero_rad"
 STEERING_SCALE: Final = "steering_scale"
 STEERING: Final = (Parameter(STEERING_ZERO, 0.0, 0.1), Parameter(STEERING_SCALE, 1.0, 0.1))
@@ -56,11 +55,11 @@ STEERING: Final = (Parameter(STEERING_ZERO, 0.0, 0.1), Parameter(STEERING_SCALE,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Parameters in a fixed order, with those that are to be estimated."""
+    """Parameters in a fixed order."""
 
-    #: all parameters of drive and sensor
+    #: of drive and sensor
     items: tuple[Parameter, ...]
-    #: which are estimated; the others stay at their nominal value, shape (n_parameters,)
+    #: estimated; the others stay nominal, shape (n_parameters,)
     free: BoolArray
 
     @staticmethod
@@ -105,7 +104,7 @@ def first_scales(reference: Reference) -> FloatArray:
 
 
 def nominal_values(drive: Drive) -> FloatArray:
-    """Return the nominal values of a drive, then those of `UNMOVED_SENSOR`: before sensor or delay are known."""
+    """Return a drive's nominal values, then `UNMOVED_SENSOR`."""
     return np.array([*(item.nominal for item in drive.parameters), *UNMOVED_SENSOR])
 
 
@@ -114,9 +113,9 @@ def nominal_turn(drive: Drive, steps: Steps) -> FloatArray:
     return np.asarray(drive.motion(np.array([item.nominal for item in drive.parameters]), steps).body[2])
 
 
-#: spread of a length about its nominal value, relative
+#: relative, about the nominal length
 LENGTH_STD: Final = 0.10
-#: spread of the radius' change with load, relative to the radius, per newton: 1 % per kN
+#: of the radius' relative change with load: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
 
 
@@ -126,9 +125,9 @@ class Steps:
 
     #: angle that each wheel turned since the sample before; 0 at the first sample of a run, shape (n_wheels, n_samples)
     turned_rad: FloatArray
-    #: steering angle in the middle of the step, as the sensor says it, shape (n_samples,)
+    #: by the sensor, in the middle of the step, shape (n_samples,)
     steer_rad: FloatArray | None = None
-    #: load of the left and right wheel less the reference load, shape (2, n_samples)
+    #: left and right, from the reference load, shape (2, n_samples)
     load_offset_N: FloatArray | None = None
     #: speed of a counted drive shaft by the nominal radius, shape (n_samples,)
     speed_mps: FloatArray | None = None
@@ -156,14 +155,14 @@ class Drive(Protocol):
 
 
 def lengths_of(drive: Differential | FrontWheel | Mecanum | RearShaft) -> tuple[Parameter, ...]:
-    """Return a parameter for each length, a field in ``_m``, of a drive, within `LENGTH_STD` of its nominal value."""
+    """Return a parameter for each length of a drive, a field in ``_m``, within `LENGTH_STD`."""
     lengths = {part.name: getattr(drive, part.name) for part in fields(drive) if part.name.endswith("_m")}
     return tuple(Parameter(name, nominal, LENGTH_STD * nominal) for name, nominal in lengths.items())
 
 
 @dataclass(frozen=True, slots=True)
 class Differential:
-    """Two wheels with encoders on one axle, driven or free: the rear wheels of a tricycle, or a differential drive.
+    """Two wheels with encoders on one axle: of a tricycle, or a differential drive.
 
     With loads, the radius of each wheel is radius + slope (load - reference load).
     """
@@ -204,7 +203,7 @@ class Differential:
 
 @dataclass(frozen=True, slots=True)
 class MeanHeld:
-    """Two wheels on one axle whose mean radius is held at its nominal value: what closed paths can determine.
+    """Two wheels on one axle whose mean radius is held, as closed paths need.
 
     A closed path closes at any scale: radii and track can all be larger alike. The left radius and the track remain;
     the right radius is what the mean leaves.
@@ -301,17 +300,17 @@ class RearShaft:
 
     rear_radius_m: float
     wheelbase_m: float
-    #: whether understeer and side slip are parameters
+    #: understeer and side slip are parameters
     slips: bool = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Rear radius, wheelbase, zero and scale of the steering angle; in fast turns understeer and side slip."""
+        """Rear radius, wheelbase, steering zero and scale; in fast turns understeer and side slip."""
         slips = (Parameter(UNDERSTEER, 0.0, UNDERSTEER_STD), Parameter(SIDE_SLIP, 0.0, SIDE_SLIP_STD))
         return (*lengths_of(self), *STEERING, *(slips if self.slips else ()))
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
-        """Return the motion of the rear axle's middle: ahead what the wheels roll, its curvature tan(angle) / L."""
+        """Return the rear axle's motion: ahead what the wheels roll, curvature tan(angle) / L."""
         radius, wheelbase, zero, scale = values[:4]
         understeer, side_slip = values[4:] if self.slips else (0.0, 0.0)
         phi, steer, square = steps.turned_rad[0], np.asarray(steps.steer_rad), np.square(np.asarray(steps.speed_mps))
@@ -332,20 +331,20 @@ class RearShaft:
 
 
 def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
-    """Return the drive with its nominal values; slip is estimated where turns were fast enough to show it."""
+    """Return the nominal drive; slip is estimated where fast turns show it."""
     speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
     lateral_mps2 = np.square(speed_mps) * np.abs(np.tan(steer_rad)) / wheelbase_m
     moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
     return RearShaft(radius_m, wheelbase_m, len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2)
 
 
-#: turn of half a step below which the derivative of sin(h)/h is its series
+#: half turn below which the derivative of sin(h)/h is its series
 SMALL_RAD: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Poses at the samples; runs continue one another: only displacements within a run are used."""
+    """Poses at the samples; runs continue one another."""
 
     #: x and y in m, heading in rad, shape (3, n_samples)
     pose: FloatArray

@@ -35,9 +35,9 @@ BLOCKS: Final = (40, 160, 640)
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path between two poses by more than a linear model of them allows
 BENT_RAD: Final = 0.1
-#: fits in which each recording's own delay is found
+#: fits that find each recording's own delay
 DELAY_ROUNDS: Final = 3
-#: fits in which the size of a departure is found; its last change
+#: fits that find a departure's size; its last change
 SIZE_ROUNDS, SIZE_FOUND = 6, 0.05
 
 
@@ -50,7 +50,7 @@ def estimate_geometry(
     leave_out: Literal["session", "kind", "run_id"] | None = None,
     progress: Progress = silent,
 ) -> Geometry:
-    """Estimate radii and track, or what the drive has in their place, together with the reference's sensor.
+    """Estimate a drive's parameters together with the reference's sensor.
 
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
 
@@ -89,7 +89,7 @@ def estimate_geometry(
 
 
 def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geometry:
-    """Return the geometry by windows, or by end poses alone where these are no fit."""
+    """Return the geometry by windows, or by end poses where these do not fit."""
     if not recording.continuous:
         return estimated("end_poses")
     if np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum() < ENOUGH_RUNS:
@@ -115,7 +115,7 @@ def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
         if corrected is None:
             raise
         return corrected.geometry
-    # of lengths alone a bend makes up for any reading, and for any place of a sensor
+    # of lengths alone a bend makes up for any reading or sensor
     if recording.lengths_alone:
         asked = True
     elif fit.geometry.misfit:
@@ -137,15 +137,12 @@ class _Task:
     progress: Progress
 
     def drive(self, recording: Recording) -> Drive:
-        """Return the drive with its nominal values."""
         return drive_of(self.campaign, self.source, recording)
 
     def fit(self, drive: Drive, recording: Recording, segments: Segments, start: Fitted | None = None) -> Fitted:
-        """Return the fit of stretches of a recording, begun at another fit where one is given."""
         return fit_parameters(self.campaign, drive, recording, segments, self.sensor, start)
 
     def with_whole_turns(self, recording: Recording) -> tuple[Recording, list[str]]:
-        """Return what `Recording.with_whole_turns` makes of it by the nominal vehicle."""
         return recording.with_whole_turns(nominal_turn(self.drive(recording), recording.steps))
 
 
@@ -176,7 +173,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         if many and not _bends(chosen):
             break
         task.progress(number, 0, "fits")
-        # from where the coarser one ended, where paths bend alike: short windows do not find a delay of many steps
+        # from the coarser one's end: short windows do not find a delay of many steps
         other = task.fit(drive, recording, segments, None if many else chosen)
         if not many and other.spread > chosen.spread + np.log(AS_GOOD):
             break
@@ -224,7 +221,6 @@ def _without_departure(fit: _Fit) -> Geometry:
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:
-    """Return the segments' mean position error at fitted values."""
     residuals = model.predict(fitted.solution.values).residuals
     return float(np.mean(np.hypot(residuals[:, 0], residuals[:, 1])))
 
@@ -251,9 +247,9 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
 
 
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
-    """Return the fit with the reference's sensor placed too; None where that explains no more.
+    """Return the fit with the sensor placed too; None where that explains no more.
 
-    Along the path, where the reference follows the vehicle; in any case where end headings are far off.
+    Along the path, or where end headings are far off.
     """
     way: Using = "windows" if recording.continuous else task.way
     try:
@@ -308,7 +304,7 @@ def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
 
 
 def divisions(recording: Recording, using: str) -> Iterator[Segments]:
-    """Yield whole runs (``end_poses``), or windows in ever finer divisions, of many runs a block each first."""
+    """Yield whole runs (``end_poses``), or ever finer windows, of many runs a block each first."""
     if using == "end_poses":
         yield end_pose_segments(recording)
         return

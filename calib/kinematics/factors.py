@@ -1,4 +1,4 @@
-"""Lengths that are far from those stated: factors that wrong settings, units and times leave."""
+"""Lengths far from those stated: factors of wrong settings, units and times."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from calib.kinematics.blunders import NEAR, TWIST, Fault
 from calib.kinematics.joint_fit import Fitted
 
-#: factors of wrong settings, and what they mean
+#: of wrong settings
 TRACK_FACTORS: Final = {0.5: "half the track", 2.0: "twice the track"}
 RADIUS_FACTORS: Final = {
     0.5: "half the radius: twice the counts per revolution, or the radius for the diameter",
@@ -27,7 +27,6 @@ RADIUS_FACTORS: Final = {
     float(np.pi / 180.0): "pi / 180 times: angles of the wheels in degrees taken for rad",
     float(180.0 / np.pi): "180 / pi times: angles of the wheels in rad taken for degrees",
 }
-#: parameters that are radii
 RADII: Final = ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m")
 #: a radius off by more is no radius, no matter what made it
 FARTHEST: Final = 5.0
@@ -48,7 +47,7 @@ def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
 
 
 def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
-    """Return the lengths further from the stated ones than wheels and floors can make them, of a `drive`."""
+    """Return a `drive`'s lengths further from those stated than wheels and floors make them."""
     sentences, parameters, free = [], fitted.parameters, fitted.parameters.free
     sizes = zip(parameters.free_names, parameters.nominal[free], fitted.solution.values[free], strict=True)
     for name, nominal, value in sizes:
@@ -67,7 +66,7 @@ def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
 def factor_faults(
     ratios: Mapping[str, float], drive: str = "differential", speeds: Sequence[str] = ()
 ) -> tuple[Fault, ...]:
-    """Return faults of the settings that leave a factor between nominal and found lengths of a `drive`.
+    """Return faults of settings that leave a factor on a `drive`'s lengths.
 
     `ratios`: found over nominal, by parameter; `speeds`: columns that stand for counts.
     """

@@ -1,4 +1,4 @@
-"""Joint estimation of the parameters that the data determine; the others are held at nominal and named.
+"""Joint estimation of the parameters that the data determine; others are held and named.
 
 Some parameters differ between recordings: the reference's delay, and the zero of the steering angle, since a servo, or
 a linkage with play, rests at another angle each time. One zero for all bends what the other parameters say; a free zero
@@ -27,14 +27,14 @@ from calib.types import FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: prior uncertainty of the scale of radii and track, relative
+#: prior, of the scale of radii and track, relative
 NOMINAL_STD: Final = 0.01
 #: part that each of three parameters has in a direction in which all grow alike; 0.58 where they do so exactly
 ALIKE: Final = 0.3
 
 
 def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
-    """Return the least determined direction of the free parameters, shape (n_free,); None where all are determined.
+    """Return the least determined direction, shape (n_free,); None where all are determined.
 
     By the whitened Jacobian, in units of each parameter's prior spread.
     """
@@ -45,7 +45,7 @@ def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
 
 
 def loosest(std: FloatArray, parameters: Parameters) -> str | None:
-    """Return the parameter of the largest standard deviation beside its prior spread, where that is too large.
+    """Return the parameter of the largest standard deviation over prior spread, if too large.
 
     `std` (shape (n_free,)): standard deviations that allow for shared noise.
     """
@@ -69,7 +69,7 @@ class Fitted:
     solution: Solution
     uncertainty: Uncertainty
     dropped: tuple[str, ...]
-    #: the recording with the steering angles as they were logged
+    #: with steering angles as logged
     logged: Recording
     #: standard deviation of single recordings' steering zeros, corrected for in the model's angles; 0: one zero suits
     #: all
@@ -121,7 +121,7 @@ def fit_parameters(
     start: Fitted | None = None,
     known: FloatArray | None = None,
 ) -> Fitted:
-    """Estimate, and leave out what the data cannot determine, one parameter at a time; see `Fitted`.
+    """Estimate, and leave out what is not determined, one by one; see `Fitted`.
 
     `sensor`: estimate the sensor's pose and delay, too; `start`: a fit to begin from; `known`: variances of the noise,
     shape (4,), for runs not driven yet.
@@ -157,7 +157,7 @@ def fit_parameters(
             loose = loosest(uncertainty.std, parameters)
             lengths = solution.values[:3]
             alike = pair and np.mean(uncertainty.covariance[:3, :3] / np.outer(lengths, lengths)) > NOMINAL_STD**2
-        # all that is open is the scale of radii and track, which grow alike
+        # only the scale of radii and track is open
         if alike and isinstance(drive, drives.Differential):
             return fit_parameters(campaign, MeanHeld(drive), recording, segments, sensor, known=known)
         if loose is None:
@@ -171,18 +171,18 @@ def fit_parameters(
     )
 
 
-#: chance of taking recordings of one delay for ones of several
+#: of taking one delay for several
 CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps
 REACH_S: Final = 0.5
 TRIED: Final = 51
-#: blocks that a recording needs for a delay of its own
+#: for a recording's own delay
 FEWEST_BLOCKS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """Delay of the reference's stamps in one session, or in one run where there is one session."""
+    """Delay of the reference's stamps in one session, or run of a single session."""
 
     label: str = field(metadata={"json": "recording"})
     value_s: float = field(metadata={"json": "value"})
@@ -190,7 +190,7 @@ class Delay:
 
 
 def sought_delays(fitted: Fitted) -> FloatArray:
-    """Return the difference of each run's delay from the common one, shape (n_runs,), by a grid search over windows.
+    """Return each run's delay from the common one, shape (n_runs,), by grid search.
 
     The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Zero where
     the common delay fits best.
@@ -252,7 +252,7 @@ def shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArr
 
 
 def steering_zero_spread_rad(fitted: Fitted) -> float:
-    """Return the standard deviation of the steering angle's zero between recordings; 0 where they agree."""
+    """Return the steering zero's standard deviation between recordings; 0 where they agree."""
     shifts = shifts_of(fitted, STEERING_ZERO)
     if shifts is None or not _disagree(*shifts[1:]):
         return 0.0
@@ -270,9 +270,9 @@ def _disagree(shift: FloatArray, std: FloatArray) -> bool:
 
 #: rounds of parameters, deviations and their spread; the spread of eight recordings is settled to 0.1 % after five
 ROUNDS: Final = 8
-#: of these, those in which the noise is estimated again
+#: of these, with the noise estimated again
 NOISE_ROUNDS: Final = 4
-#: a last change of the spread below this share ends the search
+#: last change of the spread, relative
 SETTLED: Final = 0.01
 
 

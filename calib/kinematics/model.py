@@ -1,4 +1,4 @@
-"""Stretches of runs that are compared, and the motion of the sensor in each by a vehicle of given parameters."""
+"""Stretches of runs that are compared, and the sensor's predicted motion in each."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ LEVELS: Final = (1.0, 0.5, 0.25)
 class Segments:
     """Stretches and what the reference says of them."""
 
-    #: number of the run, first and last sample, shape (n,)
+    #: run number, first and last sample, shape (n,)
     run: IntArray
     first: IntArray
     last: IntArray
     #: displacement of the sensor in its own frame at the start: forward, left, turn, shape (n, 3)
     measured: FloatArray
-    #: which of these were measured, shape (n, 3)
+    #: measured, shape (n, 3)
     seen: BoolArray
     #: stretches of one block share noise and are nested in it, shape (n,)
     block: IntArray
@@ -43,7 +43,7 @@ class Segments:
         return bool(np.array_equal(self.first, recording.offsets[self.run]))
 
     def between(self, values: FloatArray) -> FloatArray:
-        """Return the sums over each stretch of values of the steps, shape (..., n_samples) in, (..., n) out."""
+        """Return sums over each stretch of steps, shape (..., n_samples) in, (..., n) out."""
         total = np.cumsum(values, axis=-1)
         return np.asarray(total[..., self.last] - total[..., self.first])
 
@@ -121,7 +121,6 @@ class Prediction:
     residuals: FloatArray
     #: derivatives of the prediction by drive parameters, sensor pose and delay, shape (n, 3, n_parameters)
     jacobian: FloatArray
-    #: poses at the samples
     path: Path
 
 
@@ -162,7 +161,7 @@ class Model:
 def _at_times(
     path: Path, recording: Recording, segments: Segments, delay_s: float
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return poses `delay_s` before both ends, their derivatives by parameters and delay, and the ends' new numbers.
+    """Return poses `delay_s` before both ends, their derivatives, and the ends' new numbers.
 
     The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated.
     """
@@ -185,7 +184,7 @@ def _at_times(
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    """Return the weights of four samples in the pose between the inner two: a cubic, shape (4, n) as `t_s`.
+    """Return the weights of four samples in a cubic between the inner two, shape (4, n) as `t_s`.
 
     An inner sample's velocity is the mean of the steps on both sides. A chord would cut curves and lag behind a vehicle
     that speeds up, by a constant share of a step wherever the delay is no whole number of steps.
@@ -200,14 +199,14 @@ def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
 
 
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:
-    """Return the velocity about samples, over two samples either side: counters move in whole counts."""
+    """Return the velocity over two samples either side: counters move in whole counts."""
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
     return np.asarray((pose[:, after] - pose[:, before]) / np.where(span > 0.0, span, np.inf))
 
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the sensor's displacements, their derivatives by the vehicle's parameters, and by the sensor's pose."""
+    """Return the sensor's displacements, and derivatives by vehicle and sensor pose."""
     lever, back, turned = place[0] + 1j * place[1], np.exp(-1j * place[2]), np.exp(1j * moved[:, 2])
     # forward and to the left as one complex number
     seen = back * (moved[:, 0] + 1j * moved[:, 1] + (turned - 1.0) * lever)
@@ -219,5 +218,4 @@ def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tup
 
 
 def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
-    """Return derivatives of place and turn, shape (n, k) both, as shape (n, 3, k)."""
     return np.stack([place.real, place.imag, turn], axis=1)

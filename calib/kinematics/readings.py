@@ -1,4 +1,4 @@
-"""Readings of a recording: hypotheses of blunders, each of which changes the recording back."""
+"""Readings of a recording: blunder hypotheses, each of which changes it back."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_Z: Final = 1.05
 #: widths of counters in use, bits
 COUNTER_BITS: Final = (8, 10, 12, 13, 14, 16, 24, 32)
 
-#: units of positions, in metres
+#: in metres
 LENGTH_UNITS: Final = {
     "millimetres": 1e-3,
     "centimetres": 1e-2,
@@ -32,19 +32,19 @@ LENGTH_UNITS: Final = {
     "decimetres": 0.1,
     "kilometres": 1e3,
 }
-#: units of angles, in radians
+#: in radians
 ANGLE_UNITS: Final = {"degrees": np.pi / 180.0, "turns": 2.0 * np.pi, "gon": np.pi / 200.0}
-#: factors that counts per revolution are wrong by
+#: on counts per revolution
 COUNT_FACTORS: Final = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four times": 4.0}
 
-#: factors that a track is stated wrong by: from the middle to a wheel
+#: on a track, as from the middle to a wheel
 TRACK_FACTORS: Final = {"half": 0.5, "twice": 2.0}
 
 #: a step so many times those beside it, and above a revolution, is no motion
 JUMP_FACTOR: Final = 8.0
 #: jumps a run, on average; more are a counter that wraps
 MOST_JUMPS: Final = 2.0
-#: how far its jumps differ: wheels speed up
+#: its jumps differ: wheels speed up
 ALIKE: Final = 0.1
 #: gear ratios tried, near enough for the scale of the steering angle to be found from one of them
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
@@ -63,7 +63,6 @@ class Reading:
     zeroed: Change | None = None
     #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
     refined: Callable[[tuple[float, float]], Reading] | None = None
-    #: a setting that it corrects
     setting: Callable[[Campaign], Campaign] | None = None
 
 
@@ -98,8 +97,6 @@ def readings(
 
 
 def _referred(change: OfArray) -> Change:
-    """Return a change of every reference pose, given as columns of x, y, theta, shape (3, n)."""
-
     def changed(recording: Recording) -> Recording:
         ends = change(recording.end_pose.T).T
         return replace(recording, reference=change(recording.reference), end_pose=np.asarray(ends))
@@ -137,7 +134,6 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
 
 
 def _rolled(change: OfArray) -> Change:
-    """Return a change of the wheels' turns, shape (n_wheels, n_samples)."""
     return lambda recording: recording.with_turned(change(recording.steps.turned_rad))
 
 
@@ -150,7 +146,7 @@ def _yaw_rates(recording: Recording) -> Iterator[Reading]:
 
 
 def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
-    """Yield headings that are the z of a unit quaternion, the sine of half the heading."""
+    """Yield headings given as a unit quaternion's z, the sine of half the heading."""
     z = np.concatenate([recording.reference[2], recording.end_pose[:, 2]])
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
@@ -167,7 +163,7 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
 
 
 def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
-    """Return the heading of whose half z is the sine, the one nearest to what the wheels say."""
+    """Return the heading of this z nearest to what the wheels say."""
     half = np.arcsin(np.clip(z, -1.0, 1.0))
     headings = np.stack([2.0 * half, 2.0 * (np.pi - half)])
     headings += 4.0 * np.pi * np.rint((told_rad - headings) / (4.0 * np.pi))
@@ -230,7 +226,7 @@ def _geared(code: str, text: str, change: Callable[[OfArray], Change], scale: in
 
 
 def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
-    """Return each choice of the wheels with its name, shape (n_wheels, 1); of other than two wheels all alone."""
+    """Return each choice of wheels with its name, shape (n_wheels, 1); only all of other than two."""
     names = {"both wheels": [[1], [1]], "the left wheel": [[1], [0]], "the right wheel": [[0], [1]]}
     names = names if n_wheels == 2 else {"the wheels": [[1]]}
     return [(name, np.array(which, dtype=np.bool_)) for name, which in names.items()]
@@ -261,7 +257,7 @@ def _increments(recording: Recording) -> Iterator[Reading]:
 
 
 def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    """Yield counters that overflow, or start again: steps far above those beside them are taken out."""
+    """Yield counters that overflow or start again, without the jumps."""
     size = np.abs(recording.steps.turned_rad)
     beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
     jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)

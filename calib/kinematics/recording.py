@@ -1,4 +1,4 @@
-"""From a campaign to arrays: wheel travel, reference poses, and the segments of runs that are compared."""
+"""From a campaign to arrays: wheel travel and reference poses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ONE_ARC_RAD: Final = 0.2
 class Recording:
     """Wheels and reference of a campaign's runs."""
 
-    #: labels of the runs, shape (n_runs,)
+    #: shape (n_runs,)
     run_id: StrArray
     session: StrArray
     kind: StrArray
@@ -44,7 +44,6 @@ class Recording:
     offsets: IntArray
     #: time since the run's start, shape (n_samples,)
     t_s: FloatArray
-    #: what the wheels did from sample to sample
     steps: Steps
     #: pose by the reference, heading not wrapped; NaN where it has none, shape (3, n_samples)
     reference: FloatArray
@@ -53,7 +52,7 @@ class Recording:
     end_pose: FloatArray
     #: runs whose turn a gyro measured, shape (n_runs,)
     by_gyro: BoolArray
-    #: runs that cannot be used: id and reason
+    #: unused runs: id and reason
     left_out: tuple[tuple[str, str], ...] = ()
     #: what each run adds to the common delay; None: nothing, shape (n_runs,)
     own_delay_s: FloatArray | None = None
@@ -92,7 +91,7 @@ class Recording:
 
     @property
     def continuous(self) -> bool:
-        """Whether the reference follows the vehicle along the path, in at least half of the runs."""
+        """Whether the reference follows the path in at least half of the runs."""
         poses = np.add.reduceat(np.isfinite(self.reference).any(axis=0), self.offsets[:-1], dtype=np.int64)
         return bool(np.mean(poses >= MANY_POSES) >= 0.5)
 
@@ -102,7 +101,7 @@ class Recording:
         return not (np.isfinite(self.end_pose[:, 1:]).any() or np.isfinite(self.reference).any())
 
     def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
-        """Return the recording with end headings corrected by whole turns, and the few runs that alone were off.
+        """Return the recording with whole turns added to end headings, and the few runs that were off.
 
         Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
         reference followed along the path.
@@ -130,7 +129,7 @@ class Recording:
         return turned
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
-        """Raise RefusedError where every heading is the same, although the wheels turn the vehicle.
+        """Raise RefusedError where every heading is the same, although the wheels turn.
 
         `turn_rad` (shape (n_samples,)): turn in each step by the wheels.
         """
@@ -145,7 +144,7 @@ class Recording:
             )
 
     def with_reference(self, reference: FloatArray) -> Recording:
-        """Return the recording with another reference along the path, shape (3, n_samples), and its ends."""
+        """Return the recording with another reference, shape (3, n_samples), and its ends."""
         ends, references = self.end_pose.copy(), np.stack([reference, self.reference])
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
             both = references[:, :, first:last]
@@ -198,7 +197,6 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     runs = campaign.runs.select(np.array([not isinstance(piece, str) for piece in found]))
 
     def joined(name: str) -> FloatArray | None:
-        """Lay an array of all runs end to end; None where a run has none."""
         parts = [getattr(piece, name) for piece in pieces]
         return None if any(part is None for part in parts) else np.concatenate(parts, axis=-1)
 
@@ -293,7 +291,7 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    """Return a straight run's end pose whose length alone was measured: x, the others NaN; NaN of other runs.
+    """Return a straight run's end pose of its measured length: x, else NaN.
 
     `row`: number of the run, which may have a ``distance_m``; `source`: only two wheels on one axle tell by themselves
     whether a run was straight; `turned_rad` (shape (2,)): turn of each wheel in all.
@@ -329,7 +327,7 @@ def parts_seen(reference: FloatArray) -> BoolArray:
 
 
 def _last_pose(reference: FloatArray) -> FloatArray:
-    """Return the last pose of a continuous reference in the frame of the first, where both stand at the run's ends.
+    """Return a continuous reference's last pose in the frame of its first, where both stand at the run's ends.
 
     Of positions alone the frame is the start pose's, so that the first heading is zero.
     """

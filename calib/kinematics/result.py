@@ -1,4 +1,4 @@
-"""The result of `calib geometry`: values with intervals, what was not determined, and the residuals of each route."""
+"""The result of `calib geometry`: values with intervals, residuals of each route."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class RouteResidual:
-    """Residuals of one kind of route: root mean squares before and after the calibration, and the mean after it."""
+    """Root mean squares of a kind of route before and after the calibration, and the mean after."""
 
     kind: str
     n: int
@@ -96,7 +96,7 @@ class Transfer:
 class Umbmark:
     """Radius ratio and track factor from squares driven both ways."""
 
-    #: whether there are squares of both senses
+    #: there are squares of both senses
     applies: bool
     #: right diameter over left one; actual track over nominal one
     E_d: float = float("nan")
@@ -107,12 +107,12 @@ class Umbmark:
     #: standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense
     E_d_std: float = field(default=float("nan"), metadata={"json": "E_d_sd"})
     E_b_std: float = field(default=float("nan"), metadata={"json": "E_b_sd"})
-    #: mean side of the squares
+    #: mean
     side_m: float = float("nan")
     #: squares of each sense
     n_cw: int = 0
     n_ccw: int = 0
-    #: why it does not apply; empty where it does
+    #: why it does not apply
     why: str = ""
 
 
@@ -145,52 +145,47 @@ class Geometry(Result):
     """Radii, track and sensor of a vehicle, estimated together."""
 
     name: str
-    #: True where a program made the data
+    #: a program made the data
     simulated: bool
     #: of `calib.vehicle.DRIVES`
     drive: str
-    #: wheels that drive the odometry, of `calib.campaign.wheels.WHEEL_COLUMNS`
+    #: of `calib.campaign.wheels.WHEEL_COLUMNS`
     source: str = field(metadata={"json": "from"})
     #: ``end_poses`` or ``windows``
     using: str
-    #: runs, and stretches of them, that were used
+    #: used, with their stretches
     n_runs: int
     n_segments: int
-    #: parameters that the data determine
     estimates: tuple[Estimate, ...] = field(metadata={"json": False})
     #: joint covariance in the same order, shape (n_estimates, n_estimates)
     covariance: FloatArray
-    #: parameters that the data cannot determine; held at their nominal value
+    #: held at nominal
     undetermined: tuple[str, ...]
-    #: nominal values of the parameters that were not estimated
+    #: nominal values of parameters not estimated
     held: Mapping[str, float]
-    #: independent groups (``run``, ``block``, ``session``, ``route``), and their number
+    #: independent: ``run``, ``block``, ``session`` or ``route``, and their number
     clusters: tuple[str, int]
     #: standard deviations of the noise's components
     noise: Mapping[str, float]
     #: after the calibration
     residual_rms: Channels
-    #: runs that the noise cannot explain
+    #: beyond the noise
     outliers: tuple[str, ...]
-    #: blunders that were recognised
+    #: recognised
     faults: tuple[Fault, ...]
     #: whether a mirrored solution was corrected
     mirrored: bool = field(metadata={"json": "mirrored_solution"})
-    #: whether the estimates are to be used, with figures and reasons
     judgement: Judgement = field(metadata={"json": False})
-    #: UMBmark estimates from squares driven both ways
     umbmark: Umbmark
-    #: table by route
     routes: tuple[RouteResidual, ...]
-    #: recordings held out in turn, where that was asked for
+    #: recordings held out in turn, where asked for
     transfer: tuple[Transfer, ...] = ()
-    #: what the user should know
     notes: tuple[str, ...] = ()
     #: delay of each recording, where they differ significantly; ``delay_s`` is then their common part
     delays: tuple[Delay, ...] = ()
-    #: path of an input -> its SHA-256
+    #: path -> SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict, metadata={"json": False})
-    #: paths before and after, for a figure; empty where not requested
+    #: for a figure, where asked for
     paths: tuple[RunTrace, ...] = field(default=(), metadata={"json": False})
     #: degrees of freedom of sums of the estimates; None: those of the estimates hold
     freedom: Freedom | None = field(default=None, metadata={"json": False})
@@ -218,7 +213,7 @@ class Geometry(Result):
 
     @property
     def misfit(self) -> bool:
-        """Whether the residuals or the lengths themselves speak against the estimates, blunders aside."""
+        """Whether residuals or lengths speak against the estimates, blunders aside."""
         faults = {fault.text for fault in self.faults}
         return any(reason not in faults for reason in self.why)
 

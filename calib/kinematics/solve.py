@@ -1,4 +1,4 @@
-"""Robust Gauss-Newton with noise that grows along the path: variance components, and the solution."""
+"""Robust Gauss-Newton with noise that grows along the path."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POWER: Final = 0.9
 
 
 def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
-    """Return the covariance of each displacement for each component of unit size.
+    """Return each displacement's covariance for unit components.
 
     `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle. Shape (4, n, 3, 3):
     in the order of `COMPONENTS`, in the sensor's frame at the start of the stretch.
@@ -42,7 +42,7 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
 
 
 def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
-    """Return covariances of end poses, in the path's own frame, of unit walks of heading and distance: (2, n, 3, 3)."""
+    """Return end pose covariances, in the path's frame, of unit walks of heading and distance: (2, n, 3, 3)."""
     x, y, theta = path.pose
     # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
     weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
@@ -96,7 +96,7 @@ INEXACT: Final = 1e-2
 STEADY: Final = 1e-3
 #: pull to the nominal values, in parts of the information there is; only for solvability
 RIDGE: Final = 1e-10
-#: longest step, in spreads of what is possible
+#: step, in prior spreads
 LONGEST: Final = 3.0
 
 
@@ -104,7 +104,7 @@ LONGEST: Final = 3.0
 class Shared:
     """A random effect of unit variance that segments of one group share."""
 
-    #: group of each segment, shape (n,)
+    #: of each segment, shape (n,)
     group: IntArray
     #: what a unit of it adds to whitened, weighted residuals, shape (n, 3)
     change: FloatArray
@@ -130,11 +130,11 @@ class Solution:
     scales: FloatArray
     #: turns residuals into ones of unit covariance, shape (n, 3, 3)
     whitener: FloatArray
-    #: robust weights, shape (n,)
+    #: robust, shape (n,)
     weights: FloatArray
     #: squared whitened residuals, rescaled so that their middle is where normal noise has it, shape (n,)
     squares: FloatArray
-    #: whether the last step was small
+    #: the last step was small
     converged: bool
     #: a random effect beside the noise; the prediction contains it
     shared: Shared | None = None
@@ -202,8 +202,6 @@ def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
-    """The linear problem: residuals, derivatives by parameters in units of their spread, what was measured."""
-
     residuals: FloatArray  #: shape (3, n)
     jacobian: FloatArray  #: shape (3, n, n_free)
     seen: BoolArray  #: shape (n, 3)
@@ -238,7 +236,7 @@ def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
-    """Return better variances of the noise, by steps that do not lower the likelihood (Zhou et al. 2019).
+    """Return better variances, by steps that do not lower the likelihood (Zhou et al. 2019).
 
     `kernel`: lower triangles of the covariance of each displacement by each component of unit size, shape (4, 6, n);
     `scales`, `least`: variances now, and at least, shape (4,); `steady`: see `solve`.
@@ -262,7 +260,6 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
 
 
 def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatArray:
-    """Return lower triangles of each component of unit size, shape (4, 6, n)."""
     whole = kernels(prediction.path, model.motion(values).body, model.segments, float(values[-2]))
     return np.ascontiguousarray(whole[:, :, _ROWS, _COLUMNS].transpose(0, 2, 1))
 
@@ -284,7 +281,6 @@ def _whiteners(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> Float
 
 
 def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
-    """Whiten values, shape (3, n) or (3, n, n_columns)."""
     a, b, c, d, e, f = whitener if values.ndim == 2 else whitener[:, :, None]
     x, y, turn = values
     white = np.empty_like(values)
@@ -293,7 +289,6 @@ def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
-    """Return inverse covariances times residuals, shape (3, n)."""
     a, b, c, d, e, f = whitener
     x, y, turn = white
     return np.stack([a * x + b * y + d * turn, c * y + e * turn, f * turn])
@@ -306,14 +301,13 @@ def _inverse(whitener: FloatArray) -> FloatArray:
 
 
 def _whole(whitener: FloatArray) -> FloatArray:
-    """Return full matrices, shape (n, 3, 3)."""
     whole = np.zeros((whitener.shape[1], 3, 3))
     whole[:, _ROWS, _COLUMNS] = whitener.T
     return whole
 
 
 def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return robust weights of whitened residuals, shape (3, n), and their squares."""
+    """Return robust weights of residuals, shape (3, n), and their squares."""
     squares = np.square(white).sum(axis=0)
     return (DEGREES + size) / (DEGREES + squares), squares
 
@@ -321,7 +315,7 @@ def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]
 def _advance(
     model: Model, here: tuple[FloatArray, Prediction], step: FloatArray, least_part: float, whitener: FloatArray
 ) -> tuple[FloatArray, Prediction] | None:
-    """Backtrack along `step`; return the point at which the loss fell, and its prediction; None where it never did.
+    """Backtrack along `step` until the loss falls; return point and prediction, or None.
 
     A part of the step below `least_part` is not worth a trial; the whole one always is.
     """

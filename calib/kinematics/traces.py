@@ -1,4 +1,4 @@
-"""Residuals of each run: aligned paths of the reference sensor, and their differences in time."""
+"""Residuals of each run in time, and the sensor's aligned paths."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib.types import FloatArray, IntArray, in_frame
 
 
 def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
-    """Return paths and residuals of the calibrated campaign's runs, by the nominal and the calibrated vehicle."""
+    """Return paths and residuals of runs by the nominal and the calibrated vehicle."""
     source, recording = geometry.source, recording_of(campaign, geometry.source)
     coarse = next(divisions(recording, geometry.using))
     recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
@@ -62,7 +62,7 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
 
 
 def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
-    """Return a path (3, n) turned and shifted as a whole so that samples `seen` lie nearest to those of `onto`."""
+    """Return a path (3, n) moved as a whole so that samples `seen` lie nearest to those of `onto`."""
     good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
     if good.sum() < 2:
         turn = float(np.nanmean(onto[2] - path[2, seen]))

@@ -1,4 +1,4 @@
-"""Covariance of the parameters from clusters of runs or blocks (sandwich), and whether sessions differ."""
+"""Covariance by clusters of runs or blocks (sandwich), and whether sessions differ."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Freedom:
 
     #: rows: sums of parameters whose errors are nearly independent, shape (n_parameters, n_parameters)
     directions: FloatArray
-    #: standard deviation of each, shape (n_parameters,)
+    #: of each, shape (n_parameters,)
     std: FloatArray
-    #: degrees of freedom of that standard deviation, shape (n_parameters,)
+    #: of `std`, shape (n_parameters,)
     dof: FloatArray
 
     def of(self, contrast: FloatArray) -> float:
@@ -42,7 +42,7 @@ class Freedom:
 
 
 def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
-    """Return sums of parameters with separate sources of error: mean radius, ratios of radii and lengths.
+    """Return sums of parameters with separate errors: mean radius, ratios of radii and lengths.
 
     Distances determine the mean radius, headings the ratios; the two errors grow differently along the path.
 
@@ -74,7 +74,7 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
-    """Return the level of a spectrum at frequency zero, its degrees of freedom, and the spectrum's shape.
+    """Return a spectrum's level at frequency zero, its degrees of freedom, and its shape.
 
     `powers`, `squares` (shape (n_cosines,)): squared amplitudes and frequencies; `dof`: degrees of freedom of the
     amplitudes together; fewer than there are of them where blocks are unequal.
@@ -140,14 +140,14 @@ class Uncertainty:
 
     #: of the free parameters, shape (n_free, n_free)
     covariance: FloatArray
-    #: degrees of freedom of each standard deviation, shape (n_free,)
+    #: of each standard deviation, shape (n_free,)
     dof: FloatArray
-    #: groups taken for independent (``run``, ``block``, ``session`` or ``route``), and their number
+    #: independent groups (``run``, ``block``, ``session`` or ``route``), and their number
     by: str
     clusters: int
     #: standard deviations with all groups independent: biased but steadier, to compare estimates by, shape (n_free,)
     apart: FloatArray
-    #: degrees of freedom of sums of parameters, where these are known
+    #: of sums of parameters, where known
     freedom: Freedom | None = None
 
     @property
@@ -194,7 +194,7 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Jacobian in columns of unit information, residuals, and the matrix and scale back to parameters."""
+    """Return Jacobian of unit information, residuals, and matrix and scale back to parameters."""
     jacobian, residuals = whitened(solution, free)
     scale = 1.0 / np.sqrt(np.maximum(np.square(jacobian).sum(axis=(0, 1)), 1e-300))
     flat = flattened(jacobian * scale)
@@ -209,7 +209,7 @@ def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
 
 
 def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
-    """Return the covariance of the free parameters from blocks along the path, which share noise with neighbours.
+    """Return the covariance from blocks along the path, which share noise with neighbours.
 
     `free` (shape (n_parameters,)); `block` (shape (n,)): numbered along the path; `directions` (shape (n_free,
     n_free)): rows: sums of parameters with separate sources of error.
@@ -266,7 +266,7 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, po
 
 
 def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
-    """Return the covariance by the information that runs hold, and the degrees of freedom that `sandwich` will have."""
+    """Return the covariance by the runs' information, and the degrees of freedom of `sandwich`."""
     jacobian = flattened(whitened(solution, free)[0])
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
     apart = np.sqrt(np.diag(covariance))
@@ -285,14 +285,14 @@ def _influence(solution: Solution) -> float:
     return float(np.mean(solution.weights) / max(np.mean(slope), 0.2 * np.mean(solution.weights)))
 
 
-#: chance of taking sessions that are alike for ones that differ: a campaign is judged once
+#: of taking like sessions for different ones: a campaign is judged once
 SESSIONS_CHANCE: Final = 1e-4
-#: columns that depend on the others by more than this part tell nothing of their own
+#: columns that depend more on the others tell nothing of their own
 DEPENDENT: Final = 1e-6
 
 
 def left_within(solution: Solution, free: BoolArray, segments: Segments, labels: StrArray) -> tuple[float, float]:
-    """Return root mean squares of position (m) and heading (rad) that a fit of each session leaves.
+    """Return root mean squares of position (m) and heading (rad) left by a fit of each session.
 
     Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
     its own parameters, start heading of the reference, and yaw of its axes.
@@ -334,7 +334,7 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     return np.inf, np.inf
 
 
-#: groups that a covariance needs
+#: groups for a covariance
 FEWEST: Final = 4
 #: so many runs are the groups; of fewer, blocks within them
 ENOUGH_RUNS: Final = 8
@@ -343,7 +343,7 @@ ALIKE: Final = 2.6
 
 
 def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Uncertainty:
-    """Return the covariance of the free parameters, clustered by run or block, session or route.
+    """Return the covariance, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
     differ: a shared error does not average out over repeats. Of several such groupings the one with the widest
@@ -383,7 +383,6 @@ def _routes(recording: Recording) -> StrArray:
 
 
 def _alike(scores: FloatArray, group: IntArray) -> float:
-    """Return the correlation of scores within groups in standard deviations."""
     products = scores @ scores.T
     same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
     spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))

@@ -1,4 +1,4 @@
-"""The independent plant: vehicles driven in fine time steps through worlds whose truth is known.
+"""The independent plant: vehicles driven in fine steps through known worlds.
 
-It imports nothing of `calib.odometry`, `calib.radius` or `calib.gap`: what it makes is a check on them.
+It imports nothing of `calib.odometry`, `calib.radius` or `calib.gap`: it checks them.
 """

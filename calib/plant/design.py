@@ -1,4 +1,4 @@
-"""What is driven: runs and their routes, and designs of good and poor quality, within what a lab would drive."""
+"""Runs and routes, in good and poor designs that a lab would drive."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def tabulate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The runs to drive, in the order driven, and what is measured on them."""
+    """The runs in the order driven, and what is measured."""
 
     #: shape (n_runs,): route, ``out`` or ``back`` (corridor only, else empty), label of the session
     kind: StrArray
@@ -129,7 +129,7 @@ class Design:
     side_m: float = 2.5
     radius_m: float = 1.2
     vehicle: Vehicle = field(default_factory=Vehicle)
-    counts_per_rev: float = 4096.0  #: encoder counts per wheel revolution
+    counts_per_rev: float = 4096.0
     slope_per_N: float = 0.0  #: relative load slope that truth and model share; 0 is a rigid wheel
     log_period_s: float = 0.2  #: time between rows of the logs; 0: no logs
     front: bool = False  #: the logs have the front wheel and the steering angle
@@ -174,7 +174,7 @@ class Design:
 
 
 def conditions(design: Design) -> IntArray:
-    """Return a number for each run, the same for runs driven under the same conditions, shape (n_runs,)."""
+    """Return a number for each run, equal under equal conditions, shape (n_runs,)."""
     names = ("kind", "direction", "payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "stops", "flying")
     rows = ["|".join(map(str, row)) for row in zip(*(getattr(design, name) for name in names), strict=True)]
     return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)
@@ -183,7 +183,6 @@ def conditions(design: Design) -> IntArray:
 #: further columns of a run table
 COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
-#: names of the poor designs
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 
 _TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_right", "slalom")
@@ -238,7 +237,6 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
     kinds = ["corridor", *_TURNING] if turning else ["corridor"]
 
     def deal(values: list[Any]) -> list[Any]:
-        """Return the values spread evenly over the conditions, in random order."""
         dealt = [values[number % len(values)] for number in range(n_conditions)]
         return [dealt[number] for number in rng.permutation(n_conditions)]
 

@@ -20,7 +20,6 @@ _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
 _SIDES: Final = np.array([[-1.0], [1.0]])
-#: what a frame begins with
 _MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "late_rad")
 
 
@@ -100,7 +99,7 @@ def drive(
 
 
 class _PastAngles:
-    """The steering angle some time ago, between steps by a parabola: a straight line would cut every bend."""
+    """The steering angle some time ago, by parabolas: straight lines would cut every bend."""
 
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
@@ -176,7 +175,7 @@ class _Runs:
         kappa = kappa - self.gain_offset * lateral - self.gain_heading * heading
         wanted = _within(np.arctan(self.wheelbase_m * kappa), _STEER_MAX_RAD)
         change = _within((wanted - self.steering) / _STEER_LAG_S, _STEER_RATE_RADPS) * self.step_s
-        # the sensor is read at the end of a step, the wheel rolls at the middle angle
+        # read at the end of a step, rolled at the middle angle
         rolling = self.steering + 0.5 * change
         self.steering = self.steering + change
         self.past.add(self.steering)
@@ -184,7 +183,7 @@ class _Runs:
         return np.asarray(rolling)
 
     def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
-        """Speed up, or brake for the next stop; return who has arrived there and who is held there."""
+        """Speed up, or brake for the next stop; return who has arrived and who is held there."""
         remaining = self.target_m - self.progress_m
         held = self.pause_s > 0.0
         self.pause_s -= self.step_s
@@ -201,7 +200,7 @@ class _Runs:
         return arrived, held
 
     def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
-        """Move truly, with what the effects add; return what the two rear wheels (2, n_runs) and the front turn by."""
+        """Move truly, with effects; return turns of the rear wheels (2, n_runs) and the front."""
         world, now, step_s = self.world, self.now, self.step_s
         now.curvature_per_m = np.tan(rolling) / self.wheelbase_m
         way = self.speed * step_s
@@ -263,7 +262,7 @@ class _Runs:
         return np.asarray(ended | flown)
 
     def halt(self, ended: IntArray) -> None:
-        """Stop the runs that have come to their end; the moment keeps the speed with which they came."""
+        """Stop the runs at their end; the moment keeps their speed."""
         self.speed = self.speed.copy()
         self.done[ended], self.speed[ended] = True, 0.0
 

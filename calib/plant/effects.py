@@ -1,4 +1,4 @@
-"""Every form of every effect that the plant knows; here those of the place, of what measures, and of no library."""
+"""Every form of every effect; here those of place, instruments, and no library."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from calib.types import BoolArray, FloatArray
 
 
 def map_x_m(world: World, now: Moment) -> FloatArray:
-    """Return where the runs are on the hall's map, along the corridor; ``back`` starts at its far end."""
+    """Return the hall's x of the runs, along the corridor; ``back`` starts at its far end."""
     return world.design.start_x_m + world.design.heading_sign * now.x_m
 
 
 def map_y_m(world: World, now: Moment) -> FloatArray:
-    """Return where the runs are on the hall's map, across the corridor."""
+    """Return the hall's y of the runs, across the corridor."""
     return world.design.heading_sign * now.y_m
 
 
@@ -63,7 +63,6 @@ def _zone_distance(now: Moment, world: World, size: FloatArray, knobs: Knobs) ->
 
 @while_driving
 def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Only one side's wheel runs over the strip, say a cable bridge."""
     inside = size * _in_zone(world, now, knobs) * world.design.heading_sign
     now.roll_more(0.5 * inside, -0.5 * inside)
 
@@ -229,7 +228,7 @@ INSTRUMENTS = (
 )
 
 
-# the order is part of a sealed set: what is drawn from a seed follows it
+# sealed sets depend on this order
 ALL: Final[tuple[Form, ...]] = (*wheels.FORMS, *wheels.MOVING, *FLOOR, *INSTRUMENTS, *OUTSIDE)
 
 

@@ -1,4 +1,4 @@
-"""Fleets with known spread, outliers, drift and a common cause: the plant of `calib fleet`."""
+"""Fleets with known spread, outliers, drift and a common cause."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calib.plant.make import make_campaign, random_model
 from calib.plant.world import Cause
 from calib.types import FloatArray, IntArray
 
-#: a run table: its columns
+#: its columns
 Table = dict[str, FloatArray | IntArray | list[str]]
 
 COUNTS_PER_REV: Final = 4096
@@ -46,7 +46,7 @@ class FleetTruth:
 
 @dataclass(frozen=True, slots=True)
 class FleetSize:
-    """How large a fleet is, and how many of its vehicles get what; see `FleetTruth`."""
+    """How large a fleet is, and what its vehicles get; see `FleetTruth`."""
 
     n_vehicles: int = 400
     n_runs: int = 60
@@ -102,7 +102,7 @@ class PlannedFleet:
 
 
 def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
-    """Draw a fleet: who is odd, who drifts, who is in hall B, and every wheel's radius and slope."""
+    """Draw a fleet: outliers, drifts, hall B, every wheel's radius and slope."""
     n_vehicles, n_outliers, n_drifting = size.n_vehicles, size.n_outliers, size.n_drifting
     names = tuple(f"v{k:05d}" for k in range(n_vehicles))
     order = rng.permutation(n_vehicles)
@@ -140,7 +140,7 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             year, number = divmod(FIRST_MONTH[1] - 1 + month, 12)
             where = folder / f"vehicle={name}" / f"month={FIRST_MONTH[0] + year}-{number + 1:02d}"
             where.mkdir(parents=True, exist_ok=True)
-            # a path is taken for a store's address, and may be no UTF-8
+            # a path would count as a store's address, and may be no UTF-8
             sink = pa.BufferOutputStream()
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)

@@ -1,4 +1,4 @@
-"""A design and a truth make a campaign: a drive, and what instruments and logs make of it."""
+"""A design and a truth make a campaign: a drive, read by instruments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEER_STEP_RAD = 5e-4
 
 
 def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
-    """Return what the pose reference says along the way, without its own reading noise, shape (3, n_frames, n_runs).
+    """Return the pose reference without reading noise, shape (3, n_frames, n_runs).
 
     Latency reads an earlier pose; a lever arm carries the target round; a mounting yaw turns the target's start frame.
     """
@@ -33,7 +33,7 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
-    """Return what the steering sensor says, shape (n_frames, n_runs): late, with play, zero and scale."""
+    """Return steering readings, shape (n_frames, n_runs): late, with play, zero and scale."""
     steer = record.late_rad
     if world.steer_backlash_rad.any():
         half = 0.5 * world.steer_backlash_rad
@@ -50,7 +50,7 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
 
 
 def counts_with_blunder(world: World, counts: FloatArray) -> FloatArray:
-    """Return the counters as recorded, shape (3, n_frames, n_runs), with a blunder where the world has one."""
+    """Return the counters with the world's blunder, shape (3, n_frames, n_runs)."""
     if not world.blunder or not world.blunder_runs.any():
         return counts
     struck = world.blunder_runs > 0
@@ -67,7 +67,7 @@ def counts_with_blunder(world: World, counts: FloatArray) -> FloatArray:
 
 
 def simulated_poses(world: World, record: Record) -> FloatArray:
-    """Return an outside simulator's end poses, shape (3, n_runs): the model fed with the record's counts.
+    """Return an outside simulator's end poses, shape (3, n_runs), by the record's counts.
 
     Exact arcs, or (`world.euler`) the heading at the end of each step.
     """
@@ -113,7 +113,7 @@ def _columns(
 
 
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
-    """Return the campaign in memory, as it would be read from its folder; see `make_campaign`.
+    """Return the campaign as read from its folder; see `make_campaign`.
 
     The campaign file states the instruments' noise, not quite truly. After `n_runs` names and lines begin again, where
     several campaigns stand end to end.

@@ -1,4 +1,4 @@
-"""How strongly an effect shows, and what else could have left the same on the same runs.
+"""How strongly an effect shows, and what else could leave the same.
 
 The signal is the whitened norm of what an effect does in noise-free drives, after what a recalibration would absorb.
 """
@@ -170,13 +170,13 @@ def strengths(
     step_s: float = 0.02,
     weigh: bool = True,
 ) -> Strength:
-    """Drive without noise, once without any cause and once with each, all in one stack; see `Strength`.
+    """Drive without noise, without any cause and with each; see `Strength`.
 
     `weigh`: whether to weigh each, alone and beside the others, which is quadratic in the number of causes.
     """
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
-        # end poses need no fine log; what the front wheel and its sensor say is summed over it
+        # end poses need no fine log
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
     # the first block of runs without any cause, the next with the first one alone, and so on
@@ -322,12 +322,12 @@ class Alternatives:
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)
 
     def left(self, number: int) -> FloatArray:
-        """Return what one leaves, whitened, a recalibration projected out, shape (n_rows,)."""
+        """Return what one leaves, whitened and projected, shape (n_rows,)."""
         return left_of(self.driven.change[number], self.driven.cov, self.driven.absorbed)
 
 
 def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> Alternatives:
-    """Drive a cause and every effect that the design can show, all in one stack."""
+    """Drive a cause and every effect that the design can show."""
     variants = _variants(design, model.slope_left_m_per_N)
     driven = strengths(design, model, noise, [cause, *variants], step_s=0.08, weigh=False)
     return Alternatives(cause, variants, driven)
@@ -352,7 +352,7 @@ def rivals(among: Alternatives) -> list[tuple[str, float]]:
 
 
 def signatures(among: Alternatives) -> dict[str, list[FloatArray]]:
-    """Return what each form of an effect, without calibration, can do: whitened, a recalibration projected out."""
+    """Return what each form of an effect can do: whitened, a recalibration projected out."""
     return grouped(
         (effect, np.stack([among.left(number) for number in numbers], axis=1))
         for (effect, _), numbers in among.families().items()

@@ -1,4 +1,4 @@
-"""The true world of a campaign, run by run: wheels, floor, instruments, their noise, and the forms of its effects."""
+"""The true world of a campaign, run by run, its noise, and the forms of effects."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ class Noise:
     common: float = 4e-5
     differential: float = 1.5e-5
     start_heading_rad: float = 2e-4  #: error of the reference frame's heading at the start of a run
-    #: instruments, as they truly are
     laser_m: float = 0.0015
     ref_xy_m: float = 0.002
     ref_theta_rad: float = 0.0008
@@ -59,10 +58,10 @@ class NoiseDraw:
     pose: FloatArray  #: shape (n_runs, 3): errors of the reference end pose: x, y in m, theta in rad
     seed: int  #: of the texture along the way and of the reference trace
     reading_rad: float = 0.0  #: scale of one reading of the steering angle
-    copies: int = 1  #: how often the same runs stand end to end
+    copies: int = 1
 
     def tile(self, times: int) -> NoiseDraw:
-        """Return the same draw for `times` copies of the runs, end to end."""
+        """Return the draw for `times` copies of the runs, end to end."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "pose"}
         tiled: dict[str, Any] = {name: np.tile(x, times) for name, x in values.items() if isinstance(x, np.ndarray)}
         return replace(self, pose=np.tile(self.pose, (times, 1)), copies=times * self.copies, **tiled)
@@ -113,7 +112,7 @@ _SCALES: Final = {
 
 
 def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
-    """Draw a case's noise: each source's scale over a factor of about four, the tails from t(3.5) to normal."""
+    """Draw a case's noise: scales over a factor of about four, tails from t(3.5) to normal."""
     drawn = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in _SCALES.items()}
     drawn["tail"] = float(rng.choice([3.5, 5.0, 8.0, np.inf]))
     return Noise(**{**drawn, **fixed})
@@ -156,7 +155,7 @@ class Moment:
         return Moment(0.0, *rows)
 
     def roll_more(self, left: FloatArray, right: FloatArray | None = None) -> None:
-        """Add shares to the rolling radii; the same to both where only one is given."""
+        """Add shares to the rolling radii; one share counts for both."""
         self.left += left
         self.right += left if right is None else right
 
@@ -168,7 +167,7 @@ class Moment:
 
 @dataclass(slots=True)
 class World:
-    """What is true, an array over runs each; effects change it before the drive."""
+    """What is true, arrays over runs; effects change it before the drive."""
 
     design: Design
     model: OdometryModel  #: what the vehicle and the simulator believe
@@ -209,7 +208,7 @@ class World:
     during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
 
     def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:
-        """Make the radii larger by a share, by the same where only one is given."""
+        """Make the radii larger by shares; one share counts for both."""
         self.left = self.left * (1 + left)
         self.right = self.right * (1 + (left if right is None else right))
 
@@ -226,7 +225,7 @@ class World:
     def seen_target(
         self, x_m: FloatArray, y_m: FloatArray, theta_rad: FloatArray, turned_rad: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return where the pose reference sees its target: carried round by its lever arm, in a turned start frame."""
+        """Return where the pose reference sees its target: on a lever arm, in a turned start frame."""
         lever_x, lever_y = self.ref_lever_x_m, self.ref_lever_y_m
         cos, sin = np.cos(theta_rad), np.sin(theta_rad)
         x, y = x_m + cos * lever_x - sin * lever_y - lever_x, y_m + sin * lever_x + cos * lever_y - lever_y
@@ -234,7 +233,7 @@ class World:
         return cos * x - sin * y, sin * x + cos * y
 
     def settle(self) -> None:
-        """Put the true payload on: the true loads, and the radii that follow from the law truth and model share."""
+        """Put the true payload on: loads, and radii by the law that truth and model share."""
         design, payload_kg = self.design, self.payload_scale * self.design.payload_kg
         left_before, right_before = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
         x_m, y_m = design.payload_x_m + self.payload_dx_m, design.payload_y_m + self.payload_dy_m
@@ -264,7 +263,7 @@ def wheel_loads(
 
 
 def lawful_radii_m(model: OdometryModel, left_N: FloatArray, right_N: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the radii of the left and right wheel that a model believes under these loads."""
+    """Return the radii, left and right, that a model believes."""
     left = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
     right = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
     return left, right
@@ -287,7 +286,7 @@ Knobs = Mapping[str, float]
 
 #: changes the world; the size has one value a run, 0 where the effect is absent
 Act = Callable[[World, FloatArray, Knobs], None]
-#: draws what else there is to choose of a form
+#: draws a form's further choices
 Draw = Callable[[np.random.Generator, Design], dict[str, float]]
 
 
@@ -338,7 +337,7 @@ class Form:
     #: ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
     #: ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn)
     words: str = ""
-    knobs: Draw = _NO_KNOBS  #: what else there is to choose, once a case
+    knobs: Draw = _NO_KNOBS  #: further choices, once a case
 
     @property
     def needs(self) -> frozenset[str]:

@@ -1,1 +1,1 @@
-"""From runs to a law: effective radius a run and wheel, path deviation, regression on load."""
+"""From runs to a law: effective radii, path deviation, regression on load."""

@@ -1,4 +1,4 @@
-"""Checks of a wheel's fit; each ends in a sentence: what it means and what to do."""
+"""Checks of a wheel's fit; each says what it means and what to do."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
-#: runs for which the Shapiro-Wilk test approximates its p-value
+#: for which the test approximates its p-value
 SHAPIRO_RUNS: Final = (8, 5000)
 
 
@@ -93,9 +93,9 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
-    """Return what load would explain the runs of one load and session, or the one run, that leave the line most.
+    """Return what load would explain the load and session, or single run, furthest off the line.
 
-    Held against sessions and line of all others; empty where others leave it too, nobody has that load, or not
+    Held against all others; empty where others leave the line too, nobody has that load, or not
     `several`.
     """
     fit, n = runs.fit, len(runs.x)

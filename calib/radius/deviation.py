@@ -20,7 +20,7 @@ from calib.vehicle import Vehicle
 
 #: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6
-#: halvings of the bracket of an amplitude, to rounding
+#: halvings, to rounding
 BISECTIONS: Final = 60
 
 
@@ -163,7 +163,7 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
 
 
 def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
-    """Return the largest amplitude up to `bracket` whose error, growing with it, is no more than `most`."""
+    """Return the largest amplitude up to `bracket` whose growing error is `most` at most."""
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)

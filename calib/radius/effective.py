@@ -18,7 +18,7 @@ from calib.types import FloatArray, Row, StrArray
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: factor between measured and nominal radius that no load explains
+#: measured over nominal radius, that no load explains
 IMPLAUSIBLE: Final = 1.2
 #: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
@@ -42,16 +42,15 @@ class Component:
 
     #: ``rangefinder``, ``quantisation``, ``path``, ``weave`` (of logs), ``other_run_to_run``, ``session_to_session``
     name: str
-    #: GUM evaluation: ``A`` from repeats, ``B`` from other knowledge
+    #: GUM: ``A`` from repeats, ``B`` from other knowledge
     kind: str
-    #: assumed distribution
     distribution: str
-    #: input quantity in words, with its standard uncertainty
+    #: in words, with its standard uncertainty
     what: str
     #: contribution to the standard uncertainty of a typical (root mean square) run's radius
     std_left_m: float
     std_right_m: float
-    #: None for type B, which counts as known
+    #: None for type B
     dof: float | None = None
 
 
@@ -82,11 +81,10 @@ class EffectiveRadii:
     #: weave about the line, estimated or as measured; NaN where unknown, shape (n_runs,)
     amplitude_m: FloatArray
     wavelength_m: FloatArray
-    #: uncertainty budget of a typical run's radius
+    #: of a typical run's radius
     budget: tuple[Component, ...] = ()
-    #: runs not used
     left_out: tuple[UnusedRun, ...] = ()
-    #: what the user should know, in sentences
+    #: sentences
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -248,13 +246,12 @@ UNKNOWN: Final = "unknown"
 class RunDeviations:
     """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
 
-    #: largest accepted relative error of a radius
+    #: relative error of a radius
     tolerance: float
     #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
     run_id: StrArray
     source: StrArray
     verdict: StrArray
-    #: length and weave
     distance_m: FloatArray
     amplitude_m: FloatArray
     wavelength_m: FloatArray
@@ -275,9 +272,8 @@ class RunDeviations:
     #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
     arc_turn_rad: FloatArray
     arc_excess: FloatArray
-    #: runs that are not judged
+    #: not judged
     left_out: tuple[UnusedRun, ...]
-    #: which corrections were made
     notes: tuple[str, ...]
 
     @property
@@ -287,7 +283,7 @@ class RunDeviations:
 
     @property
     def summary(self) -> str:
-        """The verdict in sentences: how many runs keep the tolerance, and what to do about the others."""
+        """How many runs keep the tolerance, and what to do about the others."""
         n, share = len(self.run_id), f"{100 * self.tolerance:g} %"
         beyond, unknown = int((self.verdict == BEYOND).sum()), int((self.verdict == UNKNOWN).sum())
         text = f"{n - beyond - unknown} of {n} runs keep both radii within {share} of what a straight path would give"

@@ -1,4 +1,4 @@
-"""From a campaign to the laws of both wheels: radii, regression, checks, bounds, and the budget of a radius."""
+"""From a campaign to the laws of both wheels, and the budget of a radius."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_REFERENCE_RATIO: Final = 1e4
 #: share of the radius by which load may change it over the measured range, and by which single runs may scatter
 MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
-#: columns whose span tells the conditions of a campaign
+#: columns whose span is reported
 CONDITIONS: Final = (
     "distance_m", "speed_mps", "temperature_C", "payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load",
     "load_left_N", "load_right_N",
@@ -52,7 +52,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 
 
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
-    """Return the fit of a campaign: effective radii, both laws, and the static radius where it was measured.
+    """Return the fit of a campaign: radii, both laws, static radii where measured.
 
     Static radii are the columns ``static_radius_left_m`` and ``static_radius_right_m``; `reference_load_N`: see
     `fit_law`; None: the model's. Raises RefusedError where fewer than three runs can be used; ImplausibleError where
@@ -180,13 +180,12 @@ class SystematicSource:
     #: section and key below ``[uncertainty]``: ``rangefinder``, ``scale``
     section: str
     key: str
-    #: standard uncertainty
     std: float
     #: ``normal``, ``rectangular`` or ``triangular``
     distribution: str
-    #: GUM evaluation, ``A`` or ``B``
+    #: GUM: ``A`` or ``B``
     kind: str
-    #: degrees of freedom; infinite for type B
+    #: infinite for type B
     dof: float
 
     @property
@@ -264,7 +263,7 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
 
 
 def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with the systematic parts in the covariance of its law and in every interval.
+    """Return a wheel's fit with systematic parts in its covariance and intervals.
 
     The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
     """
@@ -280,7 +279,7 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
 def systematic_components(
     wheels: Mapping[str, WheelFit], radii: EffectiveRadii, sources: tuple[SystematicSource, ...]
 ) -> tuple[Component, ...]:
-    """Return the lines of the budget of a single radius, at the middle of the loads driven."""
+    """Return the budget of a single radius, in the middle of the loads driven."""
     lines = []
     for source in sources:
         sizes = []
@@ -312,7 +311,7 @@ def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray)
 
 
 def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
-    """Return the type A lines of the budget: scatter of the runs beyond that of the instruments."""
+    """Return the type A lines: scatter of the runs beyond the instruments'."""
     instruments = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
     scatter = zip((left.run_std_m, right.run_std_m), instruments, strict=True)
     unexplained = [float(np.sqrt(max(observed**2 - known**2, 0.0))) for observed, known in scatter]

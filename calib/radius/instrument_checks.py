@@ -1,4 +1,4 @@
-"""Checks of a wheel's residuals against lengths of the runs, uncertainty of the instruments, and temperature."""
+"""Checks of residuals against run lengths, instruments, and temperature."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, t_quantil
 from calib.radius.sessions import groups_of
 from calib.types import BoolArray, FloatArray, StrArray
 
-#: a smaller span of temperatures shows nothing of a radius
+#: of temperatures, to show in a radius
 MIN_SPAN_K: Final = 1.0
-#: degrees of freedom, less sessions and both lines, that the scatter about a further slope needs
+#: less sessions and both lines, for the scatter about a further slope
 MIN_SLOPE_DOF: Final = 5
 #: lengths nearer than so many times a distance's uncertainty hold that error themselves
 LENGTHS_APART: Final = 30.0
-#: share of a radius by which the path of a run may move it (the tolerance of 'calib deviation')
+#: of a radius: the tolerance of 'calib deviation'
 PATH_TOLERANCE: Final = 5e-4
-#: checks whose failure explains the scatter
+#: checks that explain the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 
 
@@ -36,7 +36,7 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
 
 
 def _fitted(fit: WheelFit, session: StrArray, known: BoolArray) -> FloatArray:
-    """Return orthonormal columns (n_known, k) of what is taken off first: sessions and load."""
+    """Return orthonormal columns (n_known, k) of sessions and load."""
     groups, load = groups_of(session[known]), fit.load_N[known]
     base = np.eye(len(groups))[groups.index] if 2 <= len(groups) < len(load) else np.ones((len(load), 1))
     if fit.model == "line" and fit.design != "confounded":
@@ -94,7 +94,7 @@ def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
 
 
 def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
-    """Return `fit` with the check of what nothing measured: whether the paths are straight on the whole.
+    """Return `fit` with the check whether unmeasured paths are straight on the whole.
 
     `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
     """
@@ -115,7 +115,7 @@ def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Whe
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check of its residuals against the temperature, where these runs allow one.
+    """Return `fit` with the check against temperature, where these runs allow one.
 
     `temperature_C` (NaN where not read), `session`: shape (n_runs,). Sessions, and what correlates with the load, are
     taken off both first.

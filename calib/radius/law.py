@@ -21,9 +21,9 @@ from scipy.special import chdtri, ndtr, stdtridf, stdtrit
 from calib.documents import plain_fields
 from calib.types import FloatArray, floats
 
-#: order of the joint covariance
+#: in this order
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
-#: of all intervals, and the quantile at their upper end
+#: and the quantile at its upper end
 COVERAGE: Final = 0.95
 UPPER: Final = 0.5 + COVERAGE / 2
 #: observed shares of the between part with solved critical values; denser at both ends, where they bend
@@ -48,22 +48,19 @@ class WheelLaw:
     The sign of the slope is data: bonded solid rubber can do either.
     """
 
-    #: load on which the coefficients are centred
     reference_load_N: float
-    #: effective radius at the reference load
     radius_ref_m: float
     #: change of the radius with load; 0 in a reduced model
     slope_m_per_N: float
     #: covariance of (radius_ref_m, slope_m_per_N), shape (2, 2)
     covariance: FloatArray
-    #: degrees of freedom of that covariance; see `strata`
+    #: of `covariance`; see `strata`
     dof: float
     #: standard deviation of a single run, in a session of its own, about the law
     residual_std_m: float
-    #: loads measured (a coefficient file's valid range); outside them the law extrapolates
+    #: measured (a coefficient file's valid range); beyond, the law extrapolates
     load_min_N: float
     load_max_N: float
-    #: runs behind it
     n_runs: int
     #: parts of the covariance and of the scatter, which give each load its degrees of freedom; None: `dof` for all
     strata: LineEstimate | None = None
@@ -97,7 +94,7 @@ class WheelLaw:
         return np.asarray(std * (stdtrit(self.dof, UPPER) if self.dof > 0 else np.nan))
 
     def dof_of(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
-        """Return the degrees of freedom whose Student's t gives the 95 % band of ``contrast @ (radius_ref, slope)``.
+        """Return the degrees of freedom of the 95 % band of ``contrast @ (radius_ref, slope)``.
 
         `contrast` (shape (..., 2)): `contrast` of a load, or the change of a pose by both; `single_run`: as above.
         """
@@ -107,7 +104,7 @@ class WheelLaw:
         return self.strata.dof(c, **self._more(c, single_run))
 
     def contrast(self, load_N: ArrayLike) -> FloatArray:
-        """Return what a radius at `load_N` (any shape) is made of: 1 and the load above the reference, (..., 2)."""
+        """Return 1 and the load above the reference, (..., 2), at `load_N` (any shape)."""
         offset = floats(load_N) - self.reference_load_N
         return np.stack((np.ones_like(offset), offset), axis=-1)
 
@@ -146,7 +143,7 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
 
 
 def round_loads(low: float, high: float) -> FloatArray:
-    """Return round loads above zero inside the range; its ends where nothing round lies in it."""
+    """Return round loads above zero inside the range, else its ends."""
     for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):
         first, last = max(np.ceil(low / step), 1.0), np.floor(high / step)
         if 3 <= last - first + 1 <= 9:
@@ -184,10 +181,10 @@ class LineEstimate:
 
     #: shape (2,)
     coefficients: FloatArray = field(metadata={"json": False})
-    #: degrees of freedom of the scatter of runs within sessions and of sessions; 0 where there is none
+    #: of the scatter of runs within sessions and of sessions; 0: none
     dof_within: float
     dof_between: float
-    #: estimated variances of runs within a session and of sessions (0 where negative)
+    #: of runs within a session, and of sessions (0 where negative)
     run_variance: float
     session_variance: float
     #: parts of the covariance from the scatter of runs and of sessions, shape (2, 2)
@@ -195,7 +192,7 @@ class LineEstimate:
     cov_between: FloatArray = field(metadata={"json": "covariance_between"})
     #: ratio of the two mean squares; F(dof_between, dof_within) where sessions do not scatter
     session_f: float | None
-    #: whether the within part is heteroscedasticity-consistent (HC3, MacKinnon and White 1985)
+    #: the within part is heteroscedasticity-consistent (MacKinnon and White 1985)
     hc3: bool
     #: ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
     #: (one session, or sessions that cannot be told from runs) or ``constant`` (no slope)
@@ -209,7 +206,7 @@ class LineEstimate:
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> LineEstimate:
-        """Return an estimate in which every run counts as independent; see `LineEstimate`.
+        """Return an estimate of independent runs; see `LineEstimate`.
 
         `covariance`: of radius and slope, shape (2, 2); `dof`: its degrees of freedom; `variance`: of a single run.
         """
@@ -273,7 +270,7 @@ class LineEstimate:
         return total, np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all but the coefficients as plain values; nothing of systematic sources where none is declared."""
+        """Return all but the coefficients as plain values."""
         document = plain_fields(self)
         unused = () if len(self.systematic) else ("systematic", "systematic_dof")
         return {key: value for key, value in document.items() if key not in unused}

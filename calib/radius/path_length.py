@@ -24,9 +24,9 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 MIN_RELIABILITY: Final = 0.05
 #: equal steps of the distance rolled on which headings are fitted: six a period of the shortest weave
 HEADING_POINTS: Final = 256
-#: runs fitted at once, to save memory
+#: fitted at once, to save memory
 RUN_CHUNK: Final = 128
-#: samples that carry the seven parameters of a weave
+#: for the seven parameters of a weave
 MIN_SAMPLES: Final = 16
 #: a wave longer than twice the run cannot be told from a trend
 MIN_PERIODS: Final = 0.5
@@ -37,11 +37,11 @@ PERIOD_STEP: Final = 0.25
 #: headings about the axis over those about a straight trend, beyond which the fit diverged
 MAX_TREND_RATIO: Final = 3.0
 TINY_RAD: Final = 1e-9
-#: powers with which the fields of `Weaves` grow with the radii
+#: powers of the radii in the fields of `Weaves`
 SCALED: Final = (2, 1, 0, 2, 1, 1, 2)
 #: Gauss-Newton steps; the first without the wavelength
 GAUSS_NEWTON_STEPS: Final = 7
-#: a larger step, in periods over the run, would jump to another wave
+#: a larger step would jump to another wave
 MAX_PERIOD_CHANGE: Final = 0.2
 
 
@@ -63,12 +63,12 @@ class RunPaths:
     phase_rad: FloatArray
     #: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading was used
     source: StrArray
-    #: which corrections were made, in sentences
+    #: sentences
     notes: tuple[str, ...]
 
 
 def correct_paths(campaign: Campaign) -> RunPaths:
-    """Return the path of each run: by its log, else its measured weave, and by its measured final heading."""
+    """Return each run's path by log, else measured weave, and by measured final heading."""
     runs, track = campaign.runs, campaign.vehicle.track_m
     n = len(runs)
     distance = np.abs(runs.number("distance_m"))
@@ -205,7 +205,6 @@ def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: 
 def _headings(
     logs: Logs, runs: IntArray, metres_per_count: tuple[float, float], track_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rolled distance (n,), heading on equal steps of it (n, steps), and usable runs."""
     rolled, heading = np.zeros(len(runs)), np.zeros((len(runs), HEADING_POINTS))
     good, steps = np.zeros(len(runs), dtype=np.bool_), np.linspace(0.0, 1.0, HEADING_POINTS)
     columns = [logs.columns[name] for name in ("counts_left", "counts_right")]
@@ -287,7 +286,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def _without_diverged(
     heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return lines and waves; the trend alone where wave and line of a run diverged with opposite signs."""
+    """Return lines and waves; the trend alone where they diverged with opposite signs."""
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])
@@ -329,7 +328,7 @@ def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _sines(m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return numbers of periods, and for each two waves on `m` steps, free of trends, as unit vectors."""
+    """Return numbers of periods, and two trend-free unit waves for each, on `m` steps."""
     u = np.linspace(0.0, 1.0, m)
     grid = np.arange(MIN_PERIODS, MAX_PERIODS + PERIOD_STEP / 2, PERIOD_STEP)
     trend, _ = np.linalg.qr(np.column_stack((np.ones_like(u), u)))

@@ -41,7 +41,7 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a fit: a statistic, and a sentence with its meaning and the remedy."""
+    """One check of a fit: a statistic, and its meaning and remedy in a sentence."""
 
     #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
     #: ``session_influence``, ``normality``, ``direction``, ``run_length``, ``scatter``, ``temperature``, ``path``,
@@ -49,13 +49,12 @@ class Check:
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
-    #: meaning and remedy
     sentence: str
-    #: None where the check has none or could not be made
+    #: None: none, or not made
     statistic: float | None = None
-    #: for example ``F(3, 55)``
+    #: ``F(3, 55)``
     statistic_name: str = ""
-    #: probability of a statistic at least as extreme where nothing is wrong
+    #: where nothing is wrong
     p_value: float | None = None
 
     @property
@@ -64,7 +63,7 @@ class Check:
         return self.level != FAILED
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the check as plain values; a statistic of data without scatter, infinite, is null."""
+        """Return the check as plain values; an infinite statistic is null."""
         return plain_fields(self, passed=self.passed)
 
 
@@ -77,13 +76,11 @@ class WheelFit:
     #: see `calib.radius.law.LineEstimate`
     design: str
     reference_load_N: float
-    #: coefficients and covariance by stratum
     estimate: LineEstimate
     #: the same by ordinary least squares, every run counted as independent; None for a constant
     naive: LineEstimate | None
-    #: of the least-squares line
     r_squared: float
-    #: root mean square residual over the runs' degrees of freedom
+    #: over the runs' degrees of freedom
     residual_std_m: float
     #: loads, radii, and radius minus law, shape (n_runs,)
     load_N: FloatArray
@@ -168,7 +165,7 @@ class WheelFit:
         return self._band(load_N, single_run=False)
 
     def prediction_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the band that holds the radius of one further run in a session of its own; see `mean_band_m`."""
+        """Return the band of a further run's radius in a session of its own; see `mean_band_m`."""
         return self._band(load_N, single_run=True)
 
     def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +197,7 @@ class WheelFit:
 
     @staticmethod
     def from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
-        """Return the fit that `to_dict` wrote; what follows from estimate and runs is computed from them."""
+        """Return the fit that `to_dict` wrote; the rest is computed."""
         strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
         scalars = ("reference_load_N", "r_squared", "residual_std_m")
         written: dict[str, Any] = {name: float(value[name]) for name in scalars}
@@ -267,7 +264,7 @@ def load_groups(load_N: FloatArray) -> IntArray:
 def fit_wheel(
     wheel: str, load_N: ArrayLike, radius_m: ArrayLike, session: ArrayLike, *, reference_load_N: float
 ) -> WheelFit:
-    """Fit the law of one wheel: a line, or a constant where the runs have one load only; see `with_checks`.
+    """Fit one wheel's law: a line, or a constant on one load; see `with_checks`.
 
     `wheel`: its name; `load_N`, `radius_m`, `session`: shape (n_runs,); `reference_load_N`: load on which the
     coefficients are centred. Raises RefusedError with fewer than three runs.
@@ -316,7 +313,7 @@ def least_squares(x: FloatArray | None, y: FloatArray) -> RegressionResults:
 
 
 def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> LineEstimate:
-    """Return a least-squares line in which every run counts as independent.
+    """Return a least-squares line of independent runs.
 
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
     """

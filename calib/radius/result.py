@@ -1,4 +1,4 @@
-"""The fit of a campaign: both wheels' laws with the runs, vehicle and conditions behind them, and its result folder."""
+"""The fit of a campaign, and its result folder."""
 
 from __future__ import annotations
 
@@ -27,11 +27,10 @@ if TYPE_CHECKING:
 FORMAT: Final = "calib-fit/1"
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
-#: check against nominal vehicle and physical bounds
 PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
-#: sections of ``campaign.toml`` for report and certificate
+#: for report and certificate
 STATED_SECTIONS: Final = ("report", "certificate")
 #: of `Fit`, written as they are
 _WRITTEN: Final = ("simulated", "static", "notes", "setup", "provenance", "passed", "verdict")
@@ -44,30 +43,30 @@ _RUN_COLUMNS: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Vehicle, instruments and conditions of the runs, so that a report needs no campaign."""
+    """Vehicle, instruments and conditions: a report needs no campaign."""
 
-    #: sections of ``campaign.toml``
+    #: of ``campaign.toml``
     vehicle: Vehicle
     encoder: Encoder
     model: OdometryModel
     rangefinder: Rangefinder
     reference: Reference
-    #: smallest and largest value over the runs used, by column of the run table
+    #: column of the run table -> least and largest value
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    #: keys of ``campaign.toml`` that matter for these runs and are not stated, with the values assumed
+    #: unstated keys of ``campaign.toml`` that matter for these runs, with values assumed
     assumed: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fit(Result):
-    """Both wheels' laws and all that report and export need of the campaign behind them."""
+    """Both wheels' laws and all that report and export need."""
 
     name: str
     simulated: bool  #: true where a program made the data
     left: WheelFit  #: the moving wheels
     right: WheelFit
     radii: EffectiveRadii  #: the runs behind them
-    #: static radius against load by wheel, where the run table has it
+    #: by wheel, where measured
     static: Mapping[str, WheelFit] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  #: what the user should know, in sentences
     #: ``version`` of calib, ``inputs`` (path -> sha256), ``arguments``; filled by the command line
@@ -104,13 +103,13 @@ class Fit(Result):
 
     @property
     def implausible(self) -> tuple[str, ...]:
-        """Findings beyond the bounds of a vehicle; such a law is passed on only where the user accepts it."""
+        """Findings beyond the bounds of a vehicle; the user has to accept such a law."""
         failed = [check for wheel in self.wheels.values() for check in wheel.checks if not check.passed]
         return tuple(dict.fromkeys(check.sentence for check in failed if check.name == PLAUSIBLE))
 
     @property
     def table(self) -> DataFrame:
-        """The runs used as a table: labels, loads, radii, their standard uncertainties and residuals; SI units."""
+        """The runs used: labels, loads, radii, standard uncertainties, residuals; SI units."""
         from pandas import DataFrame
 
         return DataFrame(_rows(self))
@@ -175,7 +174,7 @@ def _columns(rows: Any) -> dict[str, Any]:
 
 
 def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
-    """Return where a fit comes from: version, arguments, the SHA-256 of every file read, what the campaign states."""
+    """Return version, arguments, SHA-256 of every file read, and what the campaign states."""
     inputs = dict(sorted(campaign.hashes.items()))
     record: dict[str, object] = {"version": version, "arguments": dict(arguments), "inputs": inputs}
     for section in STATED_SECTIONS:
@@ -200,7 +199,7 @@ def ingest_notes(campaign: Campaign) -> list[list[str]]:
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
-    """Write a fit into a result folder: ``fit.json`` whole, and ``runs.csv`` for other programs.
+    """Write a result folder: ``fit.json``, and ``runs.csv`` for other programs.
 
     `folder` is made where missing; returned is ``fit.json``. Raises BadInputError where the folder holds a result and
     `force` is False, or cannot be written.
@@ -229,7 +228,7 @@ def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
 
 
 def is_result(path: Path) -> bool:
-    """Return whether `path` is a result folder or a ``fit.json`` (rather than a campaign)."""
+    """Return whether `path` is a result folder or ``fit.json``."""
     path = Path(path)
     return (path / FIT_FILE).is_file() if path.is_dir() else path.suffix == ".json" and path.is_file()
 
@@ -268,7 +267,7 @@ class Difference:
     quantity: str
     fitted: float
     model: float
-    #: of the 95 % interval of the difference
+    #: of its 95 % interval
     half_width: float
 
     @property
@@ -289,12 +288,11 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class ModelComparison:
-    """Both wheels' fitted laws against a model's; a wheel without a slope has its radius alone."""
+    """Both wheels' fitted laws against a model's."""
 
-    #: load at which the radii are compared
     reference_load_N: float
     differences: tuple[Difference, ...]
-    #: whether the model has no covariance: its values are taken as exact
+    #: the model has no covariance: its values count as exact
     exact: bool = False
 
     @property
@@ -315,7 +313,7 @@ class ModelComparison:
 
 
 def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComparison:
-    """Return the differences of fitted laws from a model of other runs, at the fit's reference load.
+    """Return fitted laws minus a model of other runs, at the fit's reference load.
 
     The intervals are those of the difference of two Student variates (Behrens and Fisher).
     """

@@ -27,7 +27,7 @@ from calib.types import FloatArray, IntArray, StrArray
 #: session over run variance for which strata are weighted; affects efficiency alone: the variances are estimated
 #: afterwards
 WORKING_RATIO: Final = 1.0
-#: share of the information on the slope below which a stratum is not used for it
+#: of the information on the slope, below which a stratum is not used
 NEGLIGIBLE_SHARE: Final = 0.01
 #: Breusch-Pagan p-value below which the covariance is the heteroscedasticity-consistent HC3, and the degrees of freedom
 #: that it needs
@@ -43,9 +43,9 @@ class Groups:
 
     #: in the order of first appearance, shape (n_sessions,)
     names: StrArray
-    #: session of each run, shape (n_runs,)
+    #: of each run, shape (n_runs,)
     index: IntArray
-    #: runs a session, shape (n_sessions,)
+    #: runs, shape (n_sessions,)
     sizes: FloatArray
 
     def __len__(self) -> int:
@@ -82,17 +82,17 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strata:
-    """Sufficient statistics of runs in sessions: session means, and the regression within sessions."""
+    """Sufficient statistics: session means, and the regression within sessions."""
 
     #: number of runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,)
     sizes: FloatArray
     x_mean: FloatArray
     y_mean: FloatArray
-    #: sum of squares of the loads within sessions
+    #: squares of the loads within sessions
     info: float
     #: of the regression within sessions; 0 where `info` is
     slope: float
-    #: sum of squares of the radii within sessions, and about that regression
+    #: squares of the radii within sessions, and about that regression
     square: float
     residual_square: float
 
@@ -163,7 +163,7 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
 def _of_sessions(
     departures: FloatArray, sizes: FloatArray, dof_between: float, run_variance: float, dof_within: float
 ) -> tuple[float, dict[str, Any]]:
-    """Return the mean square of session means about the law, and the fields of an estimate that follow from it.
+    """Return the mean square of session means about the law, and an estimate's fields by it.
 
     `departures`, `sizes` (shape (n_sessions,)): of the means from the law, and runs a session. Two sessions may agree
     better than their runs allow, by chance: there an interval is as wide as by the runs alone. With more sessions it is
@@ -205,13 +205,13 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
     )
 
 
-#: fewer degrees of freedom show no autocorrelation
+#: to show an autocorrelation
 MIN_DOF: Final = 6
-#: chance of as large an autocorrelation below which intervals are widened, which costs little
+#: p-value below which intervals are widened, which costs little
 WIDENED_BELOW: Final = 0.05
 #: beyond it a mean of runs says nothing of its own scatter
 LARGEST: Final = 0.95
-#: the autocorrelation is solved for to this
+#: of the autocorrelation
 PRECISION: Final = 0.01
 
 
@@ -222,20 +222,20 @@ class Autocorrelation:
     #: of one run and the next, freed of bias, plus a standard deviation: too small a one would leave the intervals too
     #: narrow; 0 where none is significant
     rho: float
-    #: lag-one autocorrelation of the residuals as it stands, and the probability of a larger one by chance
+    #: of the residuals as it stands, and the probability of a larger one by chance
     lag_one: float
     p_value: float
-    #: by how much it widens the interval of the slope, 1 where it does not
+    #: widening of the slope's interval
     slope_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Series:
-    """Residuals in independent blocks, and orthonormal columns (n_runs, k) of what was fitted."""
+    """Residuals in independent blocks, and orthonormal fitted columns (n_runs, k)."""
 
     residual: FloatArray
     fitted: FloatArray
-    #: whether each run begins a block, shape (n_runs,)
+    #: 1 where a run begins a block, shape (n_runs,)
     begins: FloatArray
 
     @property
@@ -259,7 +259,6 @@ class _Series:
         return product
 
     def expected_lag_one(self, rho: float) -> float:
-        """Return the expected lag-one product over the expected square of the residuals."""
         own, pairs = self.fitted, len(self.residual) - self.begins.sum()
         beside, turned = self.neighbours(own), self.correlated(own, rho)
         cross = own.T @ turned
@@ -267,7 +266,6 @@ class _Series:
         return float(product / (len(self.residual) - float(np.trace(cross))))
 
     def if_independent(self) -> tuple[float, float]:
-        """Return mean and standard deviation of the lag-one autocorrelation of independent runs."""
         own, pairs, dof = self.fitted, len(self.residual) - self.begins.sum(), self.dof
         beside = self.neighbours(own)
         inner = own.T @ beside
@@ -278,7 +276,7 @@ class _Series:
 
 
 def autocorrelation(series: _Series) -> Autocorrelation:
-    """Return the autocorrelation of residuals in the order driven, where significant its upper bound of one sd."""
+    """Return residuals' autocorrelation in the order driven, where significant plus one sd."""
     square = float(series.residual @ series.residual)
     if series.dof < MIN_DOF or not square > 0.0:
         return Autocorrelation(0.0, 0.0, 1.0)
@@ -297,7 +295,7 @@ def autocorrelation(series: _Series) -> Autocorrelation:
 def widened(
     estimate: LineEstimate, load_N: FloatArray | None, radius_m: FloatArray, groups: Groups
 ) -> tuple[LineEstimate, Autocorrelation]:
-    """Return an estimate whose intervals allow for autocorrelated runs, and their autocorrelation.
+    """Return the estimate with intervals for autocorrelated runs, and the autocorrelation.
 
     `estimate` counts every run of a session as independent. `load_N`: load minus reference load, in the order driven;
     None for a constant.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: kind of figure -> the function that draws it
+#: kind -> what draws it
 Drawings = Mapping[str, "Callable[[], Figure]"]
 
 
@@ -84,11 +84,10 @@ class Notice(Block):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table; numbers stand right, and all with one number of decimals, so that they align."""
+    """A column of a table; its numbers align."""
 
-    #: what it holds
     title: str
-    #: unit of every number in it; empty for texts and pure numbers
+    #: of its numbers
     unit: str = ""
     #: ``left``, ``right`` or ``center``
     align: str = "right"
@@ -96,7 +95,7 @@ class Column:
     wide: bool = False
     #: set in a typewriter face; for hashes
     mono: bool = False
-    #: common title above neighbouring columns of the same group
+    #: common title above neighbours
     group: str = ""
     #: omitted on a terminal
     detail: bool = False
@@ -119,7 +118,7 @@ class Table(Block):
 
 @dataclass(frozen=True, slots=True)
 class Picture(Block):
-    """A figure: its name, caption, what it shows in words, and the function that draws it when it is needed."""
+    """A figure: name, caption, alternative text, and what draws it when needed."""
 
     name: str
     caption: str
@@ -173,7 +172,7 @@ def caption(name: str, /, **values: object) -> str:
 
 
 def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:
-    """Return a picture that ``module.function`` of `calib.reporting.figures` draws when it is needed; see `Picture`."""
+    """Return a picture that ``module.function`` of `calib.reporting.figures` draws; see `Picture`."""
     return Picture(name, caption(name), alt, partial(drawn, figure, *values, **options))
 
 

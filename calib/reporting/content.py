@@ -1,4 +1,4 @@
-"""A report as plain sections: its head, its pages, its attachments, and the file that it is written to."""
+"""A report as plain sections, and the file that it is written to."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.kinematics.result import Geometry
 
-#: longest campaign name in a page's header; the title has it whole
+#: in a page's header; the title has it whole
 SHORT_NAME: Final = 44
 #: lines to be signed, by the keys of `STATED`
 SIGNED: Final = {"prepared": "Prepared by", "authorised": "Authorised by"}
@@ -50,26 +50,24 @@ class Attachment:
 class Report:
     """A report, ready to be set."""
 
-    #: identification, on every page
+    #: on every page
     report_id: str = field(metadata={"json": "id"})
     title: str
     name: str
-    #: date of issue, YYYY-MM-DD
+    #: YYYY-MM-DD
     issued: str
     #: every page says so
     simulated: bool
-    #: every check allows the result to be used
     passed: bool
     sections: tuple[Section, ...]
-    #: files inside the PDF
     attachments: tuple[Attachment, ...]
     #: what the campaign's ``[report]`` section states; None where nobody signs
     stated: Mapping[str, str] | None = field(default=None, metadata={"json": False})
     #: name and bytes of the laboratory's picture
     logo: tuple[str, bytes] | None = None
-    #: further facts under the title
+    #: under the title
     facts: tuple[tuple[str, str], ...] = field(default=(), metadata={"json": False})
-    #: what it was made from, as far as estimated for it
+    #: made from, as far as estimated for it
     diagnosis: Diagnosis | None = field(default=None, metadata={"json": False})
     geometry: Geometry | None = field(default=None, metadata={"json": False})
 
@@ -167,7 +165,7 @@ def _without_law(
 
 
 def compose(source: Source) -> Report:
-    """Return the report on a fit: the sections of every page that has something to say."""
+    """Return the report on a fit."""
     law = "Radius law of both wheels with covariance and valid load range, as the vehicle loads it"
     return Report(
         report_id=source.report_id,
@@ -193,7 +191,7 @@ def report_without_law(
     coefficients: bytes | None = None,
     diagnosis: Diagnosis | None = None,
 ) -> Report:
-    """Return the report on runs without a radius law: their geometry, the diagnosis of their gap, or both.
+    """Return the report on runs without a radius law: geometry, diagnosis, or both.
 
     `why`: a sentence without its full stop; `geometry`: with the runs' traces in ``paths``; `coefficients`: None where
     the geometry is not passed on. For `issued` see `source_of`.
@@ -255,13 +253,13 @@ LONGEST: Final = 80
 
 
 def file_name(name: str) -> str:
-    """Return the PDF's name for a campaign's name: letters, digits, ``-``, ``_`` and ``.`` only."""
+    """Return a campaign's PDF name: letters, digits, ``-``, ``_`` and ``.`` only."""
     kept = re.sub(r"[^\w.-]+", "-", name, flags=re.UNICODE).strip("-.")[:LONGEST].strip("-.")
     return f"{kept or 'report'}.pdf"
 
 
 def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
-    """Return the file that a report is written to: a file ``.pdf``, or in a folder (None: ``reports/``).
+    """Return a report's file: ``.pdf``, or in a folder (None: ``reports/``).
 
     Raises BadInputError where the file exists and `force` is False, or `into` is a file that is no PDF.
     """

@@ -13,7 +13,7 @@ from typing import Final
 from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 
 MISSING: Final = "–"
-#: metres or radians from which on thousandths are not printed
+#: thousandths of m or rad are printed below
 MILLI_BELOW: Final = 1.0
 #: blanks as wide as a figure and as a full stop
 _FIGURE, _STOP = "\u2007", "\u2008"
@@ -172,7 +172,7 @@ def in_words(name: str) -> str:
 
 
 WIDTH: Final = 80
-#: widest column of names in a list of facts
+#: widest names in a list of facts
 _NAME: Final = 26
 _SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
 EQUATIONS: Final = {
@@ -253,16 +253,14 @@ def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
 
 
 GAP: Final = 2
-#: wider columns of texts may wrap between words
+#: wider texts may wrap
 LONG: Final = 30
-#: least width of a column of sentences
+#: least, of sentences
 NARROW: Final = 24
 
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """A column with its cells, its width unwrapped, and the least that splits no word."""
-
     head: Column
     cells: tuple[str, ...]
     width: int

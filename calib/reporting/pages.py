@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 STANDARD: Final = "a-3a"
 #: pictures of a diagnosis, which linked panels replace
 GAP_PICTURES: Final = ("gap-map", "gap-by-covariate", "gap-before-after")
-#: missing signs replaced one by one
+#: replaced one by one
 MAX_MISSING_SIGNS: Final = 24
 
 
@@ -75,7 +75,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
 def _compile_with_fallback(folder: Path, report: Report) -> bytes:
     """Set the page with the built-in fonts.
 
-    Signs in none of them use the system's; those in none of these either are replaced by their code points.
+    Other signs use the system's; signs in no font are replaced by code points.
     """
     text = (folder / "data.json").read_text(encoding="utf-8")
     with suppress(_MissingSign):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: a PDF carries no earlier date of creation
 FIRST_YEAR: Final = 1970
-#: probability from which on a cause is not in doubt
+#: probability
 SURE_FROM: Final = 0.9
 
 
@@ -34,11 +34,10 @@ SURE_FROM: Final = 0.9
 class Source:
     """Input of all pages."""
 
-    #: with its setup and provenance
     fit: Fit
     #: the law as the vehicle gets it; attached to the PDF
     coefficients: CoefficientFile
-    #: date of issue, YYYY-MM-DD
+    #: YYYY-MM-DD
     issued: str
     #: what the campaign's ``[report]`` section states, by the keys of `STATED`
     stated: Mapping[str, str] = field(default_factory=dict)
@@ -162,7 +161,7 @@ def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
 STATED: Final[Mapping[str, str]] = catalogue()["stated"]
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
-#: pictures that a page can carry, by suffix
+#: that a page can carry
 _PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
 #: a larger logo is a photograph by mistake
 _LARGEST: Final = 2_000_000

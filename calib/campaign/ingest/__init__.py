@@ -1,1 +1,1 @@
-"""From a laboratory's files and recordings to a campaign: describe them, map their columns, cut them into runs."""
+"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs."""

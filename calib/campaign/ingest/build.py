@@ -29,7 +29,7 @@ from calib.io import refuse_existing, sha256_file
 from calib.types import Progress, silent, stepped
 
 RECORDINGS: Final = "recordings"
-#: rows of a table that a merged note lists
+#: in a merged note
 _LISTED_ROWS: Final = 8
 _NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 
@@ -40,11 +40,11 @@ class Ingested:
 
     folder: Path
     campaign: Campaign
-    #: SHA-256 of every file read, by its path as given
+    #: path as given -> SHA-256
     sources: MappingType[str, str]
     #: what was recognised, converted and omitted
     notes: tuple[Note, ...]
-    #: the part of its recording that each run is
+    #: each run's part of its recording
     cuts: tuple[Segment, ...] = ()
 
     @property
@@ -64,9 +64,9 @@ class _Ingestion:
     settings: Campaign
     border: Border
     progress: Progress
-    #: path of each file read -> its SHA-256
+    #: path -> SHA-256
     hashes: dict[str, str] = field(default_factory=dict)
-    #: whole recordings by name, and the part that each run is
+    #: whole recordings by name, and each run's part
     recordings: dict[str, MappedLog] = field(default_factory=dict)
     segments: list[Segment] = field(default_factory=list)
 
@@ -78,7 +78,7 @@ class _Ingestion:
         return log
 
     def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
-        """Read logs of one run each, turned into its start frame where the mapping says so."""
+        """Read logs of one run each, in its start frame where the mapping says so."""
         stated = [name for name, line in self.mapping.log.columns.items() if line.from_start is True]
         distance = "range_m" in stated
         poses = self.settings.reference.frame != "map" and any(name.startswith("ref_") for name in stated)
@@ -99,7 +99,7 @@ def ingest(
     dry_run: bool = False,
     progress: Progress = silent,
 ) -> Ingested:
-    """Make a campaign folder; the sources are only read, and their hashes recorded in ``ingest.json``.
+    """Make a campaign folder; ``ingest.json`` records the sources' hashes.
 
     Raises BadInputError where a source cannot be used, a mapped column is missing, or the target
     exists.
@@ -214,7 +214,7 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
-    """Return the runs of several sheets, one after another, or by their numbers where each has its own.
+    """Return the runs of several sheets, one after another, or by numbers of each sheet's own.
 
     Repeated names get the sheet's before them.
     """
@@ -308,9 +308,9 @@ def _record(work: _Ingestion) -> dict[str, object]:
 
 
 def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
-    """Return notes, those merged that differ in file, row, run and numbers alone.
+    """Return notes, merged where they differ in file, row, run and numbers alone.
 
-    Each kind stands where its first did; numbers that differ are given as a range.
+    Each kind stands where its first did; differing numbers become a range.
     """
 
     def kind(note: Note) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The contents of files: rows, columns with units, spans and behaviour, sheets, streams with their clocks."""
+"""The contents of files: columns, sheets, streams with their clocks."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from calib.campaign.settings import bracketed
 from calib.errors import BadFileError
 from calib.types import IntArray, Item
 
-#: different texts of a column that are listed
+#: of a column
 _LISTED_TEXTS: Final = 6
-#: rows up to which a column of whole numbers is no counter that overflows
+#: of so few rows a column of whole numbers is no counter
 _FEW_ROWS: Final = 40
-#: share of numbers in a column of numbers, some of which cannot be read
+#: share of readable cells in a column of numbers
 _MOSTLY_NUMBERS: Final = 0.8
 #: names of a first column that calib knows by chance
 _LEAST_NAMES: Final = 2
@@ -45,28 +45,25 @@ class ColumnContents:
     """A column."""
 
     name: str
-    #: its cells: ``number``, ``text``, ``time`` or ``empty``
+    #: ``number``, ``text``, ``time`` or ``empty``
     kind: str
-    #: as its name or the file gives it, else empty
+    #: by name or file
     unit: str = ""
-    #: span of its numbers
     low: float | None = None
     high: float | None = None
-    #: its different texts, where they are few
+    #: where few
     texts: tuple[str, ...] = ()
-    #: cells without a value
     n_empty: int = 0
-    #: width of the counter that it looks like
+    #: of the counter that it looks like
     wrap_bits: int | None = None
-    #: all its numbers are integers
     whole: bool = False
-    #: what its times look like
+    #: of times
     form: str = ""
-    #: what its numbers do: of `behaviour`
+    #: of `behaviour`
     does: str = ""
-    #: median step between rows, of the steps other than 0; of times in s
+    #: median step other than 0; of times in s
     step: float = 0.0
-    #: it rises in even steps, as a clock does
+    #: rises in even steps, like a clock
     even: bool = False
 
     def words(self, alike: Sequence[ColumnContents]) -> str:
@@ -91,26 +88,21 @@ class ColumnContents:
 class FileContents:
     """A file."""
 
-    #: as given
     name: str
-    #: it holds streams, not one table
     recording: bool
-    #: rows, or samples of the longest stream
+    #: or samples of the longest stream
     n_rows: int
     columns: tuple[ColumnContents, ...]
-    #: what was recognised: separator, header row, sheet, encoding, decimal commas, times
+    #: what was recognised
     remarks: tuple[str, ...]
-    #: of a recording
     streams: tuple[StreamContents, ...] = ()
-    #: properties that a recording names
     properties: Mapping[str, str] = field(default_factory=dict)
-    #: sheet of a workbook that was looked into; empty: the first that holds a table
+    #: of a workbook; empty: the first with a table
     sheet: str = ""
-    #: other sheets that hold tables
+    #: other sheets with tables
     others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
-    #: sheets of the same columns, this one among them; empty where it is alone
+    #: of the same columns, this one among them; empty where alone
     alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
-    #: whether each run stands in a column of its own
     runs_in_columns: bool = field(default=False, metadata={"json": False})
 
     def alike(self, other: FileContents) -> bool:
@@ -119,7 +111,7 @@ class FileContents:
 
 
 def file_contents(path: Path) -> FileContents:
-    """Return what a file holds; of a workbook, the first sheet with a table and a column that names runs.
+    """Return what a file holds; of a workbook, the first sheet whose table names runs.
 
     Raises BadFileError where it cannot be read.
     """
@@ -169,9 +161,9 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
-    """Return a table as read, texts among its columns, turned where each run stands in a column.
+    """Return a table as read, turned where each run stands in a column.
 
-    It is where the first column has more names of what a run table holds than the header.
+    Its first column then has more names of calib's than the header.
     """
     turned, n_turned = replace(layout, runs_in_columns=True), 0
     with suppress(BadFileError):

@@ -1,4 +1,4 @@
-"""Describe files and propose a mapping for them, as commented TOML that ingest reads back; write a blank campaign."""
+"""Describe files, propose a mapping as commented TOML; write a blank campaign."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from calib.documents import plain
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text
 
-#: files of one kind that are read whole; of more, the first and the last
+#: files of one kind all read; of more, the first and the last
 _ALL_READ: Final = 40
-#: rows of a run table to a log: means, remarks and runs without a log count
+#: in a run table; means, remarks and runs without a log count
 MOST_ROWS_A_LOG: Final = 2
-#: columns that show a run table without names of runs, with one of those that a log has not
+#: with a column that no log has, they show a run table without names
 _LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
 _OF_RUNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
 )
-#: times further apart are those of runs: none takes less, no log is sampled as seldom
+#: times further apart are of runs, not of a log's samples
 _SHORTEST_RUN_S: Final = 5.0
 #: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
@@ -52,7 +52,7 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     },
 }
 
-#: columns of an empty run table; delete those that do not apply
+#: of an empty run table
 RUNS_HEADER: Final = (
     "run_id,session,kind,direction,payload_kg,payload_x_m,payload_y_m,speed_mps,distance_m,"
     "counts_left,counts_right,log,excluded,exclusion_reason"
@@ -69,13 +69,12 @@ def blank_settings() -> str:
 class Description:
     """The contents of files, and the mapping proposed for them."""
 
-    #: every file looked into, the run table first
+    #: looked into, the run table first
     files: tuple[FileContents, ...]
-    #: of all; of many logs alike, some are looked into
+    #: with those not looked into
     n_files: int
-    #: the run table among them
+    #: the run table
     table: FileContents | None
-    #: lines of the mapping
     mapping: tuple[str, ...]
     #: as the command line takes them
     sources: str
@@ -131,7 +130,7 @@ def _folders_inside(sources: Sequence[Path]) -> str:
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
-    """Return the file that names runs: a table with a column for their names, and more than a clock beside it.
+    """Return the run table: a column of names, and more than a clock beside it.
 
     Or one with distances and counts beside what a run has one of, without a clock. `n_files`: in all; without a known
     name, the one table among logs with a row each is it.
@@ -185,7 +184,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 
 
 def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
-    """Return the sections of vehicle and instruments, each key a remark, with those of wheels other than two rear ones.
+    """Return the sections of vehicle and instruments, each key a remark.
 
     `bits`: the counters' width where it shows; `named`: calib's columns in the logs; `own`: their lines.
     """

@@ -1,6 +1,6 @@
-"""What columns may mean: by their names in five languages, by what their numbers do; and how far streams lag.
+"""What columns may mean, by names in five languages and by their numbers; how far streams lag.
 
-The languages are English, German, French, Italian and Spanish; a lag shows in how the speeds correlate.
+English, German, French, Italian, Spanish; a lag shows in how the speeds correlate.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import BoolArray, FloatArray, floats
 from calib.units import SUFFIXES, split_suffix
 
-#: behind the side in a wheel's name: left_wheel_joint, wheel_left_joint, Enc_L_raw
+#: behind the side: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
 )
@@ -68,7 +68,7 @@ def direction_of(text: str) -> str | None:
 
 
 def mass_of(text: str) -> float | None:
-    """Return the payload in kg that a text names: ``200 kg``, ``with 62,5kg``, ``leer``; else None."""
+    """Return the payload in kg in a text: ``200 kg``, ``with 62,5kg``, ``leer``; else None."""
     if re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
         return 0.0
     found = re.search(r"(\d+(?:[.,]\d+)?)_?\s*kg", plain_text(text))
@@ -181,17 +181,17 @@ def usual_step(values: FloatArray) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-#: share of all steps that a column without a break rises by in the end
+#: rise over all steps of a column without a break
 _RISES: Final = 0.98
 #: shares of a turn: an angle's jump back, and the span of one that starts again, with rounding
 _JUMP, _ONE_TURN = 0.75, 1.001
-#: a clock's step is off the usual one by this share of it at most, for this share of the steps
+#: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
-#: least correlation of a counter's steps with the next: a smooth drive has nearly 1, a speed's noise -0.5
+#: correlation of a counter's steps with the next: a smooth drive nearly 1, a speed's noise -0.5
 _ALIKE: Final = 0.2
-#: what a plain counter does, and an angle without end
+#: a plain counter, or an angle without end
 RISES: Final = "rises without a break"
-#: turn at which an angle starts again -> what it does
+#: turn -> what the angle does
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
 #: what a wheel's numbers do -> their unit
 BEHAVIOURS: Final = {
@@ -203,7 +203,7 @@ BEHAVIOURS: Final = {
 
 
 def behaviour(values: FloatArray, *, whole: bool) -> str:
-    """Return what a column's numbers do, of `BEHAVIOURS`; empty where nothing that a wheel does.
+    """Return what a column's numbers do, of `BEHAVIOURS`; else empty.
 
     `values` (shape (n_rows,)): finite; `whole`: all are integers.
     """
@@ -224,21 +224,21 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
     return "increments, a count a sample" if whole and alike < _ALIKE else ""
 
 
-#: blocks of the jackknife that gives a lag's interval
+#: for a lag's interval
 _JACKKNIFE_BLOCKS: Final = 12
-#: grid points of a correlation; a long recording takes wider steps
+#: a long recording takes wider steps
 _MAX_GRID_POINTS: Final = 40_000
 #: the grid's step over the wheels' (the golden section): in step with neither stream
 _GRID_RATIO: Final = 0.6180339887498949
 #: half the window of a speed, the difference of rounded readings
 _SPEED_WINDOW_S: Final = 0.2
-#: no lag is given below this correlation of two speeds
+#: of two speeds
 _LEAST_CORRELATION: Final = 0.5
-#: least relative change of speed that shows a lag
+#: relative, to show a lag
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: least samples of another stream for a lag, and lags that are looked at
+#: of the other stream; lags looked at
 _LEAST_LAG_SAMPLES, _LARGEST_LAG_S = 20, 2.0
-#: spacing of the poses of a travelled distance: their noise lengthens it little
+#: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
 
 #: calib's column -> its source
@@ -251,7 +251,7 @@ class Lag:
 
     #: positive where the second stream's clock is late
     lag_s: float
-    #: 95 % interval, each twelfth of the recording omitted in turn
+    #: each twelfth of the recording omitted in turn
     ci95_s: tuple[float, float]
 
 
@@ -263,7 +263,7 @@ def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray |
 
 
 def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
-    """Return an angle, started again after each `turn`, as one that goes on; NaN stays."""
+    """Return an angle that restarts after each `turn` as a continuous one; NaN stays."""
     known = np.isfinite(angle)
     if not known.any() or np.ptp(angle[known]) > _ONE_TURN * turn:
         return angle
@@ -273,7 +273,7 @@ def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
 
 
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
-    """Estimate by how much the reference and the rangefinder lag behind the wheels, and note it.
+    """Estimate and note lags of reference and rangefinder behind the wheels.
 
     Lags of ``reference`` and ``range_m``, where found.
 
@@ -324,7 +324,7 @@ def estimate_lag(
 ) -> Lag | None:
     """Estimate by how much the second stream lags behind the first.
 
-    Both speeds are taken by central differences on one grid, smoothed alike; the lag is the peak of their correlation,
+    Both speeds are central differences on one grid, smoothed alike; the lag is the peak of their correlation,
     found on the grid and then between its points.
 
     None where the speeds change too little to tell, or do not correlate.
@@ -350,7 +350,6 @@ def estimate_lag(
     half_window = max(_SPEED_WINDOW_S, step)
 
     def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
-        """Return the mean speed over the window around each time."""
         late, early = (np.interp(at + sign * half_window, times, distance) for sign in (1.0, -1.0))
         return floats((late - early) / (2 * half_window))
 

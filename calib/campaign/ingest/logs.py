@@ -23,7 +23,7 @@ from calib.campaign.settings import Encoder, Recognised, converted, recognise
 from calib.errors import BadFileError
 from calib.types import FloatArray, floats
 
-#: name of the kept column that tells the runs
+#: name of the column that tells the runs
 CUT_COLUMN: Final = "cut"
 
 
@@ -31,7 +31,7 @@ CUT_COLUMN: Final = "cut"
 class MappedLog:
     """A log, recording or part of one under calib's names."""
 
-    #: its source, for messages
+    #: for messages
     shown: str
     #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape
     #: (n_samples,)
@@ -40,7 +40,7 @@ class MappedLog:
     start_ns: int
     #: stream -> its lag behind the wheels
     lags: MappingType[str, Lag] = field(default_factory=dict)
-    #: the counter's, where overflows were undone
+    #: where overflows were undone
     wrap_bits: int | None = None
     #: range and poses count from the run's start
     from_start: bool = False
@@ -100,7 +100,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
     if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
-        # only the named columns were read: the whole file has them all
+        # not the named columns alone
         whole = read_recording(path, shown)
         check_not_empty(whole, shown)
         _refuse_missing(whole.column_names, lines, shown, mapping)
@@ -108,7 +108,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
 
 
 def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
-    """Return the files of one run as streams of a recording, each with its clock, columns called ``name:column``.
+    """Return a run's files as streams of a recording, columns called ``name:column``.
 
     Raises BadFileError where a file has no times.
     """
@@ -150,7 +150,7 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
 
 
 def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:
-    """Return the samples with every wheel known: streams of two wheels begin, end and pause separately."""
+    """Return the samples with every wheel known: two streams begin, end and pause separately."""
     wheels = [raw.columns[line.column] for name, line in lines.items() if name.startswith(("counts_", "speed_"))]
     known = np.isfinite(np.sum(wheels, axis=0)) if wheels else np.ones(len(raw.line), dtype=np.bool_)
     if known.all() or not known.any():
@@ -169,7 +169,7 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 
 
 def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
-    """Undo turns of the heading, and overflows outside the wheels' stream, before interpolation."""
+    """Undo turns of the heading and overflows of other streams, before interpolation."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:

@@ -1,4 +1,4 @@
-"""The mapping: a TOML file, written once for a laboratory's export, that says which source column is which.
+"""The mapping: a TOML file that says which column of a laboratory's export is which.
 
 docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a source column for a column of calib's,
 ``[cut]`` says how a recording is cut into runs, all else is of ``campaign.toml``. Columns that already carry the names
@@ -51,8 +51,6 @@ def units_for(name: str) -> tuple[str, ...]:
 
 
 class _Model(BaseModel):
-    """A part of a mapping; a field's description says in an error what was expected."""
-
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
 
@@ -65,26 +63,23 @@ class _UnfitError(ValueError):
 class MappedColumn(_Model):
     """A line of a mapping: the source of a column of calib's."""
 
-    #: the source's column; empty where `value` is given
+    #: empty where `value` is given
     column: str = Field(default="", description=_COLUMN)
     #: a constant for every run, or one value a run
     value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
         default=None, description="a text or a number, or a list of one a run"
     )
-    #: the source's column that is subtracted: the reading at a run's start
+    #: column subtracted: the reading at a run's start
     minus: str = Field(default="", description="the name of a column of numbers")
-    #: the source's w of a quaternion about the vertical, `column` its z
+    #: column w of a quaternion about the vertical, `column` its z
     w: str = Field(default="", description="the name of a column of numbers")
-    #: the source's unit
     unit: str | None = Field(default=None, description="the name of a unit")
-    #: sheet of the workbook to look the value up on, by the text of the run table's column `by`
+    #: to look the value up on, by the text in the run table's column `by`
     sheet: str = Field(default="", description="the name of a sheet")
     by: str = Field(default="", description="the run table's column whose text is looked up")
-    #: the sheet's column of these texts; empty: that of the same name, else the first
+    #: the sheet's column of these; empty: that of the same name, else the first
     key: str = Field(default="", description="the sheet's column that holds the texts looked up")
-    #: an empty cell means the same as the one above
     fill_down: bool = Field(default=False, description="true or false")
-    #: on the source's numbers
     factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
     #: texts of the source -> calib's
     values: dict[str, bool | str | int | float] = Field(
@@ -92,7 +87,7 @@ class MappedColumn(_Model):
     )
     #: a distance to a target, to become the distance from the run's start; None: as usual for the source
     from_start: bool | None = Field(default=None, description="true or false")
-    #: the column's lag behind the wheels, taken off
+    #: behind the wheels, taken off
     lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
     @model_validator(mode="after")
@@ -137,7 +132,7 @@ class MappedColumn(_Model):
         return f"{split_suffix(name)[0]}_{unit}"
 
     def scale(self, name: str) -> float:
-        """Return the factor on the source's numbers beside its unit; a wheel's load in kg is its weight in N."""
+        """Return the factor beside the unit; a wheel's load in kg is its weight in N."""
         unit = self.unit_for(name)
         return self.factor * (GRAVITY_MPS2 * SUFFIXES[unit][1] if unit and self._weighed(name) else 1.0)
 
@@ -153,9 +148,7 @@ class MappedColumn(_Model):
 class _Section(_Model):
     sheet: str | None = Field(default=None, description="the name of a sheet")
     header_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
-    #: the row of units
     units_row: int | None = Field(default=None, ge=1, description="the number of a row, counted from 1")
-    #: rows that are not read
     skip_rows: list[Annotated[int, Field(ge=1)]] = Field(
         default_factory=list, description="numbers of rows, counted from 1, as [1, 2, 40]"
     )
@@ -206,14 +199,14 @@ class LogSection(_Section):
 
     #: name of a run's log, with ``{run_id}`` or ``{n}``
     file: str | None = Field(default=None, pattern=_OF_A_RUN, description=_LOG_FILE)
-    #: where a run's log is several files: name of each -> its pattern; columns are called ``name:column``
+    #: of a log in several files: name -> pattern; columns are called ``name:column``
     files: dict[Annotated[str, Field(pattern=r"^\w+$")], Annotated[str, Field(pattern=_OF_A_RUN)]] = Field(
         default_factory=dict, description=_LOG_FILES
     )
-    #: how ``{n}`` is read from the run's name
+    #: how a run's name holds ``{n}``
     run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
-    #: runs with left and right encoder exchanged
+    #: runs with encoders exchanged
     swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
 
     @field_validator("columns")
@@ -234,23 +227,23 @@ class Segmentation(_Model):
     by: Literal["stops", "length", "column", "times"] = Field(
         default="stops", description="one of stops, length, column, times"
     )
-    #: by stops: shortest standstill that ends a run
+    #: by stops: a standstill that ends a run
     min_stop_s: float = Field(default=1.0, ge=0, description=_NOT_NEGATIVE)
     #: shorter drives are no runs
     min_length_m: float = Field(default=0.5, ge=0, description=_NOT_NEGATIVE)
-    #: by length: length of a run, one of the two
+    #: by length, one of the two
     length_m: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
     length_s: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
-    #: by column: source column whose value tells the runs; an empty cell or 0 lies between runs
+    #: by column: tells the runs; empty or 0 between them
     column: str = Field(default="", description="a text")
-    #: by times: pairs of start and end, as seconds from the recording's start or as times of the clock
+    #: by times: start and end, in seconds from the recording's start or by the clock
     times: list[Annotated[list[Any], Field(min_length=2, max_length=2)]] = Field(
         default_factory=list, description=_TIMES
     )
-    #: by times: columns of the run table that hold them
+    #: by times: their columns in the run table
     start: str = Field(default="", description="a text")
     end: str = Field(default="", description="a text")
-    #: name of a run where no table names it; ``{n}`` is its number
+    #: where no table names it
     run_id: str = Field(default="r{n:03}", description="a text")
 
     @model_validator(mode="after")
@@ -268,15 +261,15 @@ class Segmentation(_Model):
 class Mapping:
     """A mapping as read."""
 
-    #: its name in messages
+    #: for messages
     shown: str
     table: TableSection
     log: LogSection
     #: None where each log is one run
     cut: Segmentation | None
-    #: all other keys and sections: those of ``campaign.toml``
+    #: all else: of ``campaign.toml``
     settings: dict[str, object]
-    #: the run table beside the mapping, where it names one
+    #: beside the mapping, where it names one
     table_file: Path | None = None
 
 

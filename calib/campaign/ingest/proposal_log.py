@@ -18,7 +18,7 @@ from calib.campaign.settings import recognise
 from calib.campaign.settings_file import toml_value
 from calib.units import split_suffix, unit_named
 
-#: letters that alone are no evidence of a wheel: l, r, li, re
+#: no evidence of a wheel alone: l, r, li, re
 _SHORT_NAME: Final = 2
 #: message types with poses from outside, best first; wheel odometry is no reference
 _POSES: Final = (
@@ -30,11 +30,11 @@ _POSES: Final = (
     "tf/msg/tfMessage",
 )
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
-#: streams whose kind does not say what they measure: only names do
+#: kinds that do not say what they measure
 _UNTYPED: Final = ("channels", "variables")
-#: part of the name of a joint's rate
+#: in a joint's rate's name
 _RATE: Final = ":velocity."
-#: numbers above it count from 1970 -> their unit, each thousand times the one before
+#: numbers above it count from 1970 -> unit
 _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 #: days since 1900, as spreadsheets keep times: of 1954 to 2064; and a step of 4 s
 _DAYS: Final = (2e4, 6e4)
@@ -47,18 +47,18 @@ _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
-#: share of its span by which two coupled wheels of a side differ at most: they slip, they do not steer
+#: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
 _COUPLED: Final = 0.02
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 #: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
-#: remark on the wheels of a vehicle that steers by its sides' speeds
+#: remark on its coupled wheels
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the recording or the widest log, and remarks on what no column looks like.
+    """Return the lines for the recording or the widest log, and remarks on what is missing.
 
     `logs`: all logs and recordings; a counter's width counts where any log alike shows it.
     """
@@ -125,7 +125,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 
 
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
-    """Drop speeds of one wheel or beside counts, in place; return a bearing beside x and y that is taken as heading."""
+    """Drop speeds of one wheel or beside counts, in place; return a bearing taken as heading."""
     counted = any(name.startswith("counts_") for name in found)
     for name in _SPEEDS if counted or not {*_SPEEDS} <= set(found) else ():
         found.pop(name, None)
@@ -151,7 +151,7 @@ def _may_be(
     joint = stream is not None and stream.kind.endswith("JointState")
     is_wheel = target.startswith("counts_")
     if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
-        # a letter alone: `r` may be a range
+        # `r` may be a range
         return False
     if stream is None:
         return column.kind == "number" or (target == "t_s" and column.kind == "time")

@@ -33,7 +33,7 @@ def unit_remark(name: str) -> str:
     return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
-#: what a column may mean that holds the load of both rear wheels
+#: the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 _WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 #: date and time in a file's name -> how a mapping writes them
@@ -241,7 +241,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
 
 
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
-    """Return the patterns of the logs' names, where the runs' names do not say them."""
+    """Return patterns of the logs' names, where the runs' names do not say them."""
     column = _run_column(table) if table else None
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     stems = [Path(log.name).stem for log in logs]

@@ -23,7 +23,7 @@ from calib.campaign.tables import run_table
 from calib.errors import BadFileError, BadInputError
 from calib.io import sha256_file
 
-#: labels and rows that a message lists
+#: in a message
 _LISTED: Final = 8
 
 
@@ -49,7 +49,7 @@ def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> d
 
 
 def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) -> tuple[RawTable, Mapping]:
-    """Return the run table with columns looked up on other sheets and empty cells filled, and the mapping's lines.
+    """Return the run table with looked-up columns and filled cells, and the mapping's lines.
 
     `path`: the workbook. Raises BadFileError where a sheet, column or label is missing.
     """
@@ -126,7 +126,7 @@ def names_runs(raw: RawTable, mapping: Mapping) -> bool:
 
 
 def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, border: Border) -> RunTable:
-    """Return the run table that a laboratory's table and a mapping give.
+    """Return the run table of a laboratory's table.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
 
@@ -213,7 +213,7 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> n
 
 
 def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    """Return the table without rows that repeat an earlier one, each of them noted."""
+    """Return the table without repeated rows, each noted."""
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)
     for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):
@@ -241,9 +241,9 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
 
 
 def _files_inside(folder: Path) -> list[Path]:
-    """Return a folder's files that calib reads, and those of the folders in it where it has one at most.
+    """Return a folder's readable files, and its folders' where it has one at most.
 
-    That is a run table beside folders of logs; campaigns among them are omitted.
+    So a run table stands beside folders of logs; campaigns are omitted.
     """
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]

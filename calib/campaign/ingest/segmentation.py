@@ -1,4 +1,4 @@
-"""Segmentation of recordings into runs: at stops, by length, by a column, by times; each run in its start frame."""
+"""Segmentation of recordings into runs, each in its start frame."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from calib.types import BoolArray, FloatArray
 
 #: counts by which a standing wheel may toggle
 _TOGGLE_COUNTS: Final = 3.0
-#: a wheel that stands at the end may differ from its last count by so many
+#: by which a standing wheel may differ from its last count
 _STANDING_COUNTS: Final = 1.5
 #: window in which a driving wheel moves by more
 _WINDOW_S: Final = 0.5
-#: a run keeps so much of the standstill beside it, so that both its ends stand
+#: that a run keeps at both ends
 _STANDSTILL_S: Final = 0.5
 
 
@@ -222,16 +222,15 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
 def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
     """Return a run's columns with poses in its start frame and the range as distance from the start.
 
-    The start is the median before the wheels turn, so that one noisy sample does not turn the path.
+    The start is the median before the wheels turn: one noisy sample does not turn the path.
 
     `columns` (shape (n_samples,)): of one run; `poses`, `distance`: whether to change these.
     """
     out = dict(columns)
-    # the number of samples before the wheels turn
+    # samples before the wheels turn
     before = max(1, int(np.argmax(moving(columns["t_s"], _wheels(columns)))))
 
     def start(values: FloatArray) -> float:
-        """Return the median before the start, or the first known value where the sensor starts after the wheels."""
         known = values[np.isfinite(values)]
         value = _median(values[:before])
         return float(known[0]) if np.isnan(value) and len(known) else value

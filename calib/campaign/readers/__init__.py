@@ -38,11 +38,11 @@ BAG_METADATA: Final = "metadata.yaml"
 
 
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
-    """Read a table with the reader that its suffix names; the streams of a recording are joined to one.
+    """Read a table with its suffix's reader; a recording's streams are joined.
 
     `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name as found; True keeps
     the column and makes it numeric. Without it every column is kept as read, text included. `layout`: sheet and header
-    row where they are known; else they are looked for. Columns under the names found in the file. Raises BadFileError
+    row where they are known; else they are looked for. Raises BadFileError
     where the file is missing, of an unknown format or damaged, or a reader's extra is not installed.
     """
     read = _reader(path, shown)

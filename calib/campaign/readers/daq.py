@@ -44,9 +44,9 @@ _ARRAY_CLASSES: Final = range(1, 18)
 _CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15
 #: flag: an imaginary part follows
 _COMPLEX_FLAG: Final = 0x800
-#: cells, structures and objects hold arrays, one a place
+#: cells, structures, objects
 _CONTAINER_CLASSES: Final = range(1, 4)
-#: levels of structures in structures
+#: of nested structures
 _MAX_DEPTH: Final = 32
 
 
@@ -58,7 +58,7 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
     properties: dict[str, str] = {}
 
     def flatten(name: str, value: Any) -> None:
-        """Take an array as columns, a number as property, a structure field by field."""
+        """Take an array as columns, a number as property, structures field by field."""
         kind = value.dtype.kind if isinstance(value, np.ndarray) else ""
         if kind == "V" and value.size == 1:
             for part in value.dtype.names or ():
@@ -83,7 +83,6 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
 
 
 def _numbered(name: str, index: int) -> str:
-    """Return the name of one of several streams that have it."""
     return f"{name}#{index + 1}" if index else name
 
 
@@ -122,7 +121,7 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
 
 
 def check_elements(data: bytes) -> None:
-    """Raise ValueError, which says how, where a tag, class or length of a file's elements is wrong.
+    """Raise ValueError where a tag, class or length of a file's elements is wrong.
 
     `data`: the whole file with its header of 128 bytes. A header of another version than 5 is left to the reader.
     """
@@ -191,7 +190,7 @@ def _unpacked(content: memoryview) -> bytes:
 
 #: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
-#: samples read at a time: no channel is held twice
+#: no channel is held twice
 _CHUNK_SAMPLES: Final = 1 << 20
 
 
@@ -240,7 +239,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _moments_ns(stamps: Any) -> IntArray:
-    """Return nanoseconds since 1970 of time stamps in seconds since 1904 and 2^-64 of a second, rounded."""
+    """Return rounded nanoseconds since 1970 of stamps in seconds since 1904 and 2^-64 s."""
     seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
     fractions = np.rint(floats(stamps.second_fractions) * (NS_PER_S / 2.0**64)).astype(np.int64)
     return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Text tables: comma, semicolon or tab; UTF-8, UTF-16 or Latin-1; decimal point or comma. All recognised and noted."""
+"""Text tables: delimiter, encoding and decimal mark are recognised and noted."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from calib.types import FloatArray
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
-#: bytes in which the header is looked for
+#: searched for the header
 _HEAD_BYTES: Final = 1 << 16
 #: numpy reads tables of numbers up to so many bytes: as fast as pandas, whose import takes as long as two hundred of
 #: them
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
-#: rows that show a header in the first of them
+#: that show a header
 _FEW_ROWS: Final = 8
 #: keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, a zero with a sign
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
-#: beyond it a float64 no longer holds every whole number
+#: beyond it a float64 skips whole numbers
 _EXACT_WHOLE: Final = 2.0**53
 
 
@@ -73,7 +73,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
-    """Read the plain ones of many small files, those of one header in one go.
+    """Read the plain ones of many small files, those of one header at once.
 
     The numbers are those of `calib.campaign.readers.read_table`. `files`: files and their names in messages; `wanted`:
     called with each column name; True keeps the column. One a file; None where it has to be read by itself.
@@ -183,7 +183,7 @@ def _first_lines(data: bytes, n_lines: int) -> list[str]:
 def _read_numeric(
     body: bytes, names: list[str], delimiter: str, wanted: Wanted
 ) -> tuple[dict[str, FloatArray], int, bool] | None:
-    """Read clean numeric columns at once; None where anything is odd: then every cell is read by itself."""
+    """Read clean numeric columns at once; None where anything is odd."""
     rows = body.count(b"\n") + (0 if body.endswith(b"\n") or not body else 1)
     keep = [name for name in names if name and wanted(name)]
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):

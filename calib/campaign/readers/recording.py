@@ -21,11 +21,11 @@ from calib.types import FloatArray, IntArray, unwrapped
 
 #: a gap exceeds so many usual steps
 GAP_STEPS: Final = 5.0
-#: note of the message types that calib does not read
+#: note of message types not read
 UNREAD_TYPES: Final = "skipped"
-#: columns of a pose in space; `planar_pose` makes x, y, z and yaw of them
+#: see `planar_pose`
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-#: least squared length of a quaternion of an orientation: a unit quaternion has 1, an unset one 0
+#: squared length: of a unit quaternion 1, of an unset one 0
 _LEAST_QUATERNION: Final = 0.25
 
 
@@ -38,14 +38,13 @@ class StreamContents:
     n_samples: int
     clock: str
     columns: tuple[str, ...]
-    #: from the first to the last sample
     span_s: float = 0.0
-    #: samples a second, by the median step
+    #: by the median step
     rate_Hz: float = 0.0
-    #: steps longer than five usual ones, and the longest
+    #: steps above `GAP_STEPS`, and the longest
     n_gaps: int = 0
     longest_gap_s: float = 0.0
-    #: first time, nanoseconds as recorded
+    #: as recorded
     start_ns: int | None = None
     behind_arrival_s: float | None = None
 
@@ -70,9 +69,9 @@ class Stream:
     columns: Mapping[str, FloatArray]
     #: nanoseconds as recorded, exact; None without a clock of its own, shape (n_samples,)
     time_ns: IntArray | None
-    #: source of the times, in words
+    #: in words
     clock: str
-    #: as the file names them, by column
+    #: as in the file, by column
     units: Mapping[str, str] = field(default_factory=dict)
     #: median of arrival minus stamp, where messages have stamps; it differs between clocks
     behind_arrival_s: float | None = None
@@ -100,11 +99,11 @@ class Stream:
 class Recording:
     """A recording as read."""
 
-    #: those that hold a wanted column
+    #: with a wanted column
     streams: tuple[Stream, ...]
     #: what was recognised or omitted
     notes: tuple[Note, ...] = ()
-    #: as the file names them, by place (``/``, ``group``, ``group/channel``)
+    #: by place (``/``, ``group``, ``group/channel``)
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def stream_of(self, column: str) -> Stream | None:
@@ -118,14 +117,14 @@ class Recording:
 
 
 class WantedColumns(frozenset[str]):
-    """Names of the columns to keep, so that a reader can pass over whole topics unread."""
+    """Names of the columns to keep; whole topics may stay unread."""
 
     def __call__(self, name: str) -> bool:
         """Return whether the column is to be kept."""
         return name in self
 
     def of_topic(self, topic: str) -> bool:
-        """Return whether a column of the topic may be wanted; frames' and joints' names follow the topic's."""
+        """Return whether a column of the topic may be wanted."""
         return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self)
 
 
@@ -139,7 +138,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
     if stream.time_ns is None or not known.any():
         return np.full(len(at_ns), np.nan)
     times, values = stream.time_ns[known] - shift_ns, stream.columns[column][known]
-    # differences of integers first: nanoseconds since 1970 are not exact as float
+    # integers first: nanoseconds since 1970 are not exact as float
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
@@ -152,7 +151,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
 def joined_table(
     recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
 ) -> RawTable:
-    """Return the recording as one table on the times of one stream, the others interpolated.
+    """Return the recording as one table on one stream's times, the others interpolated.
 
     `base`: that stream; None: the one with most samples. `shifts_s`: column -> lag, taken off. `clock`: whether `base`
     has the clock; else columns of its length are taken as they are. The columns by name and, with a clock, ``t_s`` from
@@ -177,7 +176,7 @@ def joined_table(
 
 
 def check_not_empty(recording: Recording, shown: str) -> None:
-    """Refuse a recording without a number that calib reads; the error names what it holds.
+    """Refuse a recording without numbers that calib reads; the error says what it holds.
 
     Raises BadFileError where no stream holds a sample.
     """

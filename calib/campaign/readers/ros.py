@@ -19,7 +19,7 @@ from calib.campaign.readers.recording import POSE, UNREAD_TYPES, Recording, Stre
 from calib.campaign.readers.table import NS_PER_S
 from calib.errors import BadFileError, error_words, missing_reader
 
-#: stamps are the clock where this share of the messages has them set
+#: messages with stamps, from which these are the clock
 _STAMPED_SHARE: Final = 0.99
 _TWIST: Final = ("v_x", "v_y", "omega")
 
@@ -61,7 +61,6 @@ class _Buffer:
         asked = [wanted is None or wanted(f"{name}:{column}") or (yaw and column in POSE[3:]) for column in names]
         kept = [index for index, taken in enumerate(asked) if taken]
         self.names = [names[index] for index in kept]
-        #: places of the wanted numbers; None where all are
         self.kept = kept if len(kept) < len(names) else None
 
     def add(self, numbers: Sequence[float], arrival: int, header: Any) -> None:
@@ -72,7 +71,7 @@ class _Buffer:
         self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
-        """Return what came, by the stamps where messages carry them, else by arrival."""
+        """Return what came, by stamps, else by arrival."""
         table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
         arrival, stamp = (np.frombuffer(times, dtype=np.int64) for times in (self.arrival, self.stamp))
         stamped = self.unstamped < (1.0 - _STAMPED_SHARE) * len(arrival)
@@ -95,7 +94,7 @@ class _Buffer:
 
 
 def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
-    """Rename streams of one topic that hold different joints; the largest keeps the topic's name."""
+    """Rename a topic's streams of different joints; the largest keeps its name."""
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1
@@ -133,7 +132,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @contextmanager
 def _damage_named(shown: str) -> Iterator[None]:
-    """Turn the library's errors on damage into one: its own kinds, struct, assertions, sqlite, YAML."""
+    """Turn the library's many errors on damage into one."""
     try:
         yield
     except (MemoryError, BadFileError):
@@ -198,7 +197,7 @@ def _finite(value: float) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-#: message type -> function that returns its parts
+#: message type -> its parts
 MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/JointState": _joint_state,
     "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],

@@ -20,7 +20,7 @@ from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells,
 from calib.errors import BadFileError
 from calib.units import SUFFIXES, unit_named
 
-#: cells of rows, as read
+#: as read
 Rows = list[Sequence[Any]]
 #: unit of a wheel's column -> what its numbers are, and turns (or counts) a unit
 COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
@@ -36,7 +36,7 @@ COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rpm": ("rate", 1.0 / 60.0),
     "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
 }
-#: ways to write the units of wheels, in lower case
+#: in lower case
 _COUNT_SPELLINGS: Final = (
     ("counts", r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
     ("counts/sample", r"increments|(cnt|ticks)/sample|counts/step"),
@@ -52,17 +52,17 @@ _OTHER_UNITS: Final = re.compile(
     r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²|[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE
 )
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
-#: an unknown unit in a row of units is no longer
+#: longest unknown unit in a row of units
 _SHORT: Final = 8
-#: share of the columns of numbers in which a header row holds texts
+#: of columns of numbers with a text in a header row
 _TEXT_SHARE: Final = 0.6
-#: most header rows: groups, names, further names, units
+#: groups, names, further names, units
 _HEADER_ROWS: Final = 4
-#: rows searched for names, units and columns of numbers
+#: rows searched for names, units and numbers
 LOOKED_AT: Final = 20
-#: least columns of a table in which a row of one text is a remark
+#: of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
-#: what columns are called that no row names
+#: names of columns that no row names
 UNNAMED: Final = re.compile(r"column \d+")
 _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
@@ -78,7 +78,7 @@ _SUMMARY: Final = re.compile(
 def heading(
     rows: Sequence[Sequence[Any]], lines: Sequence[int], layout: Layout, shown: str, above: Sequence[Any] = ()
 ) -> tuple[list[str], int, list[Note]]:
-    """Return the names of the columns, with units in brackets, from the header row and those beneath it.
+    """Return the columns' names, with units in brackets, from the header rows.
 
     Returned are the names as found (``column 1``, ``column 2``, ... where no row names them), how many of the rows they
     take, and what was recognised.

@@ -1,4 +1,4 @@
-"""Tables as read, and their header, numbers and times read with care: nothing is guessed."""
+"""Tables as read; header, numbers and times, nothing guessed."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from calib.errors import COLUMNS, BadFileError, refuse_beyond
 from calib.types import BoolArray, FloatArray, IntArray
 
 Wanted = Callable[[str], bool]
-#: cells as read, shape (n_rows,), and what takes notes
+#: as read, shape (n_rows,), and what takes notes
 Cells = npt.NDArray[Any]
 Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
-#: largest number of a cell; no measurement is larger, and squares would overflow
+#: no measurement is larger, and squares would overflow
 LARGEST_VALUE: Final = 1e30
 #: rows searched for the header; loggers' preambles are shorter
 HEADER_ROWS: Final = 60
-#: share of the usual width that a header fills, and of its cells that are texts
+#: of the usual width that a header fills, and of its texts
 _HEADER_SHARE: Final = 0.6
 
 #: say that nothing was measured: read as empty, with a note
@@ -45,7 +45,7 @@ _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _HALF_DAY_NS: Final = 43_200 * NS_PER_S
 _DAYS_TO_1970: Final = date(1970, 1, 1).toordinal()
-#: name of a time format -> its form
+#: name -> form
 _TIMES: Final = {
     "iso8601": re.compile(
         rf"(?P<year>\d{{4}})(?P<mark>[-/])(?P<month>\d{{2}})(?P=mark)(?P<day>\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII
@@ -60,7 +60,7 @@ _TIMES: Final = {
     "time_of_day": re.compile(_CLOCK, re.ASCII),
 }
 
-#: name of a time format -> an example
+#: name -> example
 TIME_FORMATS: Final = {
     "iso8601": "2026-05-04T10:15:30.250+02:00",
     "day_first": "04.05.2026 10:15:30,250",
@@ -68,7 +68,7 @@ TIME_FORMATS: Final = {
     "time_of_day": "10:15:30.250",
 }
 
-#: name of a time format -> the same in words
+#: name -> words
 FORMAT_NAMES: Final = {
     "iso8601": "ISO 8601 (year-month-day, hours:minutes:seconds)",
     "day_first": "day.month.year hours:minutes:seconds",
@@ -83,13 +83,11 @@ class Layout:
 
     sheet: str | None = None
     header_row: int | None = None
-    #: the row of units
     units_row: int | None = None
-    #: rows that are not read
     skip_rows: tuple[int, ...] = ()
-    #: whether each run stands in a column of its own, the names of what was measured in the first
+    #: each run in a column, names in the first
     runs_in_columns: bool = False
-    #: the file is a laboratory's (`calib.campaign.readers.sheets`), not a campaign's
+    #: a laboratory's file (`calib.campaign.readers.sheets`), not a campaign's
     lab: bool = False
 
 
@@ -97,15 +95,15 @@ class Layout:
 class RawTable:
     """A table as read."""
 
-    #: by the names in the file, in its order, shape (n_rows,): float64 where numeric, else str, float and None
+    #: in the file's order, shape (n_rows,): float64 where numeric, else str, float and None
     columns: Mapping[str, npt.NDArray[Any]]
-    #: of each row in the file, from 1, header included, shape (n_rows,)
+    #: in the file, from 1, header included, shape (n_rows,)
     line: IntArray
-    #: what was recognised (encoding, delimiter, decimal comma)
+    #: what was recognised
     notes: tuple[Note, ...] = ()
-    #: column of clock times, in seconds since its first cell -> that cell in nanoseconds since 1970 or midnight
+    #: column of clock times, in s since its first cell -> that cell in ns since 1970 or midnight
     epochs: Mapping[str, int] = field(default_factory=dict)
-    #: of these columns the first cell and the format of all, as written
+    #: first cell and format of these columns, as written
     written: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     def select(self, keep: slice | BoolArray) -> RawTable:
@@ -157,7 +155,7 @@ def is_number(cell: Any) -> bool:
 
 
 def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Return a table of a run a column as one of a run a row; rows with one cell at most, such as a title, go."""
+    """Return a table of a run a column as one of a run a row, without titles."""
     columns = map(list, itertools.zip_longest(*(row for row in rows if len(filled_cells(row)) > 1)))
     return [column for column in columns if filled_cells(column)]
 
@@ -170,7 +168,7 @@ def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
-    """Return the index of the row that names the columns, or None where none does so better than the first.
+    """Return the index of the header, or None where no row is better than the first.
 
     The header is the first row of texts about as wide as those below it, with a number soon beneath.
 
@@ -329,7 +327,7 @@ def time_format(text: str) -> str | None:
 
 
 def moment_ns(text: str, *, month_first: bool = False) -> int:
-    """Return one time as nanoseconds since 1970 (UTC where no zone is named), or since midnight for a time of day.
+    """Return a time in ns since 1970 (UTC without a zone), a time of day since midnight.
 
     `month_first`: whether the month stands before the day between slashes. Raises ValueError where the text is none of
     `TIME_FORMATS`, or names no day of the calendar.
@@ -357,7 +355,7 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
 
 
 def month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
-    """Return whether times between slashes name the month first: a day beyond 12 is in second place."""
+    """Return whether times with slashes name the month first: a second number exceeds 12."""
     matches = (_TIMES["slashes"].fullmatch(str(cell).strip()) for cell in cells)
     return any(int(match["month"]) > 12 for match in matches if match)
 

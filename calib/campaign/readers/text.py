@@ -1,4 +1,4 @@
-"""Text files made plain: encoding, remarks, blanks between the cells, runs that stand in columns; their delimiter."""
+"""Text files made plain: encoding, remarks, blanks, runs in columns; their delimiter."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from calib.errors import BadFileError
 
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
-#: bytes that show how cells are separated
+#: that show how cells are separated
 _HEAD_BYTES: Final = 1 << 16
-#: lines of numbers that show that blanks separate the cells
+#: of numbers, that show blanks between cells
 _LEAST_LINES: Final = 2
 
 
@@ -55,7 +55,7 @@ def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text file with lines without cells emptied, so that rows keep their numbers, and notes.
+    """Return a text with empty lines for those without cells, so that rows keep their numbers, and notes.
 
     Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns. Blanks
     become tabs where nothing else separates the cells; a table of a run a column is turned.

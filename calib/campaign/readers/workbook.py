@@ -25,7 +25,7 @@ from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, ta
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, object_array
 from calib.errors import BadFileError, error_words, missing_reader, refuse_beyond
 
-#: the archive's parts with cells and their texts; all others are small
+#: parts with cells and their texts; all others are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
 _TEXTS_PART: Final = re.compile(r"(?i)/?xl/sharedstrings\.xml")
 _BOOK_PART: Final = re.compile(r"(?i)/?xl/workbook\.xml")
@@ -93,7 +93,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
     except (BadFileError, MemoryError):
         raise
     except Exception as error:
-        # the library has errors of many kinds (zip, XML, keys, values) for damaged workbooks
+        # damaged workbooks raise errors of many kinds
         expected = "an .xlsx file that a spreadsheet program opens"
         remedy = "open it and save it again, or export it as CSV"
         raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
@@ -147,7 +147,7 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
 def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, *, across: bool) -> list[Note]:
     """Fill cells merged over several rows with their first, in place, and note where.
 
-    `across`: over several columns instead, but for titles: rows that hold nothing else.
+    `across`: over several columns, but for titles, which stand alone in their rows.
     """
     from openpyxl.utils import column_index_from_string
 
@@ -245,7 +245,7 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
 
 
 def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int, int]:
-    """Return a sheet's filled cells, the empty places and rows before the last of them, and the last filled row.
+    """Return a sheet's filled cells, the empty places and rows before the last, and its row.
 
     Counted without a parser: elements written in an unusual way are left to the library.
     """
@@ -282,7 +282,7 @@ def _blocks(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]
 
 
 _MAX_ROWS: Final = 200_000_000
-#: below this many rows threads cost more than they save
+#: below, threads cost more than they save
 _THREADS_ROWS: Final = 100_000
 
 
@@ -344,7 +344,7 @@ def read_parquet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) 
         try:
             cells, epoch = _cells(read.column(name))
         except (pa.ArrowException, ValueError, OverflowError) as error:
-            # bytes that are no text, dates beyond the calendar: found only where a column is looked into
+            # bytes that are no text, dates beyond the calendar
             raise _damaged(shown, error, name) from error
         if epoch is not None:
             epochs[name] = epoch

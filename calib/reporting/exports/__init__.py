@@ -1,4 +1,4 @@
-"""Export formats that need the fit or the runs beside the coefficients, one file each; see `FORMATS`."""
+"""Export formats that need the fit or the runs, one file each; see `FORMATS`."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ Text = Annotated[str, Field(min_length=1, max_length=1000)]
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
 
 
-#: a date, or its text as YYYY-MM-DD
+#: or its text as YYYY-MM-DD
 Day = Annotated[date, BeforeValidator(lambda day: date.fromisoformat(day) if isinstance(day, str) else day)]
 
 
@@ -55,7 +55,7 @@ class Contact(_Section):
     street_no: Text | None = None
     postcode: Text | None = None
     phone: Text | None = None
-    #: of an accredited laboratory
+    #: if accredited
     code: Text | None = None
 
 
@@ -151,7 +151,7 @@ NAMESPACES: Final = {
     "si": "https://ptb.de/si",
     "xsi": "http://www.w3.org/2001/XMLSchema-instance",
 }
-#: the radius is stated at so many loads where runs do not repeat a few
+#: where runs do not repeat a few
 LOAD_STEPS: Final = 5
 #: column of the run table -> name, unit in D-SI and factor to it
 CONDITIONS: Final = {

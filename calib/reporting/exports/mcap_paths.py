@@ -1,6 +1,6 @@
-"""Measured, simulated and corrected path, gap and noise of every run as ROS 2 messages in one MCAP file.
+"""Paths, gap and noise of every run as ROS 2 messages in one MCAP file.
 
-Foxglove and RViz show these without set-up. The runs follow each other in time, each in the frame of its own start.
+Foxglove and RViz show these without set-up. Runs follow each other, each in its start frame.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from calib.types import FloatArray, Progress, evenly
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-#: between two runs, to tell them in the time line
+#: between runs
 PAUSE_S: Final = 2.0
-#: poses of a path; more are thinned evenly
+#: of a path; more are thinned evenly
 MOST_POSES: Final = 1000
-#: speed at which a run without a log is shown
+#: of a run without a log
 UNKNOWN_SPEED_MPS: Final = 1.0
 #: frame of all poses: the start of the run that is shown
 FRAME: Final = "start"

@@ -1,4 +1,4 @@
-"""Parameters of a navigation stack from the measured noise of the corrected odometry: AMCL's alphas, and covariances.
+"""Parameters of a navigation stack from the corrected odometry's noise: AMCL's alphas, covariances.
 
 The covariance of an end pose is linear in the four alphas of AMCL's differential motion model (S. Thrun, W. Burgard,
 D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it; docs/exports.md), as in the sizes of a random
@@ -33,13 +33,13 @@ SHORTEST_WAY_M: Final = 0.01
 #: end pose: along and left of the final heading, and heading
 POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
-#: the value that nav2_amcl has where nothing is stated
+#: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
 #: a component whose usual size adds less to every variance shows nothing
 LEAST_SHARE: Final = 0.1
 #: runs are held out in so many parts: each is predicted by nine tenths of the others of its kind
 FOLDS: Final = 10
-#: coverage of the interval of a ratio
+#: of the interval of a ratio
 COVERAGE: Final = 0.95
 
 
@@ -117,7 +117,7 @@ def constant_components(poses: FloatArray) -> FloatArray:
 
 
 def _updates(poses: FloatArray) -> list[int]:
-    """Return where the filter updates: after a way or a turn since the last; both ends of the path."""
+    """Return where the filter updates, with both ends of the path."""
     kept = [0]
     for at in range(1, len(poses)):
         dx, dy, turn = poses[at] - poses[kept[-1]]
@@ -241,10 +241,9 @@ def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -
 
 #: fewer end poses do not show a spread: its standard error exceeds a sixth
 FEWEST_RUNS: Final = 20
-#: rate and speed at which the variances of a twist are stated
+#: of the variances of a twist
 RATE_HZ: Final = 50.0
 SPEED_MPS: Final = 1.0
-#: names of the three ratios
 CHANNELS: Final = ("along", "lateral", "heading")
 #: a ratio by the form of AMCL's model further from 1 is pointed out
 FORM_TOLERANCE: Final = 0.1

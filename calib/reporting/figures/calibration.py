@@ -1,4 +1,4 @@
-"""The figures of a calibration: radii, their laws and residuals; paths, residuals and correlations of a geometry."""
+"""The figures of radius laws and geometries."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LEAST_EXCESS_PPM: Final = 1e-4
 NO_SESSION: Final = "(no session)"
 #: light to dark, told apart in print and by colour-blind readers
 LOAD_COLOURS: Final = "viridis_r"
-#: loads within this share of the largest are one, scattered
+#: relative to the largest load
 LOADS_ALIKE: Final = 0.05
 
 
@@ -92,7 +92,7 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 
 @styled
 def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
-    """Draw radius against load with the law, the band of the mean and the prediction band (Fig. 11).
+    """Draw radius against load with law, mean band and prediction band (Fig. 11).
 
     `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
     """
@@ -128,7 +128,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
 @styled
 def path_deviation(radii: EffectiveRadii) -> Figure:
-    """Draw the weave's excess by amplitude and wavelength (Fig. 9) with the runs on it, and each run's correction.
+    """Draw the weave's excess by amplitude and wavelength (Fig. 9), and each run's correction.
 
     Runs of unknown amplitude are missing in the first panel.
     """
@@ -211,7 +211,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
 @styled
 def budget_bars(budget: Sequence[Component]) -> Figure:
-    """Draw each contribution to the standard uncertainty of a single radius, left and right, with the total."""
+    """Draw the budget of a single radius, left and right, with the total."""
     names = [style.legible(part.name.replace("_", " ")) for part in budget] + ["combined"]
     sides = [[1e6 * part.std_left_m for part in budget], [1e6 * part.std_right_m for part in budget]]
     figure = canvas(2.2 + 0.62 * len(names))
@@ -238,9 +238,9 @@ LONE_PANEL_CM: Final = 8.5
 MOST_PATHS: Final = 12
 #: runs a figure with residuals in time; more say the same
 MOST_RUNS: Final = 6
-#: points of a line: the width of a panel in half a point
+#: of a line: a panel's width in half points
 MOST_POINTS: Final = 200
-#: signs of a run's name beside its residuals
+#: beside its residuals
 NAME_LENGTH: Final = 10
 #: share of the errors that colours span: one failed measurement does not bleach the others
 SPANNED: Final = 98.0
@@ -250,7 +250,7 @@ CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mr
 
 @styled
 def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure:
-    """Draw the sensor's paths by kind of route: nominal, calibrated, coloured by its error, and the reference."""
+    """Draw paths by kind of route: nominal, calibrated, coloured by error, and reference."""
     traces = [_thinned(trace) for trace in traces]
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
     rows = -(-len(kinds) // COLUMNS)
@@ -312,7 +312,7 @@ def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) ->
 
 @styled
 def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
-    """Draw the residuals of each run along its path, before (grey) and after: a row a run, a column a channel."""
+    """Draw residuals along each path, before (grey) and after: a row a run, a column a channel."""
     chosen = [_thinned(trace) for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
     figure = canvas(1.45 * len(chosen) + 1.6)
     grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
@@ -344,7 +344,7 @@ def _limits(traces: Sequence[RunTrace]) -> list[float]:
 
 @styled
 def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
-    """Draw the residuals at the end of each run in the order driven, before above and after below, by kind of route."""
+    """Draw end residuals in the order driven, before above, after below, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
     kinds = style.Groups.of(np.array([trace.kind for trace in traces]), "all runs")

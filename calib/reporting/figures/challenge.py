@@ -25,7 +25,7 @@ GREEN: Final = style.PALETTE[2]
 
 @styled
 def board_figure(score: Score) -> Figure:
-    """Draw the board against its targets, detection by signal, reliability of probabilities, and closure."""
+    """Draw the board, detection by signal, reliability of probabilities, and closure."""
     # a page of its own, wider than the report's text
     figure = canvas(19.0, 24.0)
     halves = figure.add_gridspec(2, 1, height_ratios=(1.25, 1.0))
@@ -155,7 +155,7 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
 
 
 def fleet_figures(fleet: Fleet) -> Drawings:
-    """Return what draws radii and slopes of the vehicles, and the drift of their wheels where journeys have days.
+    """Return what draws the vehicles' radii and slopes, and with days their drift.
 
     In order of size, each with its 95 % interval, the outliers marked; nothing where no vehicle was fitted.
     """

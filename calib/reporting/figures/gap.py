@@ -1,4 +1,4 @@
-"""Figures of a gap: map, gap by covariate, before and after; of an effect's signature, and what a plan tells apart."""
+"""Figures of a gap, of an effect's signature, and of what a plan tells apart."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from calib.gap.plan.identifiability import Outlook
     from calib.gap.predict import Path
 
-#: longest arrow over the floor plan's larger side
+#: over the floor plan's larger side
 ARROW_SHARE: Final = 0.12
-#: greatest height of the map: half a page
+#: half a page
 MAP_HEIGHT_CM: Final = 11.5
-#: covariates drawn of one channel: two rows of three
+#: of one channel: two rows of three
 MAX_PANELS: Final = 6
-#: covariates of this correlation make one picture
+#: correlation of covariates that make one picture
 ALIKE: Final = 0.98
 
 
@@ -84,7 +84,7 @@ class GapArrays:
 
 @styled
 def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray) -> Figure:
-    """Draw the floor plan with every run's path, and its gap as an arrow from simulated to measured end.
+    """Draw every run's path, and its gap as an arrow from simulated to measured end.
 
     `group` (n,): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
     """
@@ -139,7 +139,7 @@ def gap_by_covariate(
     noise_level: float,
     group: StrArray,
 ) -> Figure:
-    """Draw one channel's gap against each covariate, with the mean of up to eight classes and its 95 % interval.
+    """Draw one channel's gap against each covariate, with up to eight class means and their 95 % intervals.
 
     `residual` (n,) of a channel, `covariates`: see `GapArrays`; `noise_level`: a band about zero; `group` (n,): route
     or kind of each run, for colours.
@@ -266,7 +266,7 @@ def _groups(group: StrArray) -> Groups:
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean x, mean y and half the 95 % interval of classes: the values themselves where few, else equal counts.
+    """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts.
 
     Classes stand where runs are: empty stretches hold none, and a class of one run has no interval.
     """

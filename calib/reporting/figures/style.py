@@ -26,17 +26,16 @@ PALETTE: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7A5C00", "#56B4E
 BLUE, ORANGE, SKY = PALETTE[0], PALETTE[1], PALETTE[5]
 INK: Final = "#222222"
 GREY: Final = "#8A8A8A"
-#: width of the text on the page
+#: of the text on the page
 WIDTH_CM: Final = 17.0
 CM_PER_INCH: Final = 2.54
 #: legend's characters in the width, and those of handle and gap
 LINE_CHARACTERS: Final = 118
-#: groups that each get a legend entry
 LEGEND_LIMIT: Final = 8
 #: more markers are pixels inside the vector figure
 MANY: Final = 2000
 LEGEND_GAP: Final = 6
-#: characters of a group's name in a legend
+#: characters in a legend
 LABEL_LIMIT: Final = 18
 
 

@@ -1,4 +1,4 @@
-"""Diagnosis of a gap: verdict, pictures, the runs to drive next with their promised intervals, and known effects."""
+"""Diagnosis of a gap, runs to drive next, and known effects."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 
-#: figures of ``calib diagnose --figures``
 GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
-#: verdict -> level of its notice, and its title
+#: level of the notice, and title
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),
     VerdictKind.EXPLAINED: ("good", "The gap is explained"),
@@ -60,26 +59,26 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
 
 
 def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
-    """Return a title with the verdict's word, where the title does not hold it, and further remarks in brackets."""
+    """Return a title with the verdict's word, if new, and further remarks in brackets."""
     remarks = [*([] if kind.value in title else [kind.value]), *more]
     return f"{title} ({', '.join(remarks)})" if remarks else title
 
 
 def page_one_notice(verdict: Diagnosis) -> Notice:
-    """Return the verdict for the first page: with the probabilities of its causes where one is in doubt."""
+    """Return the verdict for the first page, with probabilities of doubtful causes."""
     notice = verdict_notice(verdict)
     doubt = doubtful_causes((cause.effect, cause.probability) for cause in verdict.causes)
     return replace(notice, text=f"{notice.text} {doubt}".strip())
 
 
 def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
-    """Return what the terminal prints of a diagnosis, under the name of its campaign."""
+    """Return what the terminal prints of a diagnosis."""
     mark = (blocks.simulated_notice(),) if verdict.simulated else ()
     return (blocks.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
 
 def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple[Block, ...]:
-    """Return the statements of a diagnosis, with its pictures where its arrays are given."""
+    """Return the statements of a diagnosis, with `gap` its pictures."""
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
@@ -98,7 +97,7 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
 
 
 def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
-    """Return the section of a report on a diagnosis; `gap`: the arrays of its figures, by default its own."""
+    """Return a report's section on a diagnosis; `gap`: by default its own."""
     from calib.reporting.figures.gap import GapArrays
 
     if gap is None and verdict.evidence is not None:
@@ -116,7 +115,7 @@ def map_picture(gap: GapArrays | None) -> list[Picture]:
 
 
 def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture]:
-    """Return the channel furthest above its noise level, against what varied between the runs."""
+    """Return the channel furthest above its noise, against what varied."""
     if gap is None:
         return []
     from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
@@ -149,7 +148,7 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
 
 
 def before_after_picture(gap: GapArrays | None) -> list[Picture]:
-    """Return the gap of every run before and after the correction, channel by channel."""
+    """Return every run's gap before and after the correction."""
     if gap is None or not np.isfinite(gap.before).any():
         return []
     from calib.reporting.figures.gap import rms
@@ -169,17 +168,17 @@ def _known(values: FloatArray) -> FloatArray:
 
 
 def diagnosis_brief(diagnosis: Diagnosis) -> tuple[Block, ...]:
-    """Return what the interpreter shows of a diagnosis: its verdict."""
+    """Return what the interpreter shows of a diagnosis."""
     return (verdict_notice(diagnosis),)
 
 
 def plan_content(plan: Plan) -> tuple[Block, ...]:
-    """Return what the terminal prints of a plan: the verdict that it follows from, and the runs to drive next."""
+    """Return what the terminal prints of a plan: verdict, and runs to drive next."""
     return (verdict_notice(plan.diagnosis), *runs_and_promises(plan))
 
 
 def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
-    """Return the runs to drive next, and the intervals that `calib geometry` will then give."""
+    """Return the runs to drive next, and the intervals they promise."""
     promises = [promise_table(plan.now, plan.then)] if plan.then else []
     return (next_runs_table([run.to_dict() for run in plan.runs]), *promises)
 
@@ -202,7 +201,7 @@ def size_text(value: float, unit: str) -> str:
 
 
 def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
-    """Return the runs to drive next, best first, each with the effects that it separates."""
+    """Return the runs to drive next, best first, with the effects separated."""
     if not runs:
         return Text("No run of the list would separate more effects than the runs driven.")
     return table(
@@ -213,7 +212,7 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
 
 
 def promise_table(now: Promise | None, then: Promise) -> Table:
-    """Return the half widths of the intervals that `calib geometry` will give, beside those of the runs driven."""
+    """Return the half widths that `calib geometry` will give, beside those of the runs driven."""
     before = {} if now is None else {each.name: each.half_width for each in now.estimates}
     rows = []
     for each in then.estimates:
@@ -266,7 +265,7 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
 
 
 def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return one effect in full: description, sizes, and its signature by kind of run."""
+    """Return one effect in full."""
     effect = entry.effect
     facts = {
         "From": entry.origin,
@@ -319,7 +318,7 @@ def _why_no_form(entry: Entry) -> str:
     return f"needs {entry.effect.needs}" if entry.effect.needs else "shows on other runs only"
 
 
-#: effects named in one cell
+#: in one cell
 MAX_NAMED: Final = 4
 
 

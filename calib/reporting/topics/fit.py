@@ -1,4 +1,4 @@
-"""Result of a fit, at a glance and in full, its checks and their decision rule, and its comparison with a model."""
+"""Result of a fit, its checks, and its comparison with a model."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from calib.reporting.topics.law import law_table, radius_budget, regressions_pic
 from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
 from calib.types import grouped
 
-#: names of the pictures of a fit, in the order of the report's pages
+#: in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
 
 
 def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
-    """Return what a fit says, the most important first and last; with `runs` the radius of every run, too."""
+    """Return what a fit says; with `runs` the radius of every run, too."""
     sessions = len(set(fit.radii.session.tolist()))
     return (
         blocks.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
@@ -74,7 +74,7 @@ def _row(difference: Difference, name: str, factor: float, unit: str) -> tuple[s
 
 
 def result_section(source: Source) -> Section:
-    """Return the laws in one table and the verdict of the checks in one sentence."""
+    """Return the laws in a table, and the checks' verdict."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
@@ -85,7 +85,7 @@ def result_section(source: Source) -> Section:
 
 
 def assumed_text(assumed: Mapping[str, str]) -> Text:
-    """Return the keys of ``campaign.toml`` that the campaign does not state, with the values assumed."""
+    """Return unstated keys of ``campaign.toml``, with the values assumed."""
     if not assumed:
         return Text("Every setting that these results depend on is stated by the campaign; none is assumed.")
     return Text(
@@ -94,7 +94,7 @@ def assumed_text(assumed: Mapping[str, str]) -> Text:
 
 
 def assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
-    """Return a notice for the first page where every result scales with an assumed value, else nothing."""
+    """Return a notice where every result scales with an assumed value."""
     weighty = {key: value for key, value in assumed.items() if key in WEIGHTY}
     if not weighty:
         return ()
@@ -107,7 +107,7 @@ def _listed(assumed: Mapping[str, str]) -> str:
 
 
 def diagnosis_section(source: Source) -> Section | None:
-    """Return the findings of the diagnosis, or None where the report has none."""
+    """Return the findings of the diagnosis, if any."""
     if source.verdict is None:
         return None
     from calib.reporting.topics.diagnosis import gap_section
@@ -135,12 +135,12 @@ def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
 
 
 def fit_brief(fit: Fit) -> tuple[Block, ...]:
-    """Return what the interpreter shows of a fit: both laws, and whether they can be used."""
+    """Return what the interpreter shows of a fit."""
     return (law_table(fit), usable_notice(fit))
 
 
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
-#: remarks beside the result, a sentence each
+#: beside the result
 MAX_REMARKS: Final = 3
 
 
@@ -173,7 +173,7 @@ def _statistics(checks: list[Check]) -> str:
 
 
 def usable_notice(fit: Fit) -> Notice:
-    """Return whether the law can be used, and what its user has to know."""
+    """Return whether the law can be used."""
     checks = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks]
     if fit.implausible and fit.accepted:
         findings = f"Reason given: {prose(fit.accepted)}. Findings: {' '.join(map(prose, fit.implausible))}"
@@ -195,7 +195,7 @@ def residuals_section(source: Source) -> Section:
 
 
 def decision_section(source: Source) -> Section:
-    """Return by which rule the checks were judged, and what was not judged."""
+    """Return the rule that judged the checks, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
     values = {"note": NOTE_BELOW, "fail": FAIL_BELOW, "false_alarm": false_alarm, "failures": 100 * tests * FAIL_BELOW}

@@ -1,4 +1,4 @@
-"""Many vehicles and many cases: a fleet's spread, outliers, drift and failures; the scoreboard of a blind check."""
+"""A fleet's results; the scoreboard of a blind check."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_ROWS = 40
 def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, ...]:
     """Return what a task over a fleet says.
 
-    For a page with pictures, and without what was done now: it is the same however often the command was interrupted.
+    For a page with pictures, and without what was done now: interruptions change nothing.
     """
     return _of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)
 

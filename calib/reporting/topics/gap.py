@@ -1,4 +1,4 @@
-"""Gap: where it lies, what it correlates with, its causes, and how far the correction closes it."""
+"""Gap: its place, causes and closure."""
 
 from __future__ import annotations
 
@@ -143,9 +143,9 @@ def _transfer(verdict: Diagnosis) -> Table:
     return table(caption("table-transfer", where=where), (head, "<Which", "Before", "After"), rows)
 
 
-#: rows of a table of causes at most; the JSON has them all
+#: in a table; the JSON has them all
 MAX_CAUSES: Final = 24
-#: credible sets named in one sentence; the JSON has them all
+#: in one sentence; the JSON has them all
 MAX_SETS: Final = 8
 
 
@@ -155,7 +155,7 @@ def effect_name(effect: str) -> str:
 
 
 def cause_blocks(verdict: Diagnosis) -> list[Block]:
-    """Return the ranking of the named causes, their sizes, and remarks on these."""
+    """Return the named causes, their sizes, and remarks."""
     if not verdict.causes:
         return []
     named = verdict.causes[:MAX_CAUSES]

@@ -34,7 +34,7 @@ def parameter_table(geometry: Geometry) -> Table:
 
 
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
-    """Return the residuals by route, and those of held-out runs where there are any."""
+    """Return the residuals by route, and of held-out runs."""
     caption = "Residuals by route: root mean square of position and heading."
     routes = table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)
     rows = [
@@ -55,7 +55,7 @@ def _heading(geometry: Geometry) -> str:
 
 
 def verdict_sentences(geometry: Geometry) -> list[str]:
-    """Return the verdict with the residuals that it rests on, and what speaks against the estimates."""
+    """Return the verdict with its residuals, and what speaks against the estimates."""
     verdict = geometry.verdict.value.capitalize()
     judgement, parts = geometry.judgement, []
     for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
@@ -111,16 +111,16 @@ def _route_cells(route: RouteResidual) -> tuple[str, ...]:
 
 
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
-    """Return what the interpreter shows of a geometry: runs and parameters."""
+    """Return what the interpreter shows of a geometry."""
     return geometry_content(geometry)[:3]
 
 
-#: verdict -> level of its notice
+#: level of the notice
 LEVELS: Final = {GeometryVerdict.CALIBRATED: "good", GeometryVerdict.DOUBTFUL: "note", GeometryVerdict.WRONG: "bad"}
 
 
 def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Section]:
-    """Return the result, its residuals, and how the parameters correlate; `found`: notices of a diagnosis."""
+    """Return result, residuals and correlations; `found`: notices of a diagnosis."""
     verdict = geometry.verdict
     first, *further = verdict_sentences(geometry)
     result = (

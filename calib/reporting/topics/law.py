@@ -1,4 +1,4 @@
-"""Radius law: table of both wheels, regression with both bands, coefficients, and the budget of their uncertainty."""
+"""Radius law: tables, regression, coefficients, uncertainty budget."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _row(fit: WheelFit) -> tuple[str, ...]:
 
 
 def single_run_text(fit: Fit) -> Text:
-    """Return the prediction interval of one further run in the middle of the load range."""
+    """Return a further run's prediction interval in mid load range."""
     parts = []
     line = any(wheel.model == "line" for wheel in fit.wheels.values())
     for name, wheel in fit.wheels.items():
@@ -71,7 +71,7 @@ def single_run_text(fit: Fit) -> Text:
 
 
 def quality_text(wheel: WheelFit) -> str:
-    """Return the scatter about the law, and how much of the spread of the radii it explains."""
+    """Return the scatter about the law, and what it explains."""
     text = f"{wheel.wheel.capitalize()} wheel: residual standard deviation {two_digits(UM * wheel.residual_std_m)} µm"
     if wheel.model == "line":
         # more digits where the line explains nearly all
@@ -83,7 +83,7 @@ def quality_text(wheel: WheelFit) -> str:
 
 
 def naive_text(fit: Fit) -> tuple[Text, ...]:
-    """Return the slopes' intervals as if runs were independent, to compare; nothing where there is no slope."""
+    """Return the slopes' intervals as if runs were independent."""
     parts = []
     for name, wheel in fit.wheels.items():
         if wheel.naive is not None and wheel.model == "line" and wheel.design != "single":
@@ -94,7 +94,7 @@ def naive_text(fit: Fit) -> tuple[Text, ...]:
 
 
 def regression_section(source: Source) -> Section:
-    """Return figure and table of both wheels' laws with the band of the mean and the prediction band."""
+    """Return figure and table of both laws with their bands."""
     fit = source.fit
     bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
     heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
@@ -119,7 +119,7 @@ def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
 
 
 def coefficients_section(source: Source) -> Section:
-    """Return every coefficient with its uncertainty, and how to get the radius at a load from them."""
+    """Return the coefficients with uncertainties, and how to get a radius at a load."""
     fit = source.fit
     rows = []
     for wheel in fit.wheels.values():
@@ -153,7 +153,7 @@ def _correlation(wheel: WheelFit) -> str:
 
 
 def regressions_picture(fit: Fit) -> Picture:
-    """Return both wheels' laws with the band of the mean and the prediction band."""
+    """Return both laws with their bands."""
     alt = f"Regression of the radius on the load: {'; '.join(map(_law_in_words, fit.wheels.values()))}"
     return picture("regressions", alt, "calibration.regressions", fit.left, fit.right, fit.radii.session)
 
@@ -170,7 +170,7 @@ _NAMES: Final = {"other run to run": "other, run to run"}
 
 
 def radius_budget(fit: Fit) -> Table:
-    """Return the contributions to the standard uncertainty of a single effective radius."""
+    """Return the budget of a single effective radius."""
     rows: list[tuple[str, ...]] = []
     for part in fit.radii.budget:
         name, dof = part.name.replace("_", " "), "∞" if part.dof is None else fixed(part.dof, 1)
@@ -191,7 +191,7 @@ def budget_picture(fit: Fit) -> Picture:
 
 
 def law_budget(fit: Fit) -> Table:
-    """Return what scatter of runs and sessions, and what is systematic, contribute to the coefficients."""
+    """Return what scatter and systematic sources contribute to the coefficients."""
     systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []
     for name, wheel in fit.wheels.items():

@@ -1,4 +1,4 @@
-"""Runs: the findings of a check, figure and table of a fit's, runs not used, and how far their paths deviate."""
+"""Runs: a check's findings, a fit's runs used and not used, deviation of their paths."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ from calib.types import FloatArray, grouped
 
 #: more runs make the report's table one of sessions
 MOST_ROWS: Final = 200
-#: runs named for one reason
+#: for one reason
 MOST_NAMED: Final = 12
 
 
 def left_out_table(fit: Fit) -> Table:
-    """Return one row a reason, with a dozen runs named of hundreds that are not used; the fit's JSON names them all."""
+    """Return a row a reason, a dozen unused runs named; the fit's JSON names them all."""
     by_reason = grouped((run.reason, run.run_id) for run in fit.radii.left_out)
     rows = [(reason, str(len(names)), listed(names, MOST_NAMED)) for reason, names in by_reason.items()]
     return table("Runs that were not used.", ("*Reason", "Number", "*Runs"), rows[:MOST_ROWS], dense=True)
 
 
 def runs_table(fit: Fit) -> Table:
-    """Return every run: counts, distance, loads, radii, and residuals from the law."""
+    """Return a row a run."""
     radii = fit.radii
     # head -> values, factor of its unit, decimals
     numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
@@ -71,7 +71,7 @@ def runs_table(fit: Fit) -> Table:
 
 
 def sessions_table(fit: Fit) -> Table:
-    """Return one row a session, for campaigns of many runs."""
+    """Return a row a session, for many runs."""
     radii = fit.radii
     heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
     rows = []
@@ -89,7 +89,7 @@ def sessions_table(fit: Fit) -> Table:
 
 
 def runs_section(source: Source) -> Section:
-    """Return the runs used, and those not used with the reason."""
+    """Return the runs used, and not used with the reason."""
     fit, radii = source.fit, source.fit.radii
     sessions = plural(len(set(radii.session.tolist())), "session")
     content = (
@@ -116,7 +116,7 @@ TOLERANCE: Final = 5e-4
 
 
 def deviation_section(source: Source) -> Section:
-    """Return how much longer than the measured distance the wheels' paths were, and what was corrected."""
+    """Return how much longer the wheels' paths were than measured, and what was corrected."""
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
     paths = np.array((radii.path_left, radii.path_right))
@@ -160,7 +160,7 @@ def deviation_picture(fit: Fit) -> Picture:
 #: entries of a list of names, and runs of one note
 MAX_NAMES: Final = 12
 MAX_RUNS: Final = 6
-#: lines of notes that differ in their numbers alone; the JSON has them all
+#: lines that differ in numbers alone; the JSON has them all
 MAX_SIMILAR: Final = 8
 
 

@@ -14,7 +14,7 @@ from calib.reporting.blocks import Block, Table, Text, caption, catalogue, parag
 from calib.reporting.formatting import fixed, measured
 from calib.vehicle import Vehicle, WeighedPayload
 
-#: component of the error -> by what it is multiplied to be read
+#: component of the error -> factor for reading
 _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
 
 
@@ -108,7 +108,7 @@ def _path(path: LawPath, route: str) -> list[Block]:
 
 
 def times(ratio: float) -> str:
-    """Return a quotient of errors, before over after, in words; one that rounds to 1.0 is no change."""
+    """Return errors before over after in words; 1.0 is no change."""
     if 1.0 / SMALLER < ratio < SMALLER:
         return f"neither smaller nor larger ({ratio:.2f} times)"
     return f"{ratio:.1f} times smaller" if ratio > 1.0 else f"{1.0 / ratio:.1f} times larger"
@@ -119,7 +119,7 @@ def _signed(value: float, decimals: int) -> str:
     return text if text.startswith("−") or float(text) == 0 else f"+{text}"
 
 
-#: radii compared where a front wheel or four wheels drive the odometry
+#: radii where a front wheel or four wheels drive the odometry
 BY_GEOMETRY: Final = {"model": "as the simulator believes", "corrected": "the coefficients' radii and lengths"}
 
 
