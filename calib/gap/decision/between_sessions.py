@@ -1,7 +1,7 @@
-"""How much wider sizes are known where the radii step from session to session, named or not.
+"""How much wider sizes are known where radii step from session to session, named or not.
 
-Steps too small to be named are a variance component (Searle, Casella, McCulloch, Variance Components, 1992): its
-restricted likelihood gives the scatter of both radii between sessions, Satterthwaite's degrees of freedom say how well.
+Steps too small to name are a variance component (Searle, Casella, McCulloch, Variance Components, 1992): restricted
+likelihood gives their scatter, Satterthwaite's degrees of freedom how well it is known.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from calib.gap.inference.fit import whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.types import FloatArray
 
-#: relative step of a radius: the unit of the scatter
+#: relative step of a radius: unit of the scatter
 _STEP: Final = 5e-4
-#: prior precision of a step, in its unit: a thousand units, which leaves it to the data
+#: prior precision of a step, in its unit: a thousand, left to the data
 _STEP_PRECISION: Final = 1e-6
-#: variances searched, in squares of the unit, as logarithms: a step of 1e-6 to one of 1e-2
+#: log variances searched, in squares of the unit: steps of 1e-6 to 1e-2
 _LOG_VARIANCES: Final = (-12.4, 6.0)
 _SIDES: Final = ("left", "right")
 
@@ -36,7 +36,7 @@ class SessionScatter:
     dof: float
 
     def widening(self, weights: FloatArray, dof: float) -> FloatArray:
-        """Return by how much intervals of combinations, weights (p, k), are wider, (k,); `dof`: of the noise."""
+        """Return by how much intervals of combinations (p, k) are wider, (k,); `dof`: of the noise."""
         from scipy.special import stdtrit
 
         run = np.einsum("pk,pq,qk->k", weights, self.without, weights)
@@ -47,7 +47,7 @@ class SessionScatter:
 
 
 def session_scatter(evidence: Evidence) -> SessionScatter | None:
-    """Return what steps of the radii add to the sizes; None without sessions or scatter, or with the steps named."""
+    """Return what the radii's steps add to sizes; None without sessions or scatter, or with steps named."""
     fitted = evidence.fitted
     fit = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
     blocks = fit.weighting.system.blocks
@@ -71,9 +71,9 @@ def session_scatter(evidence: Evidence) -> SessionScatter | None:
 
 
 def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the variance beyond their covariance (m, m) that estimates (m,) of mean zero scatter by, and its dof.
+    """Return the variance beyond covariance (m, m) that estimates (m,) of mean zero scatter by, and its dof.
 
-    0.0 where none is more likely. The degrees of freedom are those of the variance's Fisher information.
+    0.0 where none is likelier; dof by the variance's Fisher information.
     """
     from scipy.optimize import minimize_scalar
 
@@ -92,12 +92,12 @@ def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[f
 
 
 def beside_named_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
-    """Yield the causes; radii beside steps of the sessions with an interval that holds the scatter of these.
+    """Yield causes; radii beside session steps with an interval that holds their scatter.
 
-    They are the mean of the sessions driven, and promise no more for others.
+    They are means of the sessions driven, no promise for others.
     """
     steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
-    # of the first session none is stated: the others' are counted from it
+    # the first session's is not stated: the others count from it
     by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
     for cause in causes:
         if steps and cause.effect in SessionStep.shifts:
@@ -112,7 +112,7 @@ def beside_named_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
 
 
 def half_of_mean(results: FloatArray) -> float:
-    """Return half the 95 % interval of the mean of independent results, shape (n,), by Student's t."""
+    """Return half the 95 % interval of the mean of independent results (n,), Student's t."""
     from scipy.special import stdtrit
 
     n = len(results)

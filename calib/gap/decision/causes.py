@@ -26,41 +26,41 @@ from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.observations.arrays import Channel
 from calib.types import FloatArray, StrArray
 
-#: causes are ordered by these classes of probability, within one by their signal: finer differences are chance
+#: causes are ordered by these classes of probability, then by signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
-#: a cause below this signal, and below this share of the signal of a larger one whose form may err by so much in its
-#: size (`SAME_SIZE_SD`), cannot be told from that error; radii and track have no form that errs
+#: a cause below this signal and this share of a larger one's signal, whose form may err by so much of its size
+#: (`SAME_SIZE_SD`), cannot be told from that error; radii and track have no form that errs
 WEAK_SIGNAL: Final = 10.0
 FORM_ERROR_SHARE: Final = 0.05
-#: a mean residual this many standard deviations from zero says where the unexplained residual lies
+#: standard deviations from zero of a mean residual that places the unexplained
 LOCATED_SD: Final = 4.0
-#: places and covariates named of the unexplained residual
+#: places and covariates named of it
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
-#: probability that a true cause fails any of a campaign's tests of constancy, the usual level of a test
+#: chance that a true cause fails any test of constancy, the usual level
 FALSE_REJECTION: Final = 0.05
 #: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
 LEAST_SQUARE: Final = 4.0
-#: spread of a size over groups that leaves it the same: two sizes a tenth apart leave a hundredth of the squares
+#: spread of one size over groups: sizes a tenth apart leave a hundredth of the squares
 SAME_SIZE_SD: Final = 0.05
-#: prior precision of a size's difference between groups: a hundred times the size, which leaves it to the data
+#: prior precision of a size's difference between groups: a hundred times the size, left to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sized:
-    """A form at its fitted size: covariance of its parameters, whitened columns (n_rows, n_parameters), signal."""
+    """A form at its fitted size: covariance, whitened columns (n_rows, n_parameters), signal."""
 
     form: Form
     theta: FloatArray
     covariance: FloatArray
     columns: FloatArray
     signal: float
-    weights: FloatArray  #: of the estimates, recalibration first, in its parameters: (n_estimates, n_parameters)
+    weights: FloatArray  #: (n_estimates, n_parameters): of the estimates, recalibration first
 
     @property
     def squares(self) -> tuple[float, float]:
-        """Whitened squares of what it does, and their standard uncertainty for normal errors of its size."""
+        """Whitened squares of what it does, and their standard uncertainty."""
         contribution = self.columns @ self.theta
         gram = self.columns.T @ self.columns
         spread = gram @ self.covariance
@@ -75,9 +75,9 @@ def causes_of(
     certain: Mapping[str, float],
     forms_open: Mapping[str, tuple[str, ...]],
 ) -> list[Cause]:
-    """Return the causes of the most probable hypothesis and of the recalibration, most probable first.
+    """Return causes of the most probable hypothesis and the recalibration, most probable first.
 
-    The order is by `certain`, see `fix_of`: an alias does not cost a cause its place.
+    Ordered by `certain`, see `fix_of`: an alias costs no cause its place.
     """
     from scipy.special import stdtrit
 
@@ -100,10 +100,9 @@ def causes_of(
 
 
 def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the effects that are negligible beside a larger cause, or small and not nearly certain.
+    """Return effects that are negligible beside a larger cause, or small and not nearly certain.
 
-    Nearly certain is a cause at more than even odds where its family is by `certain`: which member it is does not make
-    it small.
+    Nearly certain is also a cause above even odds whose family is by `certain`.
     """
     largest = max((cause.share for cause in causes), default=0.0)
     strongest = max((cause.signal for cause in causes if cause.effect not in NAMES), default=0.0)
@@ -111,7 +110,7 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
     def too_small(cause: Cause) -> bool:
         likeliest = max(cause.probability, certain.get(cause.effect, 0.0))
         is_certain = cause.probability > EVEN_PROBABILITY and likeliest >= CERTAIN_PROBABILITY
-        # a small error of the largest cause's law looks like a small cause
+        # an error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
         weak = cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
@@ -124,7 +123,7 @@ def _shares(
 ) -> list[tuple[float, float]]:
     """Return each cause's share of the gap above the noise level, and half its 95 % interval.
 
-    What they explain together is divided by their squares; errors of the sizes to first order, as independent.
+    What they explain together is divided by squares; errors to first order, as independent.
     """
     explained, explained_sd = evidence.explained_share
     squares, sd = np.array([sized.squares for sized in every]).reshape(-1, 2).T
@@ -196,7 +195,7 @@ def _cause(
 
 
 def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
-    """Return a blunder that was corrected before the search as a cause: certain, and the whole gap."""
+    """Return a blunder corrected before the search as a cause: certain, the whole gap."""
     return Cause(
         effect=fault.effect.id,
         title=fault.effect.title,
@@ -223,10 +222,10 @@ def unexplained_of(evidence: Evidence) -> Unexplained | None:
 def places_as_unexplained(
     evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None
 ) -> tuple[list[Cause], Unexplained | None]:
-    """Return the places that other causes outweigh, and the unexplained residual with these.
+    """Return places that other causes outweigh, and the unexplained residual with these.
 
-    What is sought at every place follows what the forms of larger causes leave, or an effect that no library has: of
-    21 zones of the floor in development cases that explain less than the other causes together none was at work.
+    A form sought at every place follows what larger causes leave, or an effect outside the library: of 21 floor zones
+    in development cases that explain less than the other causes together none was at work.
     """
     total = sum(cause.share for cause in causes)
     placed = [cause for cause in causes if evidence.effects[cause.effect].by_place and cause.share <= 0.5 * total]
@@ -239,11 +238,10 @@ def places_as_unexplained(
 
 
 def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> list[Cause]:
-    """Return the causes; those of a weaker signal than the unexplained residual have even odds at most.
+    """Return the causes; those of a weaker signal than the unexplained residual at even odds at most.
 
-    What left so much unexplained may have left that little, too. Of 33 such causes in development campaigns with an
-    effect that no library has, or that the library was denied, named at up to 0.96, none was at work; of 10 in crowds,
-    whose residual is weaker than most of what is at work, 9 were.
+    What left so much may have left them, too. Of 33 in development campaigns with an effect outside the library, named
+    at up to 0.96, none was at work; of 10 in crowds, whose residual is weaker than most causes, 9 were.
     """
     if unexplained is None or unexplained.share <= SMALL_SHARE:
         return [*causes]
@@ -251,7 +249,7 @@ def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> 
 
 
 def limited_to_even(causes: Sequence[Cause], doubtful: Collection[str]) -> list[Cause]:
-    """Return the causes; those of doubtful effects have even odds at most."""
+    """Return the causes, doubtful effects at even odds at most."""
     return [
         replace(cause, probability=min(cause.probability, EVEN_PROBABILITY)) if cause.effect in doubtful else cause
         for cause in causes
@@ -278,7 +276,7 @@ def _places(evidence: Evidence) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class SizeDifference:
-    """A cause whose size differs between groups of runs beyond noise and what its form may deviate by."""
+    """A cause whose size differs between groups of runs beyond noise and deviations of its form."""
 
     effect: str  #: id of the effect
     by: str  #: what the runs are grouped by: ``kind``, ``speed``, ``load``, ``balance``, ``direction``, ``session``
@@ -300,19 +298,19 @@ class SizeDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """What is named, how sure that is, and what stands beside it."""
+    """What is named, how sure, and what stands beside it."""
 
     causes: Sequence[Cause]
-    #: of each effect, the probability that it or an effect that it is confounded with is at work
+    #: probability of each effect or one that it is confounded with
     certain: Mapping[str, float]
     unexplained: Unexplained | None = None
-    #: causes whose sizes differ between groups of runs
+    #: causes whose sizes differ between groups
     differing: Mapping[str, SizeDifference] = field(default_factory=dict)
-    #: confounded effects of the named causes without their own families
+    #: confounded effects of the named ones outside their families
     tied: Sequence[Sequence[str]] = ()
 
     def probability(self, cause: Cause) -> float:
-        """Return the probability that a cause or an effect that it is confounded with is at work."""
+        """Return the probability of a cause or an effect that it is confounded with."""
         return self.certain.get(cause.effect, cause.probability)
 
     @property
@@ -322,14 +320,14 @@ class Finding:
 
 
 def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:
-    """Return, by effect, the effects whose sizes differ between groups of runs.
+    """Return, by effect, those whose sizes differ between groups of runs.
 
-    A cause's contribution is given a further factor on each group, beside the recalibration and all fitted effects (a
-    test of parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and what each
-    condition may deviate from the form by. The statistic follows F; levels are divided by the number of tests.
+    A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (a test of
+    parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
+    form. The statistic follows F; levels are divided by the number of tests.
     """
     fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
-    # what has a size of its own in each session has no common one
+    # what differs by session has no common size
     names = {name for name in effects if not evidence.effects[name].per_session}
     groups = groupings(evidence.observations, by_balance=True)
     tested = [

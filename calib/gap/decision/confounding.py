@@ -24,23 +24,23 @@ from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of
 from calib.gap.predict import predict
 from calib.types import FloatArray
 
-#: hypotheses within this log-evidence window (a factor of ten) are not separated
+#: log evidence within which hypotheses are not separated: a factor of ten
 LOG_EVIDENCE_WINDOW: Final = 2.3
-#: prior standard deviation, in typical sizes, of the other named effects while the aliases of one are sought
+#: prior standard deviation, in typical sizes, of named effects while aliases of one are sought
 OTHER_EFFECTS_SD: Final = 3.0
 #: the most probable sets hold so much together
 CREDIBLE: Final = 0.95
-#: radii and track that are off by the same share, and what does the same where no other instrument measures a length
+#: off by the same share: radii and track, and what does the same without another measure of length
 SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
-#: a radius or track is wrong so many times as often as any one effect that looks like it is at work
+#: a radius or track is wrong so many times as often as one effect that looks like it
 CALIBRATION_ODDS: Final = 5.0
-#: an effect that the search gives more than this was weighed together with the calibration there
+#: above this the search weighed an effect with the calibration
 WEIGHED_PROBABILITY: Final = 0.01
 #: smallest probability that is listed
 LISTED_PROBABILITY: Final = 1e-4
-#: probability by the model, and the share of such statements that held. One monotone map, learnt by
-#: `tests/challenge/learn_map.py` on the named causes of 152 development cases: the first 120 of the development seeds
-#: and 32 crowded ones. No scored case took part
+#: probability by the model, and the share of such statements that held: a monotone map learnt by
+#: `tests/challenge/learn_map.py` on named causes of 152 development cases, none scored: the first 120 of the
+#: development seeds and 32 crowded ones
 TABLE: Final = (
     (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),
     (0.0, 0.37, 0.40, 0.58, 0.65, 0.83, 0.93, 0.95, 0.96),
@@ -48,12 +48,12 @@ TABLE: Final = (
 
 
 def calibrated(probability: float) -> float:
-    """Return how often a cause that the model gives this probability has been at work."""
+    """Return how often a cause of this probability by the model was at work."""
     return float(np.interp(probability, *TABLE))
 
 
 def groups_of(evidence: Evidence) -> list[list[str]]:
-    """Return, for each named effect, the group that it is confounded with (itself first, then the nearest)."""
+    """Return the group that each named effect is confounded with (itself first, then the nearest)."""
     groups = _groups_of_effects(evidence)
     fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
     forms = evidence.search.forms
@@ -67,7 +67,7 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
             groups.append([*SCALED, *sorted(near, key=near.__getitem__)])
             calibration = tuple(name for name in calibration if name not in SCALED)
     if len(calibration) > 1:
-        # one cause may look like two calibration parameters off at once (counts lost on one wheel)
+        # one cause may look like two parameters off (counts lost on one wheel)
         nuisance = Nuisance.of(np.concatenate(free, axis=1))
         near = aliases_of(system, nuisance, evidence.calibration_contribution(calibration), forms, evidence.named)
         if near:
@@ -78,7 +78,7 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
         for other, direction in zip(NAMES, DIRECTIONS, strict=True):
             if other != name:
                 column = (evidence.per_unit @ direction)[:, None]
-                # one that is not off may be off by what these runs do not separate from zero
+                # what is not off may be off by what does not show
                 undetected = SEPARATION_SD / max(float(np.linalg.norm(column)), 1e-12)
                 others.append(column * (CALIBRATION_SD[0] if other in calibration else undetected))
         nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
@@ -116,7 +116,7 @@ def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
 
 
 def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
-    """Return the parameters of the recalibration that absorbs a contribution (n_rows,)."""
+    """Return the recalibration parameters that absorb a contribution (n_rows,)."""
     left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
     if not left < SEPARATION_SD**2 < contribution @ contribution:
         return []
@@ -126,7 +126,7 @@ def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
 
 
 def _undetected(evidence: Evidence) -> FloatArray:
-    """Return the recalibration, whitened: what is not off varies by what these runs do not separate from zero alone."""
+    """Return the recalibration, whitened: what is not off varies by what does not show alone."""
     columns = evidence.per_unit @ DIRECTIONS.T
     limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     off = [name in evidence.calibration for name in NAMES]
@@ -137,7 +137,7 @@ def _undetected(evidence: Evidence) -> FloatArray:
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     """Return what is nearly as probable in place of one effect of the most probable hypothesis.
 
-    Other effects and, where the others do without it, calibration parameters that look like it.
+    Other effects; where the others do without it, calibration parameters that look like it.
     """
     best, search = evidence.search.effects, evidence.search
     probability = dict(zip(search.models, search.probabilities, strict=True))
@@ -146,7 +146,7 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     alternatives: list[str] = []
     for model, p in probability.items():
         instead = set(model) - others
-        # two effects that are as probable together are no alternatives to one another
+        # effects as probable together are no alternatives
         together = probability.get(tuple(sorted({*best, *instead})), 0.0)
         if p > max(least, together) and len(model) == len(best) and others <= set(model) and effect not in model:
             alternatives += instead
@@ -165,10 +165,10 @@ def _other_laws(evidence: Evidence, effect: str) -> list[str]:
 
 
 def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
-    """Return the effects of some groups that are at least a tenth as probable as the named one of their group.
+    """Return effects at least a tenth as probable as the named one of their group.
 
-    A form of many parameters (a zone of the floor, a step between sessions) follows nearly every weak cause: no run
-    tells the two apart, but what the evidence charges for parameters does.
+    A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: runs do not tell
+    them apart, but what the evidence charges for parameters does.
     """
     inclusion, least = evidence.search.inclusion(), float(np.exp(-LOG_EVIDENCE_WINDOW))
 
@@ -191,30 +191,30 @@ class _Correction:
     theta: Sequence[FloatArray]
 
     def ends(self, evidence: Evidence) -> FloatArray:
-        """Return the end positions (n, 2) of the journeys to come, else of the runs driven."""
+        """Return end positions (n, 2) of journeys to come, else of the runs driven."""
         journeys = evidence.journeys
         if journeys is None:
             about = evidence.fitted.path
             path = hypothesis_path(about.s, self.calibration, self.forms, self.theta, about)
-            # a parameter of the user's simulator moves the readings of its vehicle
+            # parameters of a simulator move its vehicle's readings
             return path.reading[:, POSE] if about.s.calibration_held else path.end[:, :2]
         sections = [section_of(form, sizes) for form, sizes in zip(self.forms, self.theta, strict=True)]
-        # an effect that the journeys do not excite does nothing there
+        # what the journeys do not excite does nothing there
         declared = evidence.situation.campaign.extra.get("effects", ())
         perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
         path = predict(journeys, [*calibration_pushes(journeys, self.calibration, None), *perturbations])
-        # driven runs are there so that covariates vary as they did in the fit
+        # driven runs keep covariates varying as in the fit
         to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
         return path.end[to_come, :2]
 
 
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
-    """Return the root mean square distance of end positions under confounded effects, the largest; None without any.
+    """Return the largest root mean square distance of ends under confounded effects; None without any.
 
-    The ends are those of the journeys to come where given, else of the runs driven. An instrument's error moves no
-    vehicle: its correction and that of a radius are as far apart as the radius moves the ends.
+    Ends of the journeys to come where given, else of the runs driven. An instrument's error moves no vehicle: its
+    correction and a radius' are as far apart as the radius moves the ends.
 
-    `groups` have the named effect first.
+    `groups`: the named effect first.
     """
     fitted, distances = evidence.fitted, []
     best = _Correction(fitted.calibration, fitted.forms, fitted.theta)
@@ -261,10 +261,10 @@ def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -
 def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     """Return the causes whose part a second form of a larger cause explains as well.
 
-    No form is exact: a play or a time constant between two on offer, or a share that grows faster than linearly, leaves
-    what looks like a smaller cause. A form that acts the other way is no error of the fitted one: counts that both
-    wheels lose are a radius that follows the speed. Nor is a cause of the same family: the straight part of a law of
-    the load belongs to its correction.
+    No form is exact: a play or time constant between two on offer, or a share that grows faster than linearly, leaves
+    what looks like a smaller cause. A form that acts the other way is no error of the fitted one (counts that both
+    wheels lose are a radius that follows the speed), nor is a cause of its family: the straight part of a law of the
+    load belongs to its correction.
     """
     if len(causes) < 2:
         return ()
@@ -302,7 +302,7 @@ def _acts_opposite(evidence: Evidence, form: Form) -> bool:
 
 
 def gap_probability(evidence: Evidence) -> float:
-    """Return the probability of a gap at all: an effect, a calibration parameter, or an unexplained residual."""
+    """Return the probability of any gap: an effect, a calibration parameter, an unexplained residual."""
     recalibration = evidence.recalibration
     correct = sum(q for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True) if not subset)
     return 1.0 - evidence.search.nothing * float(correct)
@@ -311,8 +311,7 @@ def gap_probability(evidence: Evidence) -> float:
 def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
     """Return the probability of each effect and of an ``unknown`` residual, largest first.
 
-    The probability of a calibration parameter is divided between it and its aliases by their prior odds, once the
-    model's probability of both together is `calibrated`.
+    A calibration parameter's, `calibrated` with its aliases', is divided between them by prior odds.
     """
     listed = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
     shared = _shared_with_aliases(evidence, groups)
@@ -321,7 +320,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         shares = shared.get(name, {})
         listed[name] = probability * (1.0 - sum(shares.values()))
         for alias, share in shares.items():
-            # what supports the parameter supports its alias, beside what the search found for that
+            # support of the parameter is its alias', beside what the search found
             listed[alias] = max(listed.get(alias, 0.0), probability * share)
     listed |= {fault.effect.id: 1.0 for fault in evidence.situation.faults}
     listed["unknown"] = evidence.search.rest
@@ -330,7 +329,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
 
 
 def any_probability(evidence: Evidence, names: Collection[str]) -> float:
-    """Return the probability that at least one of some causes is at work, calibration parameters among them."""
+    """Return the probability that any of some causes is at work, calibration parameters among them."""
     search, recalibration = evidence.search, evidence.recalibration
     weighed = [(search.models, search.probabilities), (recalibration.subsets, recalibration.probabilities)]
     sums = [sum(p for s, p in zip(*sets, strict=True) if not set(names).isdisjoint(s)) for sets in weighed]
@@ -338,13 +337,13 @@ def any_probability(evidence: Evidence, names: Collection[str]) -> float:
 
 
 def with_alternatives(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
-    """Return of each named effect the probability that it or an effect that it is confounded with is at work."""
+    """Return each named effect's probability together with those that it is confounded with."""
     alternatives = {name: {name}.union(*(group for group in groups if name in group)) for name in evidence.named}
     return {name: any_probability(evidence, names) for name, names in alternatives.items()}
 
 
 def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float:
-    """Return the probability that no further effect is at work beside the named ones and their aliases."""
+    """Return the probability of no further effect beside the named ones and their aliases."""
     named = set(evidence.named).union(*groups)
     weighed = zip(evidence.search.models, evidence.search.probabilities.tolist(), strict=True)
     return float(sum(p for model, p in weighed if named.issuperset(model)))
@@ -353,7 +352,7 @@ def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
     """Return the share of each calibration parameter's probability that goes to its aliases.
 
-    Aliases that the search did not weigh with it have their prior odds.
+    Aliases not weighed with it have their prior odds.
     """
     prior = PRIOR_SHIFT_ODDS / len(NAMES)
     weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED_PROBABILITY}
@@ -362,7 +361,7 @@ def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         own = [name for name in group if name in NAMES and name in evidence.calibration]
         if own and group[0] in own:
             forms = {name: evidence.search.forms.get(name, ()) for name in group if name not in {*own, *weighed}}
-            # of an effect's prior, the form that has most of it; radii and track off alike are a rare chance
+            # of an effect's prior, its likeliest form; radii and track off alike are rare
             odds = {
                 name: prior / CALIBRATION_ODDS * max((1.0 / form.tries for form in offered), default=1.0)
                 for name, offered in forms.items()
@@ -374,7 +373,7 @@ def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
 
 
 def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
-    """Return the most probable sets of causes that together hold 95 %, and the alternatives to the first."""
+    """Return the most probable sets of causes that hold 95 %, and alternatives to the first."""
     weights: dict[tuple[str, ...], float] = {}
     faults = tuple(fault.effect.id for fault in evidence.situation.faults)
     recalibration, search = evidence.recalibration, evidence.search

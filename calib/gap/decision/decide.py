@@ -31,18 +31,18 @@ from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: verdicts that name no cause
 NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED})
-#: families whose members correct journeys differently: confounded ones are no mere forms of one another
+#: families of unlike corrections: confounded members are no mere forms of one another
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 
 #: what more than doubles the error on held-out runs explains nothing; less may be a run that alone tells a length
 MOST_GROWTH: Final = 2.0
-#: remarks on the data that a verdict begins with: more of them push it off the screen
+#: remarks on the data before a verdict: more push it off the screen
 MOST_SAID: Final = 3
 
 
 def decide(evidence: Evidence) -> Diagnosis:
-    """Return the diagnosis, its sentence included; detection limits and runs to drive next are added by the caller."""
+    """Return the diagnosis with its sentence; the caller adds detection limits and runs to drive next."""
     confounded = confounding.groups_of(evidence)
     groups, forms_open = _by_family(evidence, confounded)
     unexplained = naming.unexplained_of(evidence)
@@ -51,11 +51,11 @@ def decide(evidence: Evidence) -> Diagnosis:
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = naming.size_differences(evidence, probable)
     causes = naming.limited_beside(unexplained, naming.causes_of(evidence, stated, certain, forms_open))
-    # no reading decides between causes that follow what went together
+    # no reading decides between causes of what went together
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
-    # what an alias makes probable and is itself hardly in the 95 % set is not the cause to name
+    # probable by an alias and hardly in the 95 % set: not the cause to name
     doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - confounding.CREDIBLE}
     causes = [cause for cause in causes if cause.effect not in doubted]
     placed, unexplained = naming.places_as_unexplained(evidence, causes, unexplained)
@@ -65,7 +65,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
-    # what is off and excluded from the library is a cause that nothing explains
+    # off and excluded from the library: nothing explains it
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     doubtful = bool(doubted) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
@@ -120,10 +120,10 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
 
 
 def stands_off(evidence: Evidence) -> bool:
-    """Return whether runs that agree stand off on one side by more than noise takes any of the readings.
+    """Return whether runs that agree stand off on one side beyond the reach of noise.
 
-    These are all runs of a condition, or one of a route by that much and another of it by more than noise takes any of
-    that route's. Of few conditions one that stands off is no lack of fit, and runs that agree are no single runs.
+    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of few conditions
+    one that stands off is no lack of fit, and runs that agree are no single runs.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
@@ -132,7 +132,7 @@ def stands_off(evidence: Evidence) -> bool:
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
     if (np.array(agree) & (count > 1)).any():
         return True
-    # windows of one recording share what its radii are off by
+    # windows of a recording share what its radii are off by
     for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
         mine = evidence.observations.kind == route
         second = reach_of_noise(noise.dof, int(usable[mine].sum()))
@@ -168,7 +168,7 @@ def _kind(
     if not evidence.noise.supported:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
-        # runs that differ hold all their noise, and windows but what neighbours do not share: beyond the first is a gap
+        # differing runs hold all their noise, windows but what neighbours do not share: beyond the first is a gap
         differ = evidence.noise.dof > 0.0 and not evidence.observations.windowed
         if differ and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
@@ -245,7 +245,7 @@ def _by_family(
         named = [name for name in group if name in evidence.named]
         families = {evidence.effects[name].family for name in named} - OWN_CORRECTIONS
         own = tuple(n for n in group if n not in named and evidence.effects[n].family in families)
-        # steps of the sessions can follow any drift: their odds tell whether they do
+        # session steps can follow any drift: their odds tell whether they do
         likely, apart = confounding.as_probable(evidence, [group]), parting([group[0], *own])[1:]
         if any(name in likely or not evidence.effects[name].per_session for name in apart):
             own = tuple(name for name in own if name not in apart)

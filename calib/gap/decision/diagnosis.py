@@ -1,4 +1,4 @@
-"""The results: a diagnosis with its causes, confounded effects and fix, what was weighed, and the runs to drive."""
+"""The results: diagnosis, causes, confounded effects, fix, what was weighed, and runs to drive."""
 
 from __future__ import annotations
 
@@ -42,28 +42,28 @@ class Situation:
 
     campaign: Campaign
     observations: Observations
-    notes: tuple[str, ...] = ()  #: what had to be assumed
+    notes: tuple[str, ...] = ()  #: what was assumed
     faults: tuple[Blunder | TurnedReference, ...] = ()  #: blunders of encoders and reference mounting, corrected
-    as_counted: FloatArray | None = None  #: the gap with counts and reference as they were, shape (n_units, n_channels)
-    #: runs omitted, see `bad_runs`, by id, each its share
+    as_counted: FloatArray | None = None  #: shape (n_units, n_channels): the gap as counted, before
+    #: share of each run omitted, by id, see `bad_runs`
     omitted: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the stages before the decision have measured."""
+    """What the stages before the decision measured."""
 
     situation: Situation
-    judged_against: str  #: model, simulator or file that gives the simulated motion
+    judged_against: str  #: model, simulator or file of the simulated motion
     nominal: Path  #: the model alone
     noise: Noise  #: covariance of each observation
     effects: Mapping[str, Effect]  #: the library, by id
-    search: SearchResult  #: sets of effects and their probabilities
-    recalibration: Recalibration  #: calibration parameters that are off beside the most probable set
+    search: SearchResult  #: sets of effects, with probabilities
+    recalibration: Recalibration  #: calibration parameters off beside the most probable set
     held_out: HeldOut  #: the gap before and after on held-out runs
-    trials: tuple[Trial, ...]  #: the correction on routes, speeds, loads, directions and sessions held out in turn
+    trials: tuple[Trial, ...]  #: on routes, speeds, loads, directions and sessions held out in turn
     where: GapLocation  #: where the gap lies
-    #: the runs driven followed by runs to come, on which the corrections of confounded effects are compared
+    #: runs driven, then runs to come, on which corrections of confounded effects are compared
     journeys: Observations | None = None
 
     @property
@@ -78,28 +78,28 @@ class Evidence:
 
     @cached_property
     def calibration(self) -> tuple[str, ...]:
-        """Calibration parameters that are off, of those that the library holds."""
+        """Calibration parameters that are off, of those in the library."""
         return tuple(name for name in self._recalibrated if name in self.effects)
 
     @property
     def _recalibrated(self) -> tuple[str, ...]:
-        """The most probable set of calibration parameters; not the empty one where no effect is named."""
+        """The most probable set of them, not empty where no effect is named."""
         likeliest = self.recalibration.likeliest
         return likeliest if likeliest or self.search.effects else self.recalibration.needed
 
     @property
     def denied(self) -> bool:
-        """Whether a calibration parameter is off that is excluded from the library: a cause outside the library."""
+        """Whether a calibration parameter excluded from the library is off: a cause outside it."""
         return len(self.calibration) < len(self._recalibrated)
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects of the most probable hypothesis, and calibration parameters that are off."""
+        """Effects of the most probable hypothesis, and parameters that are off."""
         return (*self.search.effects, *self.calibration)
 
     @cached_property
     def unaided_scale(self) -> dict[str, list[Form]]:
-        """The scale of a reference that alone measures lengths, which no search can weigh; empty beside another."""
+        """The scale of a reference that alone measures lengths, which no search can weigh; else empty."""
         name, usable = ReferenceScale.id, self.observations.usable
         if name not in self.effects or usable[:, Channel.DISTANCE].any() or not usable[:, Channel.ALONG].any():
             return {}
@@ -107,33 +107,33 @@ class Evidence:
 
     @property
     def variance_factor(self) -> float:
-        """What an unexplained residual widens intervals by, squared; beside one that was weighed they hold it."""
+        """What an unexplained residual widens intervals by, squared; one that was weighed is in them."""
         free = max(len(self.system.gap) - len(self.fitted.parameters) - 4, 1)
         return 1.0 if self.search.weighting.name else max(1.0, self.fitted.chi_square / free)
 
     @cached_property
     def system(self) -> WhitenedSystem:
-        """The whitened system about the path of the most probable hypothesis."""
+        """The whitened system about the most probable hypothesis."""
         offered = [form for forms in (self.search.forms | self.unaided_scale).values() for form in forms]
         return WhitenedSystem(self.fitted.path, self.nominal, self.noise, offered)
 
     @cached_property
     def per_unit(self) -> FloatArray:
-        """What a relative change of each calibration parameter does, whitened, shape (n_rows, 4)."""
+        """Calibration parameters' whitened effect per relative change, (n_rows, 4)."""
         return np.asarray(self.system.calibration / CALIBRATION_SD)
 
     def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
-        """Return what calibration parameters do at their fitted sizes, whitened, shape (n_rows,)."""
+        """Return the whitened effect of calibration parameters at their fitted sizes, (n_rows,)."""
         numbers = [NAMES.index(name) for name in names]
         return np.asarray(self.per_unit @ DIRECTIONS[numbers].T @ self.recalibration.values[numbers])
 
     @cached_property
     def explained_share(self) -> tuple[float, float]:
-        """Share of the gap above the noise level that the most probable hypothesis explains, and its uncertainty."""
+        """Share of the gap above the noise level that is explained, and its uncertainty."""
         before = whitened_rows(self.nominal, self.noise, residuals(self.nominal, self.nominal)[:, :, None])[:, 0]
         excess = max(float(before @ before) - len(before), 1.0)
         share = float(np.clip(1.0 - max(self.fitted.chi_square - len(before), 0.0) / excess, 0.0, 1.0))
-        # noise alone scatters as chi-square does
+        # noise alone scatters as chi-square
         return share, float(np.sqrt(2.0 * len(before)) / excess)
 
 
@@ -141,7 +141,7 @@ FORMAT: Final = "calib-diagnosis/1"
 #: on which runs corrections are compared
 DRIVEN: Final = "runs driven"
 JOURNEYS: Final = "journeys"
-#: what the gap is judged against where no file is given: the campaign's own model, or an outside simulator
+#: what the gap is judged against without a file: the campaign's model, or an outside simulator
 BY_MODEL: Final = "model"
 BY_SIMULATOR: Final = "sim columns of runs.csv"
 
@@ -164,7 +164,7 @@ class Quantity:
     value: float
     ci95: tuple[float, float]
     unit: str
-    #: whether it only shifts where the others have their zero
+    #: whether it only shifts the others' zero
     shift: bool = field(default=False, metadata={"json": False})
 
 
@@ -173,20 +173,20 @@ class Cause:
     """A named cause."""
 
     effect: str  #: id of the effect
-    title: str  #: what it is, for people
-    form: str  #: best-fitting form of the effect; empty where there is one only
+    title: str  #: for people
+    form: str  #: best-fitting form; empty where there is one only
     probability: float  #: that the effect is at work
     share: float  #: of the gap above the noise level (whitened squares)
-    #: whitened norm of the effect beside a free recalibration (of the calibration's own parameters: without it)
+    #: whitened norm beside a free recalibration (of the calibration's own parameters: without it)
     signal: float
     parameters: Mapping[str, Quantity]
     plausible: bool = True  #: whether its size is physically plausible
-    remark: str = ""  #: a sentence on its size where one is needed
-    settings: Mapping[str, float] = field(default_factory=dict)  #: quantities of the form that are not fitted linearly
-    share_ci95: tuple[float, float] | None = None  #: interval of the share; None where it is not determined
-    family: str = ""  #: family of the effect (``load``, ``drift``, ``instrument``, ...); empty where unknown
-    forms_open: tuple[str, ...] = ()  #: effects of its family that fit equally well
-    undetermined: tuple[str, ...] = ()  #: parameters that these runs do not determine: not in the JSON
+    remark: str = ""  #: a sentence on its size
+    settings: Mapping[str, float] = field(default_factory=dict)  #: quantities of the form not fitted linearly
+    share_ci95: tuple[float, float] | None = None  #: of the share; None if not determined
+    family: str = ""  #: (``load``, ``drift``, ``instrument``, ...); empty where unknown
+    forms_open: tuple[str, ...] = ()  #: effects of the family that fit as well
+    undetermined: tuple[str, ...] = ()  #: parameters that the runs do not determine: not in the JSON
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -203,7 +203,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """The unexplained residual: its share of the gap, its signal, and where it lies, in words."""
+    """The unexplained residual: share of the gap, signal, and place in words."""
 
     share: float
     signal: float
@@ -215,19 +215,19 @@ class Fix:
     """What the correction is worth."""
 
     recommended: bool = False  #: whether to apply it
-    #: largest difference between the corrections of confounded effects at the end; None where none are confounded
+    #: largest difference of confounded effects' corrections at the end; None if none are confounded
     agreement_m: float | None = None
-    agreement_on: str = DRIVEN  #: on which runs: ``runs driven`` or ``journeys``
-    nothing_else: float = 1.0  #: probability that no further effect of the library is at work
-    transfer: tuple[Trial, ...] = ()  #: what it does on runs that it was not fitted on
-    held_out: Improvement | None = None  #: what it does on held-out runs; None without a cause
-    why: tuple[str, ...] = ()  #: what keeps it from being recommended, with figures and what settles it
+    agreement_on: str = DRIVEN  #: ``runs driven`` or ``journeys``
+    nothing_else: float = 1.0  #: probability of no further effect of the library
+    transfer: tuple[Trial, ...] = ()  #: on runs that it was not fitted on
+    held_out: Improvement | None = None  #: on held-out runs; None without a cause
+    why: tuple[str, ...] = ()  #: why not recommended, with figures and what settles it
     parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
-    corrects: tuple[str, ...] | None = None  #: the causes that it corrects, blunders apart; None: all that are named
-    leaves: tuple[str, ...] = ()  #: why it leaves the other named causes as they are
-    #: relative changes of the calibration that it makes beside its causes: what another zero point of one looks like
+    corrects: tuple[str, ...] | None = None  #: causes that it corrects, blunders apart; None: all named
+    leaves: tuple[str, ...] = ()  #: why it leaves the other named causes
+    #: relative changes of the calibration beside its causes: what another zero point of one looks like
     moves: Mapping[str, Quantity] = field(default_factory=dict)
-    #: what it corrects by; None where that is the fit of all causes
+    #: what it corrects by; None: the fit of all causes
     fitted: Fitted | None = field(default=None, metadata={"json": False})
 
 
@@ -235,12 +235,12 @@ class Fix:
 class NoiseSummary:
     """The noise level, and what supports it."""
 
-    dof: float = 0.0  #: degrees of freedom that replicates give it
-    scales: Mapping[str, float] = field(default_factory=dict)  #: scale of each component
-    supported: bool = True  #: whether the runs support a noise level at all
-    support: str = ""  #: what supports it, in words; where nothing does, why
-    excess: Mapping[str, float] = field(default_factory=dict)  #: channel -> noise level over that of the stated sigmas
-    #: a sentence where the noise level is far above the stated sigmas
+    dof: float = 0.0  #: from replicates
+    scales: Mapping[str, float] = field(default_factory=dict)  #: of each component
+    supported: bool = True  #: whether the runs support a noise level
+    support: str = ""  #: by what, in words; else why not
+    excess: Mapping[str, float] = field(default_factory=dict)  #: channel -> noise level over the stated sigmas'
+    #: a sentence where it is far above the stated sigmas
     finding: str = field(default="", metadata={"json": False})
 
     @classmethod
@@ -254,35 +254,35 @@ class NoiseSummary:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """What a campaign's gap is, which effects cause it, and whether their correction is recommended."""
+    """What a campaign's gap is, its causes, and whether their correction is recommended."""
 
     kind: VerdictKind = field(metadata={"json": "verdict"})
     sentence: str  #: the verdict in words
-    causes: tuple[Cause, ...] = ()  #: named causes, most probable first
-    #: the sets of causes that together hold 95 %, most probable first, and the alternatives to the first
+    causes: tuple[Cause, ...] = ()  #: named, most probable first
+    #: sets of causes that hold 95 %, most probable first, and alternatives to the first
     credible_sets: tuple[tuple[str, ...], ...] = ()
     groups: tuple[Group, ...] = field(default=(), metadata={"json": "indistinguishable"})  #: confounded effects
-    undetectable: tuple[DetectionLimit, ...] = ()  #: effects that these runs would not show at typical size
-    where: GapLocation = field(default_factory=GapLocation)  #: channels, covariates, runs and places of the gap
-    closure: Closure = field(default_factory=Closure)  #: how far the gap shrinks on held-out runs
+    undetectable: tuple[DetectionLimit, ...] = ()  #: effects not shown at typical size
+    where: GapLocation = field(default_factory=GapLocation)  #: of the gap: channels, covariates, runs, places
+    closure: Closure = field(default_factory=Closure)  #: on held-out runs
     unexplained: Unexplained | None = field(default=None, metadata={"json": "rest"})
     fix: Fix = field(default_factory=Fix)  #: what the correction is worth
-    next_runs: tuple[PlannedRun, ...] = ()  #: runs to drive next, best first
+    next_runs: tuple[PlannedRun, ...] = ()  #: to drive next, best first
     notes: tuple[str, ...] = ()  #: what was excluded or assumed
-    correct_first: tuple[str, ...] = ()  #: what the check says of data that name no cause
+    correct_first: tuple[str, ...] = ()  #: by the check, on data that name no cause
     noise_level: NoiseSummary = field(default_factory=NoiseSummary, metadata={"json": "noise"})
-    #: of each effect and of ``unknown``, largest first
+    #: of effects and ``unknown``, largest first
     probabilities: Mapping[str, float] = field(default_factory=dict)
-    judged_against: str = BY_MODEL  #: ``model``, ``sim columns of runs.csv``, or the name of a coefficient file
-    campaign: str = ""  #: name of the campaign
+    judged_against: str = BY_MODEL  #: ``model``, ``sim columns of runs.csv``, or a coefficient file
+    campaign: str = ""
     simulated: bool = False  #: whether a program made its data
-    gap_probability: float | None = None  #: that there is a gap at all; None where it is not known
-    #: arrays for figures, corrections and planning; None in a diagnosis written by hand
+    gap_probability: float | None = None  #: of any gap; None if unknown
+    #: arrays for figures, corrections and planning; None in one written by hand
     evidence: Evidence | None = field(default=None, metadata={"json": False})
 
     @property
     def against(self) -> str:
-        """What the gap was judged against, in words."""
+        """What the gap was judged against."""
         return "the campaign's own model" if self.judged_against == BY_MODEL else self.judged_against
 
     @property
@@ -298,7 +298,7 @@ class Diagnosis(Result):
 
     @property
     def observations(self) -> Observations:
-        """Observations and steps; the counts are corrected where they had a blunder."""
+        """Observations and steps, blunders of counts corrected."""
         return self._arrays.observations
 
     @property
@@ -318,7 +318,7 @@ class Diagnosis(Result):
 
     @property
     def correction(self) -> Fitted:
-        """The fit that the fix corrects by: of all named causes, or of the sure ones alone."""
+        """The fit that the fix corrects by: of all named causes, or the sure ones."""
         return self.fix.fitted or self.fitted
 
     @property
@@ -358,7 +358,7 @@ class Diagnosis(Result):
         return DataFrame(rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain JSON values, in the shape of ``calib diagnose --json``."""
+        """Return the diagnosis as plain JSON values, as ``calib diagnose --json`` does."""
         document = plain_fields(
             self,
             indistinguishable=[group.effects for group in self.groups],
@@ -372,15 +372,15 @@ class Diagnosis(Result):
 class Plan(Result):
     """The runs to drive next."""
 
-    campaign: Campaign  #: what was driven
-    diagnosis: Diagnosis  #: what it shows so far
+    campaign: Campaign
+    diagnosis: Diagnosis  #: so far
     runs: tuple[PlannedRun, ...]  #: best first
     now: Promise | None = None  #: intervals of radii, track and the like by the runs driven; None: they tell nothing
-    then: Promise | None = None  #: with the runs to drive next
+    then: Promise | None = None  #: with those to drive next
 
     @property
     def table(self) -> DataFrame:
-        """The runs as a table, best first."""
+        """The runs as a table."""
         from pandas import DataFrame
 
         return DataFrame([run.to_dict() for run in self.runs])

@@ -1,4 +1,4 @@
-"""The one decision on a fix: it helps on held-out runs beyond noise, harms nowhere beyond noise, and is determined."""
+"""Whether to apply a fix: it helps on held-out runs, harms nowhere beyond noise, and is determined."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
-#: and what a reference's scale is told by, where nothing else measures a length
+#: and a reference's scale without another measure of length
 TAPE: Final = "the length of one run by tape or laser (distance_m) tells"
 REPEAT: str = "drive one route several times under the same conditions"
-#: family of a cause -> that of causes that follow something else, which may have gone together with it
+#: family of a cause -> that of causes which may have gone together with it
 PARTING: Final = {Family.DRIFT: Family.DRIFT, Family.DIRECTION: Family.SPEED}
-#: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
+#: least probability of all causes of a fix: a wrong one costs 1.5 times one withheld
 FIX_PROBABILITY: Final = 0.6
-#: and that a cause beside the largest one is: without it the fix loses little, with a wrong one its trust. Of 17 fixes
-#: whose causes were all at work with 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with a single cause
+#: and of a cause beside the largest: without it the fix loses little, with a wrong one its trust. Of 17 fixes whose
+#: causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with one cause
 FURTHER_PROBABILITY: Final = 0.8
 
 
 def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str]], small: Sequence[str] = ()) -> Fix:
-    """Return what the correction is worth, and whether and why not to apply it.
+    """Return what the correction is worth, and why not to apply it.
 
-    `confounded`: groups of effects, of everything fitted; `small`: effects that were fitted and are negligible.
+    `confounded`: groups of all effects fitted; `small`: fitted ones that are negligible.
     """
     apart_m = confounding.agreement_m(evidence, found.tied)
     on = DRIVEN if evidence.journeys is None else JOURNEYS
@@ -43,7 +43,6 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
     fix = Fix(agreement_m=apart_m, agreement_on=on, nothing_else=nothing_else)
     if not found.causes:
         return fix
-    # the correction holds all that was fitted
     fitted = [name for name in evidence.named if name not in small]
     unnamed = [name for name in fitted if name not in {cause.effect for cause in found.causes}]
     improvement = evidence.held_out.improvement
@@ -59,9 +58,9 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
 
 
 def reasons(found: Finding, improvement: Improvement | None, trials: Sequence[Trial] = ()) -> list[str]:
-    """Return what keeps a fix of some causes back, each with its figure and what settles it; empty where nothing does.
+    """Return what keeps a fix of some causes back, with figures and what settles it.
 
-    `improvement`: what it does on held-out runs; `trials`: on each value of what varies, held out.
+    `improvement`: on held-out runs; `trials`: on each value of what varies, held out.
     """
     single = (text for cause in found.causes for text in doubts(cause, found))
     helpful = [*unhelpful(improvement), *remaining(improvement, found.unexplained)]
@@ -70,7 +69,7 @@ def reasons(found: Finding, improvement: Improvement | None, trials: Sequence[Tr
 
 
 def without_length(names: Iterable[str]) -> list[str]:
-    """Return that nothing is left that measures a length, where reference and rangefinder are said to be both off."""
+    """Return that nothing measures a length where reference and rangefinder are both said to be off."""
     named = {*names}
     if ReferenceScale.id not in named or named.isdisjoint({RangefinderScale.id, BeamMisalignment.id}):
         return []
@@ -80,9 +79,9 @@ def without_length(names: Iterable[str]) -> list[str]:
 
 
 def doubts(cause: Cause, found: Finding) -> Iterator[str]:
-    """Yield why a single cause is no part of a fix.
+    """Yield why a cause is no part of a fix.
 
-    Its size may be zero or differs between groups of runs, or it may be a part of the unexplained residual.
+    Its size may be zero or differ between groups of runs, or be a part of the unexplained residual.
     """
     yield from beyond_vehicles(cause)
     if holds_zero(cause):
@@ -102,7 +101,7 @@ def doubts(cause: Cause, found: Finding) -> Iterator[str]:
 
 
 def beyond_vehicles(cause: Cause) -> Iterator[str]:
-    """Yield that a length is further from nominal than any vehicle's is: the bounds are those of `calib geometry`."""
+    """Yield that a length is beyond any vehicle's, by the bounds of `calib geometry`."""
     kind = effect_class(cause.effect)
     largest = inf if kind is None else kind.wrong_beyond
     if any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
@@ -114,7 +113,7 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
 
 
 def improbable(causes: Sequence[Cause], found: Finding) -> Cause | None:
-    """Return the least probable cause where that or all together are less probable than a fix asks; None where not."""
+    """Return the least probable cause where it or all together are less probable than a fix asks, else None."""
     further = sorted(causes, key=lambda cause: -cause.share)[1:]
     least = min(further, key=found.probability, default=None)
     if least is not None and found.probability(least) < FURTHER_PROBABILITY:
@@ -135,7 +134,7 @@ def _doubtful(found: Finding) -> Iterator[str]:
 
 
 def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
-    """Yield that an unexplained residual is probable that has no size, where a cause is not strong beside it.
+    """Yield that an unexplained residual without a size is probable, where a cause is not strong beside it.
 
     Two standard deviations of chi square hide a signal of (8 n)^(1/4) in n readings.
     """
@@ -151,7 +150,7 @@ def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
 
 
 def unhelpful(improvement: Improvement | None) -> Iterator[str]:
-    """Yield that a correction is not shown to help on held-out runs, where it is not."""
+    """Yield where a correction is not shown to help on held-out runs."""
     if improvement is None:
         yield "no run could be held out; drive each route twice at least"
         return
@@ -168,10 +167,7 @@ REST: Final = "the rest has a cause of its own; look where the residual lies"
 
 
 def remaining(improvement: Improvement | None, unexplained: Unexplained | None, rest: str = REST) -> Iterator[str]:
-    """Yield that part of the gap is certainly left, and that it closes too little of it, where that is so.
-
-    `rest`: what that part is.
-    """
+    """Yield where part of the gap, `rest`, is certainly left, and where too little of it closes."""
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
     large = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
@@ -185,7 +181,7 @@ def remaining(improvement: Improvement | None, unexplained: Unexplained | None, 
 
 
 def needed(improvement: Improvement | None) -> Iterator[str]:
-    """Yield that a cause dropped for its odds alone was needed, where the others certainly leave part of the gap."""
+    """Yield where a cause dropped for its odds was needed: others certainly leave part of the gap."""
     if improvement is not None and improvement.leaves_some:
         low, high = (100 * share for share in improvement.closed_ci95)
         yield f"its probable causes alone close {low:.0f} to {high:.0f} % of the gap on held-out runs; {PLAN}"
@@ -196,16 +192,16 @@ def _errors(improvement: Improvement) -> str:
 
 
 def holds_zero(cause: Cause) -> bool:
-    """Return whether the intervals of all of a cause's parameters hold zero, a shift of its zero point aside."""
+    """Return whether all intervals of a cause hold zero, a shift of its zero point aside."""
     own = [quantity.ci95 for quantity in cause.parameters.values() if not quantity.shift]
     return bool(own) and all(low <= 0.0 <= high for low, high in own)
 
 
 def harm(trials: Sequence[Trial]) -> Iterator[str]:
-    """Yield where a correction harms beyond noise when that is held out."""
+    """Yield where a correction harms beyond noise when held out."""
     for trial in harmed(trials):
         sizes = ""
-        # the end may come nearer where heading or distance, weighed by their noise, get worse
+        # the end may come nearer where heading or distance get worse
         if trial.before_rms_m is not None and trial.after_rms_m is not None and trial.after_rms_m > trial.before_rms_m:
             sizes = f" from {1e3 * trial.before_rms_m:.3g} to {1e3 * trial.after_rms_m:.3g} mm"
         yield (
@@ -215,7 +211,7 @@ def harm(trials: Sequence[Trial]) -> Iterator[str]:
 
 
 def harmed(trials: Sequence[Trial]) -> list[Trial]:
-    """Return where the gap grew beyond noise when it was held out; chance does so in one of a hundred campaigns."""
+    """Return where the gap grew beyond noise when held out, by chance in one of a hundred campaigns."""
     from scipy.special import ndtri
 
     limit = float(ndtri(1.0 - FALSE_ALARM / max(len(trials), 1)))
@@ -223,16 +219,15 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
-    """Return why a correction does not hold for journeys to come: by its causes, and by what they may be instead."""
+    """Return why a correction does not hold for journeys to come: by its causes, or what they may be instead."""
     return sorted({text for name in {*fitted, *alternatives} if (text := why_not_transferable(name))})
 
 
 def alternatives(evidence: Evidence, found: Finding) -> set[str]:
     """Return what the causes may be instead: the probable ones where they explain all, else every one.
 
-    Odds hold only where one cause is the whole truth: beside an unexplained residual, or a size that differs between
-    groups of runs, none is. What steps between sessions always counts: a quantity that varies with the session alone is
-    never told from it.
+    Odds hold where one cause is the whole truth: not beside an unexplained residual or a size that differs between
+    runs. Session steps always count: what varies with the session alone is never told from them.
     """
     every = {name for group in found.tied for name in group}
     if found.differing or found.leaves_part:
@@ -242,23 +237,23 @@ def alternatives(evidence: Evidence, found: Finding) -> set[str]:
 
 
 def parting(group: Sequence[str]) -> list[str]:
-    """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
+    """Return the first effect of a group and those that follow something else, one with it on these runs alone."""
     families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
     found = [name for name, family in zip(group[1:], families[1:], strict=True) if family is PARTING.get(families[0])]
     return [group[0], *found] if found else []
 
 
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield that the corrections of confounded effects differ, where they do.
+    """Yield where corrections of confounded effects differ.
 
-    What drifted alike here need not in sessions to come, nor do speeds go with directions for ever.
+    What drifted alike here need not in sessions to come, nor need speeds go with directions.
     """
     for found in filter(None, map(parting, tied if on == DRIVEN else ())):
         yield (
             f"these runs cannot tell {' or '.join(found)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
-    # a scale grows with the way: what agrees on these runs does not on longer ones
+    # a scale grows with the way: what agrees here does not on longer runs
     by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
     if apart_m is None or (corrections_agree(apart_m, closure) and not by_tape):
         return

@@ -1,4 +1,4 @@
-"""Held-out validation: how far the gap shrinks on runs that the fit has not seen, and where the correction helps."""
+"""Held-out validation: how far the gap shrinks on runs not fitted on, and where the correction helps."""
 
 from __future__ import annotations
 
@@ -15,29 +15,28 @@ from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, measured_gap, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: of a closure: no run was held out, the user's simulator ran again with the fix
+#: of a closure: nothing held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
-#: closure on held-out runs below which no fix is recommended and no explanation believed: more than two thirds of the
-#: error's square go
+#: least closure of a recommended fix and a believed explanation: more than two thirds of the error's square go
 ADEQUATE_CLOSURE: Final = 0.7
-#: closure from which on a gap counts as explained; below, part of it is unexplained
+#: least closure of an explained gap; below, part of it is unexplained
 FULL_CLOSURE: Final = 0.9
-#: and a residual of so many noise levels, in any channel, is said however large the gap was: three quarters of its
-#: square are no noise, and the next cause is in it
+#: and a residual of so many noise levels in a channel is said, however large the gap was: three quarters of its square
+#: are no noise
 LARGE_RESIDUAL: Final = 2.0
-#: resamples of the conditions: the ends of the 95 % interval then vary by a few per cent of its width
+#: resamples of conditions: ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
-#: folds of conditions or runs: five sixths of the runs stay in each fit
+#: folds of conditions or runs: five sixths of the runs stay
 MOST_FOLDS: Final = 6
 #: sessions that are folds of their own; more are joined
 MOST_SESSION_FOLDS: Final = 8
-#: sessions are held out whole where there are so many: with two, one half would have to predict the other
+#: sessions held out whole; of two, one would have to predict the other
 FEWEST_SESSIONS: Final = 3
-#: fewer conditions cannot predict one another
+#: conditions that can predict one another
 FEWEST_CONDITIONS: Final = 4
-#: a gap below this share of the noise level has no closure: it would be a share of noise
+#: gap, over the noise level, below which a closure would be a share of noise
 LEAST_GAP: Final = 0.5
-#: the least gap of a bootstrap sample, as a share of its noise level: keeps its closure finite
+#: least gap of a bootstrap sample over its noise level: keeps closures finite
 LEAST_RESAMPLED_GAP: Final = 0.05
 
 
@@ -49,7 +48,7 @@ class ChannelClosure:
     before_rms: float  #: gap of the model alone
     after_rms: float  #: gap with the causes
     floor_rms: float  #: noise level
-    #: share of the squares above the noise level that is closed; None where the gap is below half the noise level
+    #: closed share of the squares above the noise level; None for a gap below half of it
     fraction: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,17 +58,17 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """How far the gap shrinks on held-out runs; root mean squares of the end positions, else of the distances."""
+    """How far the gap shrinks on held-out runs; root mean squares of end positions, else distances."""
 
     before_rms_m: float | None = None  #: gap of the model alone
     after_rms_m: float | None = None  #: gap with the causes
     floor_rms_m: float | None = None  #: noise level
-    #: share of error variance above the noise level that is removed, every run and channel weighed by its noise; None
-    #: where the gap is below half the noise level
+    #: removed share of error variance above the noise level, runs and channels weighed by noise; None for a gap
+    #: below half of it
     fraction: float | None = None
-    ci95: tuple[float, float] | None = None  #: its bootstrap interval over conditions
-    held_out: str = "condition"  #: what is held out in turn: ``session``, ``condition``, ``run``; `RERUN`
-    channels: tuple[ChannelClosure, ...] = ()  #: the same by channel
+    ci95: tuple[float, float] | None = None  #: by bootstrap over conditions
+    held_out: str = "condition"  #: in turn: ``session``, ``condition``, ``run``; `RERUN`
+    channels: tuple[ChannelClosure, ...] = ()
 
     @property
     def moved(self) -> tuple[ChannelClosure, ...]:
@@ -79,12 +78,12 @@ class Closure:
 
     @property
     def largest_residual(self) -> float:
-        """What is left with the causes over the noise level, in the channel where that is most; 0 without channels."""
+        """Largest residual with the causes over the noise level of its channel; 0 without channels."""
         return max((line.after_rms / line.floor_rms for line in self.channels if line.floor_rms > 0.0), default=0.0)
 
     @property
     def leaves_part(self) -> bool:
-        """Whether part of the gap is left: one within the interval of the closure is not shown."""
+        """Whether part of the gap is left, beyond the closure's interval."""
         high = self.ci95[1] if self.ci95 else 1.0
         return high < FULL_CLOSURE or self.largest_residual > LARGE_RESIDUAL
 
@@ -99,18 +98,18 @@ class Closure:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """What the correction does on held-out runs, each run paired with itself; root mean squares over the noise."""
+    """What the correction does on held-out runs, paired; root mean squares over the noise."""
 
     before_rms: float  #: of the model alone
     after_rms: float  #: with the causes
-    #: of the difference, by what noise and unexplained residual make of it
+    #: of the difference, by noise and unexplained residual
     improvement_ci95: tuple[float, float]
-    #: the same as a share of the squares above the noise; stated at every signal
+    #: as a share of the squares above the noise, at every signal
     closed_ci95: tuple[float, float]
 
     @property
     def leaves_some(self) -> bool:
-        """Whether it is certain that part of the gap is left: the interval of what it closes ends below all of it."""
+        """Whether part of the gap is certainly left: the interval ends below all of it."""
         return self.closed_ci95[1] < 1.0
 
 
@@ -120,19 +119,19 @@ class HeldOut:
 
     before: FloatArray  #: of the model alone
     after: FloatArray  #: of the model with the causes fitted on the other runs
-    floor: FloatArray  #: noise level: standard deviation that replicates give each channel
+    floor: FloatArray  #: standard deviation of each channel by replicates
     closure: Closure
-    improvement: Improvement | None = None  #: paired; None where no run was held out
+    improvement: Improvement | None = None  #: None where no run was held out
 
 
 def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
-    """Return the fold that each observation is held out in, shape (n_units,), and what the folds are."""
+    """Return each observation's fold, (n_units,), and what folds are."""
     number = np.arange(len(observations))
     labels, session = np.unique(observations.labels["session"], return_inverse=True)
     if sessions and len(labels) >= FEWEST_SESSIONS:
         return np.asarray(session % MOST_SESSION_FOLDS), "session"
     if sessions:
-        # in the order driven: neighbours in time are held out together, as sessions are
+        # in the order driven: neighbours in time together, as in sessions
         return number * MOST_FOLDS // len(observations), "run"
     names, condition = np.unique(observations.condition, return_inverse=True)
     if len(names) >= FEWEST_CONDITIONS:
@@ -141,7 +140,7 @@ def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArra
 
 
 def _of_each_condition(observations: Observations) -> IntArray:
-    """Return folds that hold a share of each condition in any order driven, shape (n_units,)."""
+    """Return folds with a share of each condition, (n_units,)."""
     fold = np.zeros(len(observations), dtype=np.int64)
     fold[np.argsort(observations.condition, kind="stable")] = np.arange(len(observations)) % MOST_FOLDS
     return fold
@@ -160,15 +159,14 @@ def measure_closure(
     Parameters
     ----------
     left_out : HeldOutFit
-        Predicts held-out runs.
     rng : numpy.random.Generator
         For the bootstrap.
     sessions : bool
         Hold sessions out where there are three or more; else conditions.
     floor_factor : float
-        Variance of the noise level over that of `noise`, where the residual of the fit counts as noise.
+        Variance of the noise level over `noise`'s, where the fit's residual counts as noise.
     as_counted : array of float, shape (n_units, n_channels), optional
-        The gap to state instead: before a blunder was corrected.
+        Gap to state instead: before a blunder was corrected.
     """
     nominal, noise = left_out.nominal, left_out.noise
     before = residuals(nominal, nominal)
@@ -180,11 +178,11 @@ def measure_closure(
 
 
 def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
-    """Return the residuals with the correction of the other folds (n_units, n_channels), and what the folds are."""
+    """Return residuals with the other folds' correction (n_units, n_channels), and what folds are."""
     observations = left_out.observations
     fold, by = folds(observations, sessions=sessions)
     if by != "run" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
-        # no other session predicts one that alone drove its route, no other route what it alone shows
+        # no other session predicts one that alone drove its route
         fold, by = _of_each_condition(observations), "run"
     held = np.ones(len(fold), dtype=np.bool_)
     for number in np.unique(fold) if by == "run" else ():
@@ -201,13 +199,13 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
 
 
 def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) -> Improvement:
-    """Return what a correction does on held-out runs to a stated gap, (n_units, n_channels); see `measure_closure`."""
+    """Return what a correction does on held-out runs to a gap (n_units, n_channels); see `measure_closure`."""
     after, _ = _after(left_out, sessions=sessions)
     return _improvement(left_out, stated, after, 1.0)
 
 
 def _improvement(left_out: HeldOutFit, before: FloatArray, after: FloatArray, floor_factor: float) -> Improvement:
-    """Return the paired improvement: what noise both residuals share cancels, but for that along the correction."""
+    """Return the paired improvement: shared noise cancels but for that along the correction."""
     from scipy.special import stdtrit
 
     squares = [float(left_out.squares(values).sum()) for values in (before, after)]
@@ -232,10 +230,10 @@ def closure_of(
     stated: FloatArray | None = None,
     by: str = RERUN,
 ) -> HeldOut:
-    """Return how far the gap shrinks from residuals `before` to residuals `after`.
+    """Return how far the gap shrinks from residuals `before` to `after`.
 
-    `stated`: the gap to state in place of `before`; `by`: what was held out in turn, by default nothing: the simulator
-    ran again with the fix. The other parameters are those of `measure_closure`.
+    `stated`: the gap to state in place of `before`; `by`: what was held out in turn.
+    The other parameters are those of `measure_closure`.
     """
     observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable
@@ -262,7 +260,7 @@ def closure_of(
 
 
 def _fraction(squares: FloatArray, expected: FloatArray) -> float | None:
-    """Return the closure of whitened squares (n, 2), of which noise explains `expected`; None without a gap."""
+    """Return the closure of whitened squares (n, 2) with `expected` of noise; None without a gap."""
     before, after = squares.sum(axis=0) - expected.sum()
     if before < LEAST_GAP * expected.sum():
         return None
@@ -282,9 +280,9 @@ def _interval(
 
 
 def end_rms_m(values: FloatArray, observations: Observations, units: BoolArray | None = None) -> float | None:
-    """Return the root mean square of end positions, else of distances; None where neither was measured.
+    """Return the root mean square of end positions, else of distances; None without either.
 
-    `values`, shape (n_units, n_channels): residuals, or a noise level; of the units `units`, all by default.
+    `values`: (n_units, n_channels), residuals or a noise level; `units`: all by default.
     """
     on = observations.usable if units is None else observations.usable & units[:, None]
     pose = on[:, POSE].all(axis=1)

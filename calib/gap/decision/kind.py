@@ -1,4 +1,4 @@
-"""What kind of verdict the gap's probability, the causes and the closure make, and the thresholds of the decision."""
+"""The kind of verdict by gap probability, causes and closure, and the decision's thresholds."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from calib.gap.decision.trials import Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
-#: closure below which an unexplained residual hides whether anything is explained: less than an adequate one leaves
+#: closure below which an unexplained residual hides whether anything is explained
 HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
-#: closure below which more remains than is explained: where that is certain, causes imitate the unexplained one (in 8
-#: of 8 verdicts of opened sets, and in 2 of 3 on altered recordings)
+#: closure below which more remains than is explained: where certain, causes imitate the unexplained one (in 8 of 8
+#: verdicts of opened sets, 2 of 3 on altered recordings)
 HALF_CLOSURE: Final = 0.5
-#: an unexplained residual, or confounded causes, with a larger share of the gap are part of the verdict
+#: share of the gap above which an unexplained residual, or confounded causes, are part of the verdict
 SMALL_SHARE: Final = 0.05
-#: a cause with less than this share of the largest one's is a hundredth of its size: no law is known closer, and what
-#: it leaves looks like a small cause
+#: share of the largest cause's that is a hundredth of its size: no law is known closer, and what it leaves looks like a
+#: small cause
 NEGLIGIBLE_SHARE: Final = 1e-4
-#: probability below which a cause, with all that it is confounded with, is not named
+#: least probability of a named cause, with all that it is confounded with
 NAMED_PROBABILITY: Final = 0.1
-#: where the unexplained residual hides whether a correction helps, or the cause is small, only its own probability
-#: supports a cause: of small ones stated at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
+#: least own probability of a cause that is small, or beside an unexplained residual that hides whether a correction
+#: helps: of small ones stated at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
 CERTAIN_PROBABILITY: Final = 0.9
-#: beside a larger unexplained residual a cause of a fix needs so many times its signal: half of a weaker one may be it
+#: signal of a fix's cause over a larger unexplained residual's: half of a weaker one may be it
 SIGNAL_OVER_UNEXPLAINED: Final = 2.0
-#: how the place of an unexplained residual begins that lies on the floor
+#: beginning of an unexplained residual's place on the floor
 ON_FLOOR: Final = "on the floor"
 
 
 def fails(trial: Trial) -> bool:
-    """Return whether there is a gap beyond chance where the correction was held out, and too much of it remains."""
+    """Return whether there is a gap beyond chance where held out, and too much of it remains."""
     gap, residual = trial.before_square - trial.noise_square, trial.after_square - trial.noise_square
     beyond_chance = min(trial.before_square, trial.after_square) > trial.noise_limit
     return beyond_chance and residual > (1.0 - ADEQUATE_CLOSURE) * gap
 
 
 def corrections_agree(agreement_m: float | None, closure: Closure) -> bool:
-    """Return whether the corrections of confounded effects differ by no more than the noise level."""
+    """Return whether corrections of confounded effects differ by no more than the noise level."""
     return agreement_m is not None and agreement_m <= (closure.floor_rms_m or 0.0)
 
 
 def hides_causes(closure: Closure, unexplained_share: float | None) -> bool:
-    """Return whether the closure cannot support the causes: each then needs a high probability of its own."""
+    """Return whether the closure cannot support causes: each then needs a high probability."""
     if unexplained_share is not None and (closure.fraction is None or closure.fraction < HIDDEN_CLOSURE):
         return True
     return closure.ci95 is not None and closure.ci95[1] < ADEQUATE_CLOSURE and closure.ci95[0] <= HIDDEN_CLOSURE
@@ -73,21 +73,21 @@ def kind_of(
     Parameters
     ----------
     gap_probability : float
-        Probability that there is a gap at all.
+        Of any gap.
     causes : sequence of Cause
         What would be named.
     closure : Closure
         On held-out runs.
     incomplete : bool
-        Whether the correction fails on runs held out, or a large cause has different sizes on groups of runs.
+        Whether the correction fails on held-out runs, or a large cause differs in size between groups.
     unexplained_share : float, optional
-        Share of the gap that no cause of the library explains; none is probable by default.
+        Share of the gap that no cause explains; none is probable by default.
     tied : bool
-        Whether a cause of more than a small share is confounded with an effect of another family.
+        Whether a more than small cause is confounded with an effect of another family.
     supported : bool
         Whether the runs support a noise level.
     misfit : float
-        How far runs end off with the causes corrected, as a share of their length, on average.
+        How far runs end off with the causes corrected, over their length, on average.
     """
     high = closure.ci95[1] if closure.ci95 else 1.0
     unexplained = unexplained_share is not None

@@ -1,4 +1,4 @@
-"""The fix of the sure causes alone, where that of all is not recommended."""
+"""The fix of the sure causes, where that of all is not recommended."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
 from calib.types import FloatArray
 
-#: a relative change of the calibration that is none
+#: relative change of a calibration that is none
 ROUNDING: Final = 1e-12
 
 
 def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
-    """Return the fix of the sure causes where that is recommended, else the whole one with its reasons.
+    """Return the fix of the sure causes where recommended, else the whole one with its reasons.
 
-    `whole` is the fix of all causes, blunders apart, which is not recommended.
+    `whole`: the fix of all causes, blunders apart, not recommended.
     """
     causes, unexplained = found.causes, found.unexplained
     kept, dropped, by_odds = _parted(found)
@@ -41,25 +41,25 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
     steps = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
     if Family.SIMULATOR in families and dropped.keys() - steps:
-        # parameters of a simulator are set together, and judged by running it again
+        # a simulator's parameters are set together, and judged by running it again
         return whole
-    # a recalibration is part of every fit: what is not sure of it cannot be taken off
+    # a recalibration is part of every fit: its unsure part cannot be taken off
     if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
         return whole
-    # what the dropped causes explain is left by design: the closure is that of all of them
+    # what dropped causes explain is left by design: the closure is that of all
     if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):
         return whole
-    # a radius that is off is the mean of the sessions: sessions held out with their steps say whether it helps the next
+    # a radius is the mean of the sessions: sessions held out with their steps say whether it helps the next
     beside = {name for name in steps if names.isdisjoint(evidence.effects[name].shifts)}
     sure = replace(found, causes=kept, tied=[group for group in found.tied if names.intersection(group)])
     apart_m = confounding.agreement_m(evidence, sure.tied)
     others = rule.elsewhere(names, rule.alternatives(evidence, sure))
     apart = rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, sure.tied)
     beyond = [*apart, *others, *rule.unsized(evidence, sure), *_odd(evidence, kept, beside)]
-    # the calibration that a cause dropped would look like is moved only where nothing else helps
+    # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
-        # without a dropped cause, what is left is the unexplained residual
+        # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
         why = [*rule.unhelpful(improvement), *worse, *left, *odds, *rule.harm(tried), *beyond]
@@ -68,7 +68,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     if why and steps:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
     if why:
-        # without a cause beside a blunder there are no reasons yet
+        # beside a blunder alone there are no reasons yet
         return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))
     return replace(
         whole,
@@ -84,7 +84,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
 
 
 def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
-    """Return what cannot be: lengths without an instrument, and drifts of an odd size beside steps of the sessions."""
+    """Return what cannot be: lengths without an instrument, odd drifts beside session steps."""
     drifts = {evidence.effects[name].family for name in beside}
     known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
     odd = [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
@@ -105,10 +105,9 @@ def _unclear(evidence: Evidence, found: Finding, whole: Fix) -> dict[str, str]:
 
 
 def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
-    """Return a recommended fix as it is written: without what was fitted and is not named, judged anew.
+    """Return a recommended fix as written, without what is fitted and not named, judged anew.
 
-    The sizes of the others change with it. Radii and track change only where named, or for another zero of a named
-    effect.
+    The others' sizes change with it; radii and track only where named, or for another zero of a named effect.
     """
     names = {cause.effect for cause in found.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
@@ -129,7 +128,7 @@ def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
 
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
-    """Return the named directions of the calibration, and those of another zero of a named effect, shape (k, 4)."""
+    """Return the calibration's named directions and those of another zero of named effects, (k, 4)."""
     named = evidence.effects.keys() & names
     moved = {*names, *(shift for name in named for shift in evidence.effects[name].shifts)}
     return DIRECTIONS[[name in moved for name in NAMES]]
@@ -138,9 +137,9 @@ def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
-    """Return the fit of some causes, what it does on held-out runs, and in words where it makes these runs worse.
+    """Return the fit of some causes, what it does on held-out runs, and in words where it makes them worse.
 
-    Steps of the sessions are fitted beside them and taken off the gap; `acting`: causes whose calibration may change.
+    Session steps are fitted beside and taken off the gap; `acting`: causes whose calibration may change.
     """
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
     along = _along(evidence, acting)
@@ -158,7 +157,7 @@ def _tried(
 
 
 def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Quantity]:
-    """Return what the fix changes of radii and track without naming it, by effect; nothing without a cause."""
+    """Return what the fix changes of radii and track unnamed, by effect; nothing without a cause."""
     from scipy.special import stdtrit
 
     fitted = fix.fitted or evidence.fitted
@@ -177,9 +176,9 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
 
 
 def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
-    """Return whether a cause stays named beside the fix of a part; `Fix.leaves` says of doubtful ones what they are."""
+    """Return whether a cause stays named beside a part's fix; `Fix.leaves` tells what doubtful ones are."""
     kind = effect_class(cause.effect)
-    # what steps is excluded for what it is, not for doubt
+    # what steps is excluded for what it is
     if fix.corrects is None or cause.effect in fix.corrects or (kind is not None and kind.per_session):
         return True
     return found.probability(cause) >= CERTAIN_PROBABILITY
@@ -188,7 +187,7 @@ def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
 def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
     causes, differing = found.causes, found.differing
     dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, found)}
-    # each session's own step says nothing of the next one, and takes nothing from what holds in all of them
+    # a session's own step says nothing of the next, and takes nothing from what holds in all
     kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii

@@ -1,4 +1,4 @@
-"""The verdict in sentences, whether to apply the fix, and the paper's figures beside the campaign's."""
+"""The verdict in sentences, whether to apply the fix, and the paper's figures beside it."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from calib.gap.localise.result import GapLocation, PlaceResult
 if TYPE_CHECKING:
     from calib.odometry.simulation import Improvement as Reduction
 
-#: runs that confound more effects than this do not identify the cause: the verdict lists no more
+#: more confounded effects do not identify the cause: no more are listed
 LARGEST_GROUP: Final = 6
-#: channels and covariates that a sentence names; the tables have them all
+#: channels and covariates of a sentence; the tables have all
 MOST_CHANNELS: Final = 3
 MOST_COVARIATES: Final = 2
 #: a quotient below rounds to "1.0 times"
 SMALLER: Final = 1.05
-#: metres or radians from which on a gap is not given in thousandths
+#: metres or radians of a gap no longer in thousandths
 LARGE_GAP: Final = 1.0
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """Return the verdict in words; a noise level far above the stated sigmas comes first.
+    """Return the verdict in words, after a noise level far above the stated sigmas.
 
     The channels above the noise level lead, with what they are judged against; then the cause, or that it cannot be
-    identified, the effects that it is confounded with, and whether a plain recalibration closes or hides the gap.
+    identified, effects it is confounded with, and whether a recalibration alone closes or hides the gap.
     """
     return f"{diagnosis.noise_level.finding} {_verdict(diagnosis)}".lstrip()
 
 
 def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
-    """Return the verdict where runs end off by a share of their length that no effect of a vehicle explains."""
+    """Return the verdict where runs end off by more of their length than any effect of a vehicle explains."""
     return (
         f"Against {diagnosis.against}, runs end off by {100 * off:.0f} % of their length on average, with any effect "
         "of the library: wheels and floor cannot do that. Check units (metres, radians, newtons), axes of the "
@@ -77,9 +77,9 @@ def _unsupported(diagnosis: Diagnosis) -> str:
 
 
 def _but_single_runs(diagnosis: Diagnosis) -> str:
-    """Return the runs that stand further off than noise takes the furthest of so many readings, as the end of a clause.
+    """Return, as the end of a clause, the runs beyond the reach of noise of so many readings.
 
-    Such a run says something of itself, not of the vehicle.
+    Such a run speaks of itself, not of the vehicle.
     """
     reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
     off = [
@@ -118,7 +118,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
 
 
 def advice(diagnosis: Diagnosis) -> str:
-    """Return whether the fix is recommended, if not why, and what it changes unnamed; empty without a cause."""
+    """Return whether the fix is recommended, why not, and what it changes unnamed; empty without a cause."""
     return f"{_advised(diagnosis)}{_moves(diagnosis)}" if diagnosis.causes else ""
 
 
@@ -159,7 +159,7 @@ def _confounded(diagnosis: Diagnosis) -> int:
 
 
 def _listed(causes: Sequence[Cause]) -> str:
-    # the label of a blunder says what to do
+    # a blunder's label says what to do
     labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else _with_forms(cause) for cause in causes)
     return joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
 
@@ -170,7 +170,7 @@ def _with_forms(cause: Cause) -> str:
 
 
 def joined(parts: Iterable[str], word: str) -> str:
-    """Return parts as a list in words, ``a, b and c``; empty where there are none."""
+    """Return ``a, b and c``; empty where there are none."""
     *most, last = list(parts) or [""]
     return f"{', '.join(most)} {word} {last}" if most else last
 
@@ -194,7 +194,7 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 
 def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
-    """Return the causes of a group, which act together, and each effect that does the same alone."""
+    """Return a group's causes, acting together, and each effect that does the same alone."""
     causes = {cause.effect for cause in diagnosis.causes}
     together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
     return [*filter(None, [together]), *(_named(effect, diagnosis) for effect in effects if effect not in causes)]
@@ -234,14 +234,13 @@ def _place(line: PlaceResult) -> str:
 
 
 def _channels(diagnosis: Diagnosis) -> str:
-    """Return the gap of the channels above the noise level, without and with the causes.
+    """Return the gap of channels above the noise level, without and with the causes.
 
-    Where none is, that of the channel that the causes lower most, or without any the nearest to its noise level.
+    Without any, of the channel that causes lower most, else the nearest to its noise level.
     """
     closure, named = diagnosis.closure, bool(diagnosis.causes)
 
     def moved(line: ChannelClosure) -> float:
-        """Return the squares of the gap over those of the noise, less those with the causes where any is named."""
         left = line.after_rms**2 if named else 0.0
         return (line.before_rms**2 - left) / line.floor_rms**2 if line.floor_rms > 0.0 else 0.0
 
@@ -279,14 +278,14 @@ class PaperHeadline:
     """What the load correction achieves, here and in the paper."""
 
     effect: str  #: the cause
-    sole_candidate: bool  #: whether these runs separate it from other causes
+    sole_candidate: bool  #: whether the runs separate it from others
     paper: Reduction
     campaign: Reduction  #: root mean squares over held-out runs
     sentence: str
 
 
 def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
-    """Return the paper's headline beside that of a diagnosis; None where load is not the cause."""
+    """Return the paper's headline beside a diagnosis'; None where load is not the cause."""
     laws = (cause.effect for cause in diagnosis.causes if getattr(effect_class(cause.effect), "is_load_law", False))
     effect = next(laws, None)
     before, after = diagnosis.closure.before_rms_m, diagnosis.closure.after_rms_m

@@ -13,22 +13,22 @@ from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.observations.arrays import Observations
 from calib.types import BoolArray, FloatArray, StrArray
 
-#: probability that noise alone exceeds its limit in any of a campaign's trials
+#: chance that noise alone exceeds its limit in any trial of a campaign
 FALSE_ALARM: Final = 0.01
-#: a growth below this share of what noise leaves harms nobody, however sure: 2.5 % of its root mean square
+#: share of noise's squares below which growth harms nobody: 2.5 % of its root mean square
 NEGLIGIBLE_GROWTH: Final = 0.05
-#: values of a quantity that are held out one by one; more are joined into so many groups
+#: values held out one by one; more are joined into so many groups
 MOST_VALUES: Final = 8
-#: a single observation of a value shows nothing
+#: a single observation shows nothing
 FEWEST_UNITS: Final = 2
-#: the other observations cannot replace a larger share than this
+#: largest share that others can replace
 MOST_HELD_OUT: Final = 0.6
 #: speeds and loads within this share of the largest are one value
 SAME_VALUE: Final = 0.1
 
 
 def reach_of_noise(dof: float, n_readings: int) -> float:
-    """Return how many noise levels the furthest of so many readings stands off by, at a chance of `FALSE_ALARM`."""
+    """Return how many noise levels the furthest of so many readings is off by, at `FALSE_ALARM`."""
     from scipy.special import stdtrit
 
     return float(stdtrit(max(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
@@ -36,27 +36,27 @@ def reach_of_noise(dof: float, n_readings: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The correction on one value that was held out: a route, speed, load, direction or session."""
+    """The correction on one value held out: a route, speed, load, direction or session."""
 
     left_out: str  #: what was held out
     value: str  #: which of its values
-    before_rms_m: float | None  #: root mean square of the end positions (else distances) without the correction
+    before_rms_m: float | None  #: root mean square of end positions (else distances) without it
     after_rms_m: float | None  #: and with it
-    #: whitened squares of the model alone, with the correction fitted on the others, and as noise alone leaves
+    #: whitened squares of the model alone, with the others' correction, and as noise alone leaves
     before_square: float = field(default=0.0, metadata={"json": False})
     after_square: float = field(default=0.0, metadata={"json": False})
     noise_square: float = field(default=0.0, metadata={"json": False})
     #: whitened squares that noise alone does not exceed
     noise_limit: float = field(default=np.inf, metadata={"json": False})
-    #: growth of the gap beyond an uncertain prediction's, in standard deviations of noise and unexplained residual
+    #: growth of the gap beyond an uncertain prediction's, in standard deviations
     growth_sd: float = field(default=0.0, metadata={"json": False})
 
 
 def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArray | None = None) -> tuple[Trial, ...]:
-    """Hold out each value of what varies, and try the correction of the others there.
+    """Hold out each value of what varies, and try the others' correction there.
 
-    `before`, shape (n_units, n_channels): residuals of the model alone; `rerun`: those of a simulator that ran again
-    with its fix, in place of a correction's predictions.
+    `before`: (n_units, n_channels), of the model alone; `rerun`: of a simulator run again with its fix, in place of
+    predictions.
     """
     from scipy.special import fdtri
 
@@ -68,7 +68,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArr
         after = left_out.after(units) if rerun is None else rerun
         square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
         expected = float(observations.usable[units].sum())
-        # squares over an estimated noise level follow F; Bonferroni over the trials
+        # squares over an estimated noise level follow F; Bonferroni
         limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
         added, added_variance = left_out.prediction_variance(units) if rerun is None else (0.0, 0.0)
         scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
@@ -89,7 +89,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArr
 
 
 def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
-    """Yield what varies, each of its values, and the observations that have it, shape (n_units,)."""
+    """Yield what varies, its values, and observations of each, (n_units,)."""
     for name, labels in groupings(observations).items():
         for value in np.unique(labels):
             units = labels == value
@@ -98,16 +98,16 @@ def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
 
 
 def groupings(observations: Observations, *, by_balance: bool = False) -> dict[str, StrArray]:
-    """Return the groups of what varies, a label for each observation, shape (n_units,).
+    """Return groups of what varies, a label for each observation, (n_units,).
 
-    `by_balance`: also by the difference of the wheel loads, and by the two halves of the time: what is set anew or
-    drifts has no size.
+    `by_balance`: also by difference of the wheel loads and by halves of the time: what is set anew or drifts has no
+    size.
     """
 
     def mean_speed(part: Observations) -> FloatArray:
         rolled = 0.5 * (np.abs(part.travel_left_m) + np.abs(part.travel_right_m))
         with np.errstate(divide="ignore", invalid="ignore"):
-            # of the wheels, so that a turn on the spot has one too; weighed by distance, as effects act
+            # of the wheels, for turns on the spot; weighed by distance, as effects act
             return np.nan_to_num(part.total(rolled**2 / part.duration_s) / part.total(rolled))
 
     speed = observations.of_parts(mean_speed)
@@ -132,7 +132,7 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
 
 
 def _binned(values: FloatArray, width: float, words: str) -> StrArray:
-    """Name values by the mean of their neighbours: in sorted order, a step above `width` begins another bin."""
+    """Name values by the mean of neighbours in size; a step above `width` begins another bin."""
     order = np.argsort(values)
     group = np.zeros(len(values), dtype=np.int64)
     group[order] = np.cumsum(np.concatenate(([0], np.diff(values[order]) > width)))

@@ -16,10 +16,10 @@ from calib.gap.predict import Path, predict, residuals, signature
 from calib.gap.steps import Perturbation, joined_perturbation, total_perturbation
 from calib.types import BoolArray, FloatArray
 
-#: prior standard deviation of sizes, in typical sizes; wide: it only keeps the solution finite
+#: prior standard deviation of sizes, in typical sizes: only keeps the solution finite
 SIZE_SD = 30.0
 #: prior standard deviation of a recalibration, relative: left, right radius, track, front radius; the last is held: a
-#: front wheel that disagrees with the rear ones is a gap to be named
+#: front wheel that disagrees is a gap to be named
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
 #: halvings of a step that raises the misfit: to a thousandth
 _MAX_HALVINGS: Final = 10
@@ -27,8 +27,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: chance that noise alone makes all linear about a recalibration's path: rare, since a small one shows about the
-#: model's own path too
+#: chance that noise alone makes all linear about a recalibration's path: a small one shows about the model's own too
 BY_CHANCE: Final = 0.001
 
 
@@ -37,10 +36,10 @@ class Fitted:
     """A fitted hypothesis."""
 
     forms: tuple[Form, ...]  #: its effects
-    theta: tuple[FloatArray, ...]  #: shape (n_parameters,): their parameters, in the parameters' units
-    calibration: FloatArray  #: shape (4,): relative change of left radius, right radius, track, front radius
+    theta: tuple[FloatArray, ...]  #: each shape (n_parameters,), in the parameters' units
+    calibration: FloatArray  #: shape (4,): relative, of left radius, right radius, track, front radius
     covariance: FloatArray  #: shape (4 + n_parameters, 4 + n_parameters): of (calibration, all theta), given the noise
-    path: Path  #: the path at the fit
+    path: Path
     chi_square: float  #: whitened sum of squares of the residual
     left: FloatArray  #: shape (n_units, 6): residuals, not whitened
 
@@ -68,11 +67,9 @@ def hypothesis_path(
     Parameters
     ----------
     s : Observations
-        Units and steps.
     calibration : array of float, shape (4,)
         Relative change of left radius, right radius, track, front radius.
     forms : sequence of Form
-        The hypothesis.
     theta : sequence of array of float, each shape (n_parameters,)
         Sizes of each form, in its parameters' units.
     about : Path
@@ -110,9 +107,9 @@ def by_form(forms: Sequence[Form], values: FloatArray) -> list[FloatArray]:
 
 
 def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
-    """Return a basis of calibration and `n_others` sizes, the calibration along some directions alone.
+    """Return a basis, (4 + n_others, k + n_others), of the calibration along directions (k, 4) and of `n_others` sizes.
 
-    `along`: (k, 4). Shape (4 + n_others, k + n_others), each of unit prior variance.
+    Each of unit prior variance.
     """
     whole = np.zeros((4 + n_others, len(along) + n_others))
     scaled = (along / CALIBRATION_SD).T
@@ -123,7 +120,7 @@ def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """The squares that a fit makes small; parameters over their prior standard deviation or typical size."""
+    """Squares to make small; parameters over their prior standard deviation or typical size."""
 
     nominal: Path
     noise: Noise
@@ -137,18 +134,17 @@ class _Misfit:
         return np.where(self.freedom, scaled[:4] * CALIBRATION_SD, 0.0), theta
 
     def cost(self, path: Path, scaled: FloatArray) -> float:
-        """Return the squares of whitened residual and parameters under their prior."""
         white = whitened(path, self.noise, residuals(path, self.nominal))
         return float(white @ white + np.sum((scaled / self.prior_sd) ** 2))
 
     def gauss_newton(self, path: Path, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return normal matrix (n_parameters, n_parameters) and step (n_parameters,) about a path."""
+        """Return normal matrix (n_parameters, n_parameters) and step (n_parameters,)."""
         gap = residuals(path, self.nominal)[:, :, None]
         whole = whitened_rows(path, self.noise, np.append(hypothesis_columns(path, self.forms), gap, axis=2))
         a, r = whole[:, :-1], whole[:, -1]
         precision = self.prior_sd**-2.0
         normal = a.T @ a + np.diag(precision)
-        # a small ridge keeps columns exactly alike solvable
+        # columns exactly alike stay solvable
         normal += 1e-11 * np.diag(np.diag(normal))
         right = a.T @ r - precision * scaled
         if self.along is None:
@@ -173,7 +169,6 @@ def fit(
     nominal : Path
         The model alone.
     noise : Noise
-        Covariance of each unit.
     forms : sequence of Form
         Effects to fit.
     along : array, shape (k, 4), optional
@@ -227,8 +222,8 @@ def fit(
 def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fitted:
     """Return the recalibration alone; none where the model's own leaves no more than noise may.
 
-    Where routes say next to nothing of a direction (closed loops of one sense, of radii and track together), the best
-    recalibration is far off, and nothing that is linear about its path holds for the model's own.
+    Where routes hardly tell a direction (closed loops of one sense: radii and track together), the best recalibration
+    is far off, and nothing linear about its path holds for the model's own.
     """
     alone, fitted = fit(nominal, noise, steps=0), fit(nominal, noise, start=start)
     return fitted if is_gain(alone.chi_square - fitted.chi_square, alone) else alone
@@ -252,7 +247,7 @@ def linear_rest(fitted: Fitted, noise: Noise) -> float:
 
 
 def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = slice(None)) -> FloatArray:
-    """Whiten columns (n_units, 6, k) of some or all observations; usable rows end to end, (n_rows, k)."""
+    """Whiten columns (n_units, 6, k); usable rows end to end, (n_rows, k)."""
     usable = path.s.usable[units]
     masked = np.where(usable[:, :, None], columns, 0.0)
     whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
@@ -281,7 +276,7 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
 def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
     """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters).
 
-    Each part of the path is visited once for all forms; a form whose signature needs no steps comes whole.
+    Each part of the path is visited once; a form whose signature needs no steps comes whole.
     """
 
     def columns(part: Path, form: Form, pushes: Sequence[Perturbation]) -> FloatArray:
@@ -303,11 +298,9 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
-    """Return the names of the parameters that the runs do not determine.
+    """Return the parameters whose interval holds zero and reaches beyond what is plausible on both sides.
 
-    Their interval holds zero and reaches beyond what is physically plausible on both sides.
-
-    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of their intervals.
+    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of the intervals.
     """
     return tuple(
         parameter.name
@@ -319,10 +312,10 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 def identifiability_message(
     parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
 ) -> str:
-    """Say what the runs leave undetermined or determine only together; empty where there is none.
+    """Say what the runs leave undetermined or determine only together; else empty.
 
-    `parameters`: of one effect; `sizes`: (n_parameters,); `covariance`: of these; `coverage`: half an interval's width
-    in standard uncertainties.
+    `parameters`: of one effect; `sizes`: (n_parameters,), of `covariance`; `coverage`: half an interval over its
+    standard uncertainty.
     """
     spread = np.sqrt(np.diag(covariance))
     open_ones = undetermined(parameters, sizes, coverage * spread)

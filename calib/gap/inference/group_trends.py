@@ -1,7 +1,6 @@
-"""Trends as each group of replicates takes part in them: a group knows the steps of its own sessions only.
+"""Trends as groups of replicates take part in them: a group knows the steps of its own sessions only.
 
-Sums over groups of one size are products of small matrices; what all groups know together is a matrix as wide as there
-are sessions, made once.
+Sums over groups of one size are products of small matrices; a matrix as wide as there are sessions is made once.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ _ROUNDING: Final = 1e-14
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
     units: slice  #: their units
-    #: shape (n_units, 6, 9 + q): what each group may have of its own, the gap, and the trends that it takes part in
+    #: shape (n_units, 6, 9 + q): columns of each group's own, the gap, and the trends that it takes part in
     columns: FloatArray
-    #: shape (n_groups, q): each group's gap and trends in the basis; the last, which is nothing, where it has fewer
+    #: shape (n_groups, q): gap and trends in the basis; the last, which is nothing, where a group has fewer
     index: IntArray
-    #: where their products stand among those of the groups, one triangle, and of the basis
+    #: where their products stand among the groups' (one triangle) and the basis'
     there: IntArray
     place: IntArray
 
@@ -45,7 +44,7 @@ class GroupTrends:
     """Gap and trends of units, group by group in the order of the groups' sizes."""
 
     alike: list[_Alike]  #: groups of one size
-    places: IntArray  #: where the products of all stand among those of the basis
+    places: IntArray  #: of the products of all among those of the basis
     mix: FloatArray  #: shape (n_basis, 1 + k): gap and trends over the basis
 
     @staticmethod
@@ -55,7 +54,6 @@ class GroupTrends:
         Parameters
         ----------
         trends : Trends
-            Of all units.
         units, group : array of int, shape (n,)
             Numbers of the units, and of the group of each.
         design : array of float, shape (n_units, 6, 9)
@@ -72,7 +70,6 @@ class GroupTrends:
         slots = int(slot.max()) + 1
         if 2 * slots > sessions:
             return None
-        # the gap stands first, then what all share, and the steps
         first = 1 + n_shared + width
         columns = np.zeros((len(units), N_CHANNELS, first + width * slots))
         columns[:, :, 0], columns[:, :, 1 : 1 + n_shared] = gap[units], trends.shared[units]
@@ -103,7 +100,7 @@ class GroupTrends:
         return GroupTrends(alike, np.concatenate([some.place for some in alike]), mix)
 
     def solved(self, whitener: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """See `ScaleLikelihood.solved`; `prior` (9,) is the precision of what each group has of its own."""
+        """See `ScaleLikelihood.solved`; `prior`: (9,), precision of the groups' own."""
         from scipy.linalg import solve_triangular
 
         n_basis, middle = len(self.mix), 0.0
@@ -124,7 +121,7 @@ class GroupTrends:
         basis = solve_triangular(lower, np.concatenate([dense[1:, :1], self.mix[:, 1:].T], axis=1), lower=True)
         along, mixed = basis[:, 0], basis[:, 1:]
         middle += float(dense[0, 0] - along @ along) + 2 * float(np.log(np.diag(lower)).sum())
-        # of the gap, one less what the trends explain of it
+        # of the gap, less what the trends explain
         beta, inside = -(along @ mixed), mixed.T @ mixed
         beta[0] = 1.0
         g, kept = np.empty(whitener.shape[:2]), np.empty_like(whitener)
@@ -138,14 +135,13 @@ class GroupTrends:
 
 
 def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return what takes each group's own columns out: F with F^T F the inverse of their products, and F times others.
+    """Return F with F^T F the inverse of groups' own products, F times other columns, and the log determinant.
 
-    `gram`: (n_groups, 9, 9 + q), products of its own columns with themselves and with others; `prior`: (9,), precision
-    of its own. Returns F (n_groups, 9, 9), its products (n_groups, 9, q), and the log determinant of all groups'
-    products.
+    `gram`: (n_groups, 9, 9 + q), products of own columns with themselves and others; `prior`: (9,), precision of the
+    own. Returns (n_groups, 9, 9), (n_groups, 9, q), and of all groups together.
     """
     own = gram[:, :N_GROUP_COLUMNS, :N_GROUP_COLUMNS] + np.diag(prior)
-    # on a unit diagonal, a little added: columns exactly alike stay factorable
+    # on a unit diagonal, a little added: columns alike stay factorable
     root = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
     lower = np.linalg.cholesky(own / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(N_GROUP_COLUMNS))
     factor = np.linalg.inv(lower) / root[:, None, :]

@@ -1,8 +1,8 @@
 """Lack of fit: random effects that no effect of the library explains, beside every hypothesis.
 
-y = C beta + sum_k S_k theta_k + R + noise. R is an offset of each channel, or of the calibration, that each condition
-(or each cell of it) has of its own, or a trend on the surroundings that no effect describes; its scale is averaged over
-a grid that includes zero.
+y = C beta + sum_k S_k theta_k + R + noise. R is an offset of a channel or the calibration that each condition (or cell)
+has of its own, or a trend on the surroundings that no effect describes; its scale is averaged over a grid that includes
+zero.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
 INTERACTION: Final = "interaction"
-#: radii that scatter between recordings: noise that windows of one share, not an unexplained gap
+#: radii that scatter between recordings: noise that windows share
 SCATTER: Final = "recordings"
 #: fewest recordings that show a scatter beside their mean
 MIN_RECORDINGS: Final = 3
-#: largest relative scatter of radii: more is no tyre's (the largest plausible step between sessions)
+#: largest relative scatter of radii: the largest plausible step between sessions
 LARGEST_SCATTER: Final = 1e-2
-#: offsets of fewer conditions are no sample of a lack of fit: a recalibration and an effect make them too
+#: fewer offsets are no sample of a lack of fit: a recalibration and an effect make them too
 MIN_CELLS: Final = 8
 #: standard deviation of the lack of fit, in noise levels of one run
 LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -38,7 +38,7 @@ LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 class BlockColumns:
     """Columns that some blocks of one length have of their own, of one number."""
 
-    group: int  #: number of the length in `Blocks.alike`
+    group: int  #: of the length in `Blocks.alike`
     same: IntArray | slice  #: which of the blocks of that length
     part: FloatArray  #: shape (n, length, q)
 
@@ -47,7 +47,7 @@ class BlockColumns:
 class Blocks:
     """Rows of the whitened system, a condition's together, and conditions of one length."""
 
-    order: IntArray  #: shape (n_rows,): place of each ordered row among the usable (unit, channel) rows
+    order: IntArray  #: shape (n_rows,): of each ordered row among the usable (unit, channel) rows
     starts: IntArray  #: shape (n_blocks + 1,): rows of block b stand at ``starts[b]:starts[b + 1]``
     unit: IntArray  #: shape (n_rows,): of each ordered row
     channel: IntArray
@@ -57,7 +57,7 @@ class Blocks:
 
     @cached_property
     def alike(self) -> list[tuple[IntArray, IntArray]]:
-        """Blocks of one length together: their numbers (n,), and the rows of each (n, length)."""
+        """Blocks of each length: their numbers (n,), and the rows of each (n, length)."""
         lengths = np.diff(self.starts)
         groups = []
         for length in np.unique(lengths):
@@ -66,12 +66,12 @@ class Blocks:
         return groups
 
     def alike_rows(self, values: FloatArray, group: int) -> FloatArray:
-        """Return values (n_rows, k) of the blocks of one length, (n, length, k), as a view."""
+        """Return values (n_rows, k) of blocks of one length, a view (n, length, k)."""
         _, places = self.alike[group]
         return values[places[0, 0] : places[-1, -1] + 1].reshape(*places.shape, values.shape[1])
 
     def stacked(self, parts: Sequence[FloatArray]) -> list[BlockColumns]:
-        """Join columns that each block has of its own, (n_rows of the block, q), where they are of one shape.
+        """Join columns of each block's own, (n_rows of the block, q), where of one shape.
 
         There are hundreds of small blocks; those without a column are omitted.
         """
@@ -96,7 +96,7 @@ class LackOfFit:
     name: str  #: what varies, and from where to where
     stacks: Sequence[BlockColumns] = ()  #: whitened columns of each block's own, scaled to about the noise of a run
     common: FloatArray | None = None  #: shape (n_rows, q): whitened columns common to all blocks
-    relative: float = 0.0  #: how far radii that scatter between recordings differ at a scale of 1
+    relative: float = 0.0  #: relative scatter of radii between recordings at a scale of 1
 
     @property
     def is_interaction(self) -> bool:
@@ -125,9 +125,9 @@ def row_blocks(s: Observations) -> Blocks:
 def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[LackOfFit]:
     """Return the components of lack of fit that these runs could show.
 
-    What was driven once has no offset of its own: that would be noise by another name.
+    What was driven once has no offset of its own: that would be noise.
 
-    `path`: where to linearise; `blocks`: order of the rows.
+    `path`: where to linearise.
     """
     s = path.s
     calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)[:, :3]
@@ -157,14 +157,13 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
             parts = [
                 _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
                 if by_cell
-                # a block is a condition
                 else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0]
                 for rows_b in blocks.slices()
             ]
             kinds.append(LackOfFit(f"{name} by {grouping}", blocks.stacked(parts)))
     run = s.run[blocks.unit]
     if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():
-        # both wheels stand for the one that drives the odometry, if it is steered
+        # both wheels stand for a steered one that drives the odometry
         radii = own[:, :2].sum(axis=1, keepdims=True) if s.by_front else own[:, :2]
         columns = _spread(radii, run, np.ones(len(run), dtype=bool))
         kinds.append(LackOfFit(SCATTER, common=columns, relative=float(np.mean(CALIBRATION_SD[:2] / norm[:2]))))

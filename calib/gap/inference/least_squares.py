@@ -22,7 +22,7 @@ from calib.types import BoolArray, FloatArray
 _ROUNDING: Final = 1e-11
 #: halvings of a step that runs away: to a sixty-fourth
 _STEP_HALVINGS: Final = 6
-#: what a step may leave, over what was left before and over what it was to leave
+#: what a step may leave, over what was left before and what it was to leave
 _MAX_MISFIT_RATIO: Final = 2.0
 #: largest variance of a predicted correction, as a share of its square
 MAX_PREDICTION_VARIANCE: Final = 0.1
@@ -35,15 +35,15 @@ def prior_precision(n_columns: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighting:
-    """The covariance of the whitened gap beside one scale of the lack of fit."""
+    """Covariance of the whitened gap beside one scale of the lack of fit."""
 
-    system: LinearSystem  #: rows and their order
+    system: LinearSystem
     name: str  #: component of lack of fit; empty: none
     scale: float  #: its standard deviation in noise levels of one run; 0: none
-    #: shape (n, length, k): what each block of one length may have of its own, scaled to unit prior variance, beside
-    #: noise of variance 1: a covariance of its rows would grow with their square
+    #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside noise of variance 1: a
+    #: covariance of its rows would grow with their square
     own: tuple[FloatArray, ...]
-    #: shape (n_rows, q): columns of a lack of fit common to all blocks, scaled to unit prior variance
+    #: shape (n_rows, q): columns common to all blocks, to unit prior variance
     common: FloatArray
 
     @staticmethod
@@ -65,17 +65,16 @@ class Weighting:
         return Weighting(system, rest.name, scale, tuple(groups), common)
 
     def _noise(self, own: FloatArray) -> FloatArray:
-        """Return each row's noise variance (n, length) beside columns (n, length, k) of the blocks."""
-        # what a form far beyond its size may deviate by leaves the noise below rounding
+        """Return noise variances (n, length) beside own columns (n, length, k)."""
+        # own columns far beyond their size leave the noise below rounding
         return np.asarray(1.0 + _ROUNDING * (1.0 + (own**2).sum(axis=2)))
 
     def _products(self, columns: FloatArray, on: FloatArray | None = None) -> FloatArray:
-        """Return X^T V^-1 X, X (n_rows, p), V of what blocks have of their own; `on` (n_rows,): 1 where used."""
+        """Return X^T V^-1 X, X (n_rows, p), V of the blocks' own columns; `on` (n_rows,): 1 where used."""
         blocks, products = self.system.blocks, np.zeros((columns.shape[1],) * 2)
         for group, own in enumerate(self.own):
             part = blocks.alike_rows(columns, group)
             if on is not None:
-                # a row that is omitted says nothing
                 used = blocks.alike_rows(on[:, None], group)
                 part, own = part * used, own * used
             deviation = np.sqrt(self._noise(own))[:, :, None]
@@ -89,9 +88,9 @@ class Weighting:
     def solve(
         self, columns: FloatArray, precision: FloatArray, use: BoolArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return estimates (p,) and covariance (p, p) of whitened columns (n_rows, p) on the gap.
+        """Return estimates (p,) and covariance (p, p) of whitened columns (n_rows, p).
 
-        `precision`: (p,), prior precision; `use`: (n_units,), units to learn from; all by default.
+        `precision`: (p,), of the prior; `use`: (n_units,), units to learn from, all by default.
         """
         system = self.system
         whole = np.concatenate([columns, self.common, system.gap[:, None]], axis=1)
@@ -100,7 +99,7 @@ class Weighting:
         weighed = self._products(whole, None if use is None else use[system.blocks.unit].astype(np.float64))
         normal += weighed[:n, :n]
         right = weighed[:n, n]
-        # scaled to a unit diagonal, a little added: columns exactly alike stay solvable
+        # on a unit diagonal, a little added: columns alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
         p = columns.shape[1]
@@ -113,7 +112,7 @@ class Weighting:
         return float(inside[0, 0] - common)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return the standard deviation of the gap along a change (n_rows,) of some units: sqrt(change^T V change)."""
+        """Return sqrt(change^T V change), the gap's standard deviation along a change (n_rows,) of some units."""
         blocks, total = self.system.blocks, 0.0
         used = change * units[blocks.unit]
         for group, own in enumerate(self.own):
@@ -126,11 +125,11 @@ class Weighting:
 def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
     """Return a hypothesis fitted in the linear model about a path, and re-simulated.
 
-    From the sizes at that path it goes as far as the picture holds: a step that leaves more than twice what was left
-    before, and than what it was to leave, is halved. Of the path's own hypothesis a step that leaves more than before
-    is not taken. The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
+    A step that leaves more than twice what was left before, and than it was to leave, is halved; of the path's own
+    hypothesis none is taken that leaves more than before. The calibration stays the model's own where it promises no
+    more than noise may: see `recalibrate`.
 
-    `model`: numbers of its forms in the system; `weighting`: lack of fit, and what effects may deviate by.
+    `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by.
     """
     columns = system.columns_of(model)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
@@ -166,7 +165,7 @@ def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
 def _simulated_at(
     system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray
 ) -> tuple[Fitted, FloatArray]:
-    """Re-simulate at (4 + n_parameters,) values; also return the whitened residual, shape (n_rows,)."""
+    """Re-simulate at values (4 + n_parameters,); also return the whitened residual, (n_rows,)."""
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
     theta = tuple(by_form(forms, values))
     path = fitting.hypothesis_path(system.path.s, calibration, forms, theta, system.path)
@@ -178,8 +177,8 @@ def _simulated_at(
 class HeldOutFit:
     """Holds runs out of a fit in turn.
 
-    `fitted`: on all runs; `nominal`: the model alone; `weighting`: of the lack of fit beside it; none by default;
-    `along`: directions of the calibration, (k, 4).
+    `fitted`: on all runs; `nominal`: the model alone; `weighting`: lack of fit, none by default; `along`: directions of
+    the calibration, (k, 4).
     """
 
     def __init__(
@@ -240,7 +239,7 @@ class HeldOutFit:
     def is_predictive(self, out: BoolArray) -> bool:
         """Return whether the other units determine what the correction does on the units `out`.
 
-        Where they do not (a turn's effect without any turn), leaving out says nothing for the correction or against it.
+        Where they do not (a turn's effect without turns), leaving out says nothing.
         """
         on = out[self.weighting.system.blocks.unit]
         correction = self.columns[on] @ self.all_estimates
@@ -248,9 +247,9 @@ class HeldOutFit:
         return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
 
     def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
-        """Return the sum of squares that errors of the estimates add to the prediction of units, and half its variance.
+        """Return the squares that errors of the estimates add to the prediction of units, and half their variance.
 
-        `out` (shape (n_units,)): the units, which the estimates are without.
+        `out`: (n_units,), units that the estimates are without.
         """
         columns = self.columns[out[self.weighting.system.blocks.unit]]
         spread = (columns.T @ columns) @ self._without(out)[1]

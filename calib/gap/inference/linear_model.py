@@ -1,7 +1,6 @@
 """The whitened linear model about one path: its design matrix, and scalar products at each scale of the lack of fit.
 
-A hypothesis needs only scalar products of columns. They are sums over conditions, so lack of fit that each condition
-has of its own is taken out condition by condition.
+Products are sums over conditions: lack of fit of a condition's own is taken out condition by condition.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ N_CALIBRATION: Final = 4
 class LinearSystem:
     """Gap, recalibration and signatures of forms about one path, whitened, ordered by condition.
 
-    `fitted`: about whose path all is linear; `nominal`: the model alone; `forms`: on offer, those of `fitted` included.
+    `fitted`: about whose path; `nominal`: the model alone; `forms`: on offer, those of `fitted` included.
     """
 
     def __init__(self, fitted: Fitted, nominal: Path, noise: Noise, forms: Sequence[Form]) -> None:
@@ -45,7 +44,7 @@ class LinearSystem:
         place = np.argsort(order)
         edges = np.concatenate(([0], np.cumsum(path.s.usable.sum(axis=1))))
         for number, units, some in fitting.signatures_by_part(path, self.forms):
-            # as they come: all of them before they are whitened would be as many again
+            # as they come: to hold them before whitening would take twice the room
             rows = place[edges[units.start] : edges[units.stop]]
             self.of(number)[rows] = fitting.whitened_rows(path, noise, some, units)
         self.left = fitting.whitened(path, noise, residuals(path, nominal))[order]
@@ -58,7 +57,7 @@ class LinearSystem:
 
     @property
     def calibration(self) -> FloatArray:
-        """The recalibration, each to unit prior variance, shape (n_rows, 4)."""
+        """The recalibration, to unit prior variance, shape (n_rows, 4)."""
         return self.whole[:, :N_CALIBRATION]
 
     @property
@@ -117,12 +116,10 @@ class LinearSystem:
         scales: Sequence[float] = LACK_OF_FIT_SCALES,
         interactions: bool = True,
     ) -> Sums:
-        """Return scalar products of the forms' columns and the gap under each scale of the lack of fit.
+        """Return scalar products of forms and gap under each scale of the lack of fit, the recalibration free.
 
-        The recalibration is free beside each of them.
-
-        `deviations`: (n_rows, k), each condition's own, to unit prior variance: an effect's deviation from its form;
-        `prior_rest`: prior odds of a lack of fit; `scales`: of it; `interactions`: weigh those of the surroundings too.
+        `deviations`: (n_rows, k), an effect's in each condition, to unit prior variance; `prior_rest`: prior odds of a
+        lack of fit; `interactions`: weigh those of the surroundings too.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
@@ -142,7 +139,7 @@ class LinearSystem:
 
 
 def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
-    """Return where columns common to all blocks stand, one lack of fit after the other from `first` on, by number."""
+    """Return the places of columns common to all blocks, from `first` on, by number."""
     places = {}
     for number, kind in enumerate(kinds):
         if kind.common is not None:
@@ -154,8 +151,8 @@ def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
 class WhitenedSystem:
     """The whitened system about one path: residual, recalibration and form columns, made once each.
 
-    `path`: where it is linear; `nominal`: the model alone; `offered`: forms that will be asked for: on a path worked
-    through in parts, all at once; `known`: a system about the same path with the same noise, to take columns from.
+    `nominal`: the model alone; `offered`: forms that will be asked for, at once on a path worked through in parts;
+    `known`: a system about the same path with the same noise.
     """
 
     def __init__(
@@ -176,6 +173,6 @@ class WhitenedSystem:
             wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
             self._offered = ()
             for other, columns in zip(wanted, fitting.signature_columns(self.path, wanted), strict=True):
-                # the form is kept with its columns, so that its id stays its own
+                # kept with its form, whose id stays its own
                 self._columns[id(other)] = other, fitting.whitened_rows(self.path, self.noise, columns)
         return self._columns[id(form)][1]

@@ -19,11 +19,11 @@ from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray
 
-#: forms of an effect that are kept beside the best
+#: forms of an effect kept beside the best
 _FORMS_PER_EFFECT: Final = 2
 #: steps of one pass
 _MAX_STEPS: Final = 24
-#: scales of the lack of fit weighed while stepping: within this log-evidence window of the best
+#: scales of the lack of fit weighed while stepping: this log-evidence window below the best
 _ACTIVE_WINDOW: Final = 9.0
 #: a lack of fit this small is omitted while stepping
 _SMALLEST_SCALE: Final = 0.3
@@ -31,10 +31,10 @@ _SMALLEST_SCALE: Final = 0.3
 _RANKING_SCALES: Final = (3.0, 10.0)
 #: models whose neighbours are weighed at the end
 _EXPANDED_MODELS: Final = 4
-#: other models that the recalibration is judged beside, and how probable they are at least, over the best
+#: models that the recalibration is judged beside, and their least probability over the best
 _MAX_ALTERNATIVES: Final = 4
 _MIN_ALTERNATIVE_ODDS: Final = 0.05
-#: shares of what effects may deviate by, the most probable of which is fitted beside: all, a tenth, nothing
+#: shares of what effects may deviate by, the most probable of which is fitted beside
 _DEVIATION_SHARES: Final = (1.0, 0.1, 0.0)
 Model = tuple[int, ...]
 #: what is less probable than this is likelier not to be
@@ -46,17 +46,17 @@ class SearchSettings:
     """Assumptions of the search; fixed on development cases, never on scored ones."""
 
     further: float = 0.5  #: prior odds of one more effect at work
-    #: prior odds of a lack of fit. The noise model is itself estimated: at three times these odds a lack of fit was two
-    #: thirds of the false alarms, at these a third, and outside effects at a signal of 10 still show
+    #: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third, and
+    #: outside effects at a signal of 10 still show
     prior_rest: float = 0.05
-    tolerance: float = 0.15  #: share by which an effect may deviate from its assumed form, a condition
+    tolerance: float = 0.15  #: share by which an effect may deviate from its form in a condition
     most_effects: int = 6  #: effects named at most
-    #: effects of which all pairs are tried, since one may hide the other; of more, those most probable alone
+    #: effects of which all pairs are tried, since one may hide the other; of more, the most probable
     paired: int = 60
 
 
 class LocalSearch:
-    """One linearisation: the forms kept, the current hypothesis, and the sums under deviations of its effects."""
+    """One linearisation: forms kept, the current hypothesis, and sums under its deviations."""
 
     def __init__(self, whole: LinearSystem, settings: SearchSettings) -> None:
         self.settings, self.largest_scale = settings, np.inf
@@ -96,7 +96,7 @@ class LocalSearch:
 
     @property
     def deviations(self) -> FloatArray:
-        """By what each condition may deviate from the current forms, shape (n_rows, n_forms)."""
+        """Deviations of each condition from the current forms, shape (n_rows, n_forms)."""
         return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
 
     def _sums_beside(self) -> Sums:
@@ -107,7 +107,7 @@ class LocalSearch:
         return tuple(self.columns.forms[k] for k in model)
 
     def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
-        """Return the log weights of models, shape (n_scales, n_models); minus infinity for what nothing lets act."""
+        """Return the log weights of models, (n_scales, n_models); minus infinity for what nothing lets act."""
         weight = log_weights(sums or self.sums, self.columns, models)
         weight[:, [not self._acts(model) for model in models]] = -np.inf
         return weight
@@ -129,7 +129,7 @@ class LocalSearch:
         return self.sums.pick(matters & (self.sums.scale <= self.largest_scale))
 
     def evidence(self) -> float:
-        """Return the current hypothesis' log weight over all scales of the lack of fit."""
+        """Return the current hypothesis' log weight over all scales."""
         return float(_total(self.weigh([self.current]))[0])
 
     def weighting(self) -> Weighting:
@@ -138,7 +138,7 @@ class LocalSearch:
         Deviations that may be large but are not would leave a strong effect's size to chance.
         """
         full_deviations = self.deviations
-        # what else is on offer does not change how probable a scale is beside these forms
+        # what else is on offer does not change a scale's odds beside these forms
         own, model = self.system.only(self.current), tuple(range(len(self.current)))
         priors = FormPriors.from_forms(own.forms, self.settings.further)
         weightings = []
@@ -152,7 +152,7 @@ class LocalSearch:
         return Weighting.from_component(self.system, kind, scale, share * full_deviations)
 
     def fitted(self) -> Fitted:
-        """Return the current hypothesis, fitted beside the most probable lack of fit, re-simulated."""
+        """Return the current hypothesis, fitted and re-simulated."""
         return controlled_step(self.system, self.current, self.weighting())
 
     def neighbours(self, model: Model) -> list[Model]:
@@ -173,7 +173,6 @@ class LocalSearch:
             best.setdefault(self.columns.forms[k].effect, k)
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
         if len(numbers) > self.settings.paired:
-            # their pairs would grow with the square of what is on offer
             alone = _total(self.weigh([(k,) for k in numbers]))
             numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[: self.settings.paired])]
         return list(combinations(numbers, 2))
@@ -188,7 +187,7 @@ class LocalSearch:
         return [(number,) for number in forms.values()][:count]
 
     def by_effects(self, models: Sequence[Model], probability: FloatArray) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set of effects from that of each model, shape (n_models,)."""
+        """Return the probability of each set of effects from that of models (n_models,)."""
         by_set: dict[tuple[str, ...], float] = {}
         for model, p in zip(models, probability, strict=True):
             key = self._effects_of(model)
@@ -219,7 +218,7 @@ class LocalSearch:
     def greedy_search(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.
 
-        A move has to pay beside what effects before and after it may deviate by: else two hypotheses would alternate.
+        A move has to pay beside the deviations before and after it, else two hypotheses would alternate.
         """
         refused: set[frozenset[int]] = set()
         models, value = self._weighed_around(refused)
@@ -244,7 +243,7 @@ class LocalSearch:
         return models, _total(self.weigh(models, self.active()))
 
     def make_current(self, model: Model) -> None:
-        """Take a model as the current one, new effects at the sizes that suit it."""
+        """Take a model as the current one, new effects at fitting sizes."""
         active = self.active()
         weight = self.weigh([model], active)[:, 0]
         share = np.exp(weight - weight.max())
@@ -266,7 +265,7 @@ class LocalSearch:
         return listed, self.weigh(listed)
 
     def alternatives(self, models: Sequence[Model], probability: FloatArray) -> tuple[tuple[Model, float], ...]:
-        """Return the best models beside the current one, each with its probability over that one's."""
+        """Return the best other models, each with its probability over the current one's."""
         own = float(probability[models.index(self.current)])
         others = [
             (models[n], float(probability[n]) / max(own, 1e-12))
@@ -277,7 +276,7 @@ class LocalSearch:
 
 
 def _total(weight: FloatArray) -> FloatArray:
-    """Sum log weights over the scales of the lack of fit, shape (n_models,)."""
+    """Sum over the scales of the lack of fit, shape (n_models,)."""
     top = weight.max(axis=0)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
@@ -291,15 +290,15 @@ class SearchResult:
     fitted: Fitted  #: the best hypothesis, a recalibration free beside it
     base: Fitted  #: the recalibration alone
     alone: LinearSystem  #: about its path, with every form
-    system: LinearSystem  #: about the best hypothesis' path, with every effect's best forms
+    system: LinearSystem  #: about the best hypothesis' path, with all effects' best forms
     forms: dict[str, list[Form]]  #: forms of each effect on this campaign
     models: tuple[tuple[str, ...], ...]  #: sets of effects weighed, best first
     probabilities: FloatArray  #: shape (n_models,): of each set
-    #: best other models, by form numbers in `system`, each with its probability over the best one's
+    #: best other models, by form numbers in `system`, each with its odds over the best
     alternatives: tuple[tuple[Model, float], ...]
     rest: float  #: probability of a lack of fit beside anything else that acts
-    weighting: Weighting  #: most probable lack of fit beside the best hypothesis, and its effects' deviations
-    nothing: float  #: probability of neither an effect nor a lack of fit, a recalibration left free
+    weighting: Weighting  #: lack of fit beside the best hypothesis, and its effects' deviations
+    nothing: float  #: probability of neither an effect nor a lack of fit, recalibration free
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -12,45 +12,45 @@ from calib.gap.effects.effect import Form
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: degrees of freedom of the noise level before the gap is looked at; all else known of it comes from the same runs
+#: degrees of freedom of the noise level before the gap is looked at
 FLOOR_DOF: Final = 20.0
 #: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
-#: entries of their scalar products at a time: 1 MB stays in the cache with all that is made of them
+#: entries of their scalar products at a time: 1 MB stays in the cache
 _BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
 #: smallest prior scale of a column, in typical sizes, and ridge beside which sizes are fitted to choose it
 _LEAST_SCALE: Final = 0.1
 _RIDGE: Final = 1e-2
-#: a scale of the lack of fit less probable adds nothing to an average
+#: probability of a scale that adds nothing to an average
 _NO_WEIGHT: Final = 1e-15
-#: pivot of a matrix of unit diagonal: smaller ones are rounding
+#: pivot of a unit-diagonal matrix: smaller ones are rounding
 _LEAST_PIVOT: Final = 1e-12
-#: a wide form's hypothesis is not weighed where it cannot come within this log-evidence window of the best
+#: wide forms that cannot come within this log-evidence window of the best are not weighed
 _NEGLIGIBLE: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
-    """Residuals out of the judgement: a recalibration, and deviations of known effects."""
+    """What is not judged: a recalibration, and deviations of known effects."""
 
-    columns: FloatArray  #: shape (n_rows, k): whitened, each scaled to unit prior variance
+    columns: FloatArray  #: shape (n_rows, k): whitened, to unit prior variance
     factor: FloatArray  #: shape (k, k): inverse Cholesky factor of I + X^T X
     log_det: float  #: log |I + X X^T|
 
     @staticmethod
     def of(columns: FloatArray) -> Nuisance:
-        """Make it of whitened columns scaled to unit prior variance, shape (n_rows, k)."""
+        """Make it of whitened columns (n_rows, k) to unit prior variance."""
         gram = np.eye(columns.shape[1]) + columns.T @ columns
-        # scaled to a unit diagonal: columns of very different size, or exactly alike, stay factorable
+        # on a unit diagonal: columns of very different size, or alike, stay factorable
         root = np.sqrt(np.diag(gram))
         lower = np.linalg.cholesky(gram / np.outer(root, root) + 1e-11 * np.eye(len(gram)))
         inverse = np.linalg.solve(lower, np.diag(1.0 / root))
         return Nuisance(columns, inverse, float(2 * (np.log(np.diag(lower)) + np.log(root)).sum()))
 
     def scalar(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Return left^T (I + X X^T)^-1 right for columns (n_rows, p) and (n_rows, q), shape (p, q)."""
+        """Return left^T (I + X X^T)^-1 right of columns (n_rows, p) and (n_rows, q), (p, q)."""
         a, b = self.factor @ (self.columns.T @ left), self.factor @ (self.columns.T @ right)
         products: FloatArray = left.T @ right - a.T @ b
         return products
@@ -59,20 +59,19 @@ class Nuisance:
 def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
     """Return the log evidence of a Gaussian hypothesis whose noise level is known up to a common factor.
 
-    The factor is integrated out, so that a noise level too small by a quarter, or tails heavier than normal, do not
-    pass for a cause: Student's t in place of the normal density, without its constant.
+    With the factor integrated out (Student's t, without its constant), a noise level too small by a quarter or heavy
+    tails do not pass for a cause.
 
-    `square`: y^T C^-1 y of the hypothesis' covariance C in units of the noise level; `log_det`: log |C|, same shape;
-    `n_rows`: length of y.
+    `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same shape; `n_rows`: length of y.
     """
     spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
     return np.asarray(spread - 0.5 * np.asarray(log_det))
 
 
 def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
-    """Return (I + X X^T)^(-1/2)-like projected columns: their residual once the nuisance took its share.
+    """Return columns projected by about (I + X X^T)^(-1/2): their residual beside the nuisance.
 
-    The result P has P^T P equal to the scalar product of `Nuisance.scalar` in the limit of a broad nuisance.
+    P^T P is the product of `Nuisance.scalar` in the limit of a broad nuisance.
     """
     weights = nuisance.factor.T @ (nuisance.factor @ (nuisance.columns.T @ columns))
     products: FloatArray = columns - nuisance.columns @ weights
@@ -80,7 +79,7 @@ def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
 
 
 def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
-    """Solve (G + ridge I) x = g, scaled to a unit diagonal so that columns exactly alike do no harm.
+    """Solve (G + ridge I) x = g on a unit diagonal: columns alike do no harm.
 
     `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), with the residual. Returns shape (..., p).
     """
@@ -104,12 +103,12 @@ def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
 def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
     """Return log evidence plus log prior of each model at each scale of the lack of fit, shape (n_scales, n_models).
 
-    Minus infinity for a model of a wide form at a scale where it cannot come near the best of all.
+    Minus infinity where a model of a wide form cannot come near the best of all.
     """
     value = np.full((len(sums.square), len(models)), -np.inf)
     wide = np.array([columns.layout.wide in model for model in models], dtype=bool)
     prior, widths = columns.priors(models), columns.widths(models)
-    # models of like width together: padding a narrow one to the widest would cost its cube
+    # models of like width together: padding would cost the cube of the widest
     group = np.where(wide, -1, np.searchsorted(_WIDTH_CLASSES, widths))
     for number in np.unique(group[~wide]):
         places = np.flatnonzero(group == number)
@@ -130,11 +129,11 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
 
 
 def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
-    """Return the log evidence (n_scales, n_models) of models by their columns, see `FormPriors.index`."""
+    """Return the log evidence (n_scales, n_models) of models' columns, see `FormPriors.index`."""
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     there = index >= 0
-    # in memory the models stand last: what is done to a column of all is done at once
+    # models stand last in memory: a column of all is worked on at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
     gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
@@ -174,10 +173,9 @@ def _log_evidence(
 
 
 def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...]], best: float) -> FloatArray:
-    """Return what `_batch` does of models that hold the wide form, shape (n_scales, n_models).
+    """Return what `_batch` does of models with the wide form, (n_scales, n_models).
 
-    Where even the largest sizes of all their columns together leave too much of the gap, they are not weighed; beside
-    a larger lack of fit of the same kind less is left.
+    Not weighed where even the largest sizes leave too much of the gap; a larger lack of fit of the kind leaves less.
     """
     value, wide = np.full((len(sums.square), len(models)), -np.inf), priors.layout.wide
     index, owner = priors.index([tuple(form for form in model if form != wide) for model in models])
@@ -200,7 +198,7 @@ def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...
 
 
 def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
-    """Return the square that a wide form leaves at a scale beside narrow columns (k,), all with a ridge."""
+    """Return the square that a wide form and narrow columns (k,) leave at a scale, all with a ridge."""
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     half = np.linalg.solve(np.linalg.cholesky(own + ridge * np.eye(len(own))), across[:, [*columns, -1]])
@@ -211,9 +209,9 @@ def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
 
 
 def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
-    """Return the log evidence of the wide form beside narrow columns (n_models, k) at a scale, shape (n_models,).
+    """Return the log evidence (n_models,) of the wide form beside narrow columns (n_models, k) at a scale.
 
-    In the axes of its columns' products, each prior scale takes a division a column.
+    In the axes of its columns' products each prior scale takes a division a column.
     """
     assert sums.wide is not None
     own, across = sums.wide.at(n)
@@ -223,7 +221,6 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
     beside, gap = turned[:, index].transpose(1, 0, 2), turned[:, -1]
 
     def reduced(share: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Take a share (n_models, w) of each axis out of the products."""
         less = beside.transpose(0, 2, 1) * share[:, None, :]
         return _padded(gram - less @ beside, right - less @ gap, there)
 
@@ -242,9 +239,9 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
-    """Return the prior scale of each column: its form's root mean square size, from a tenth to what is plausible.
+    """Return each column's prior scale: its form's root mean square size, from a tenth to what is plausible.
 
-    A shift of the zero point has no part in it: it is as large as the sizes make it, not they as it is.
+    A shift of the zero point has no part in it: the sizes make it as large as it is.
     """
     most = columns.most[index]
     alike = (owner[:, :, None] == owner[:, None, :]) * columns.own[index][:, None, :]
@@ -271,10 +268,10 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
 
 
 def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
-    """Return the log probability that sizes have their only possible sign, both being as likely before, shape (...).
+    """Return the log probability that sizes have their only possible sign, both as likely before, shape (...).
 
-    Of several parameters each by itself, as if their estimates were independent. Scalar products (..., k, k) and (...,
-    k), prior variances and signs (..., k), 0 where either may be.
+    Each by itself, as if independent. `gram`: (..., k, k); `right`, `variance`, `sign`: (..., k), sign 0 where either
+    may be.
     """
     from scipy.special import log_ndtr
 
@@ -296,10 +293,10 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all at once.
 
-    LAPACK takes a microsecond a matrix, and a search has some hundred thousand of two to five columns.
+    LAPACK takes a microsecond a matrix; a search has some hundred thousand of two to five columns.
 
-    Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...) of the upper triangle and of the
-    right sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
+    Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...) of the upper triangle and right
+    sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
     """
     k, lead = matrix.shape[-1], matrix.shape[:-2]
     rows = np.empty((k, k + sides.shape[-1], *lead))
@@ -312,17 +309,14 @@ def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return I + S G scaled to a unit diagonal, so that columns exactly alike do no harm, and the scaling (..., k)."""
+    """Return I + S G on a unit diagonal, and the scaling (..., k)."""
     size = np.sqrt(root**2 * np.diagonal(gram, axis1=-2, axis2=-1) + 1.0)
     ratio = root / size
     return _with_diagonal(gram * (ratio[..., :, None] * ratio[..., None, :]), 1.0 + 1e-11), size
 
 
 def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight: FloatArray) -> FloatArray:
-    """Return the sizes of a model's columns in typical sizes, averaged over the scales of the lack of fit, shape (k,).
-
-    `weight`: (n_scales,), probability of each scale.
-    """
+    """Return a model's sizes in typical sizes, (k,), averaged over scales of probability `weight` (n_scales,)."""
     if not model:
         return np.zeros(0)
     (place,), _ = columns.index([model])

@@ -25,36 +25,36 @@ from calib.types import BoolArray, FloatArray
 _MAX_PASSES: Final = 7
 #: a step below this share of the standard uncertainty is the last
 _CONVERGED_STEP: Final = 0.2
-#: causes fitted alone, the most probable about the recalibration's path, of which the best is begun with
+#: most probable causes about the recalibration's path that are fitted alone, to begin with the best
 _SINGLE_STARTS: Final = 3
 #: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
-#: a gap less probable than this is not reported: looking at runs once more costs less than a gap not seen
+#: least probability of a reported gap: to look at runs once more costs less than a gap not seen
 REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
-#: beside a larger lack of fit, the search begins again from elsewhere
+#: beside a larger lack of fit the search begins anew
 _SMALL_LACK_OF_FIT: Final = 1.0
 #: rms residual, in noise levels, beyond which the search is not begun there: the largest scale of lack of fit but one,
 #: a margin for the linear model's error
 _FAR_RMS: Final = 30.0
-#: Gauss-Newton steps of each trial from far away; an effect that explains the gap is near its size by then
+#: Gauss-Newton steps of each trial from far away; what explains the gap is near its size by then
 _TRIAL_STEPS: Final = 4
-#: of these, those after which trials are dropped that leave so many times the squares of the best: a step from far away
-#: leaves a share of an effect's gap, but not a hundred times what another leaves
+#: of these, before trials are dropped that leave so many times the squares of the best: such a step leaves a share of
+#: an effect's gap, but not a hundred times another's
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and those whose linear fit alone leaves so many times what the best has left after its last step; a set that leaves
-#: so many times what the one before leaves is not moved to
+#: and trials whose linear fit leaves so many times what the best has left at last; nor is a set moved to that leaves
+#: so many times what the one before does
 _OUTDONE: Final = 2.0
 #: no further step where squares are within this share of the promise: the gap is linear in the effect
 _SETTLED_SHARE: Final = 0.02
-#: an effect that leaves more than this share of the squares is not what makes them so many
+#: what leaves more of the squares is not what makes them so many
 _MAX_RESIDUAL_SHARE: Final = 0.5
-#: an effect is not tried where its linear fit leaves more: four steps that take a tenth each leave 0.66
+#: an effect whose linear fit leaves more is not tried: four steps of a tenth leave 0.66
 _MAX_LINEAR_SHARE: Final = 0.9
-#: a linearisation, and the hypothesis fitted about it
+#: a linearisation, and what was fitted about it
 _Settled = tuple[LocalSearch, Fitted]
 
 
@@ -74,13 +74,11 @@ def search(
     nominal : Path
         The model alone.
     noise : Noise
-        Covariance of each unit.
     base : Fitted
         The recalibration alone.
     effects : sequence of Effect
         The library; the calibration's own three are left to the recalibration.
     settings : SearchSettings, optional
-        What is assumed.
     start : SearchResult, optional
         Where to begin, beside another noise level; the recalibration alone by default.
     passed : callable, optional
@@ -95,7 +93,7 @@ def search(
     converge = partial(_converge, all_forms=all_forms, passed=passed)
     begin = _begin_at(start, initial)
     local, fitted = converge(
-        # not named here, so that it goes when the search has left it
+        # not named, so that it goes when the search has left it
         copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings)
     )
     if begin is base and _near((local, fitted), base) is None:
@@ -109,7 +107,7 @@ def search(
     def settle(other: LocalSearch, left: Fitted) -> _Settled | None:
         if other.current or initial.with_current(()).weighting().scale:
             return _near(converge(other, greedy=False), left)
-        # what no effect is taken from is known where it is nearest
+        # what nothing is taken from is known where it is nearest
         return copy(initial), base
 
     gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY
@@ -133,21 +131,21 @@ def search(
 
 
 def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Settled:
-    """Return the better of a search begun without a lack of fit and one begun with the best cause fitted alone.
+    """Return the better search begun: without a lack of fit, or with the best cause fitted alone.
 
-    Several causes may leave little together, and each alone a large lack of fit; about a path far off the true one
-    cause looks like several.
+    Several causes may leave little together and each alone a large lack of fit; far off the true path one cause looks
+    like several.
     """
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
     starts = [converge(start, greedy=False)[0] for start in starts]
-    # one that grows beyond bounds when fitted alone has no evidence
+    # what grows beyond bounds when fitted alone has no evidence
     best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
     ended = converge(copy(initial), largest_scale=_SMALL_LACK_OF_FIT), converge(best)
     return max(ended, key=lambda end: end[0].evidence())
 
 
 def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
-    """Return the forms that the runs could show, by effect id, without the calibration's own."""
+    """Return forms that the runs could show, by effect id, without the calibration's own."""
     forms = {effect.id: effect.forms(nominal.s) for effect in effects if not effect.calibration}
     return {name: offered for name, offered in forms.items() if offered}
 
@@ -157,8 +155,7 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
         return start.fitted
     system = initial.system
     if system.path.s.calibration_held and is_far(system.fitted):
-        # beside no recalibration two parameters of a simulator may be far off: neither leads near by itself, but what
-        # they do is so nearly linear that both show at once
+        # two parameters of a simulator far off: neither leads near by itself, but they are so linear that both show
         forms = initial.forms_of(copy(initial).greedy_search())
         fitted = fit(system.nominal, system.noise, forms, start=system.fitted, steps=_TRIAL_STEPS)
         if not is_far(fitted):
@@ -173,9 +170,9 @@ def is_far(fitted: Fitted) -> bool:
 
 
 def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
-    """Return a hypothesis near which the gap is linear: from that of the system, effects added one by one as they fit.
+    """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
 
-    Where it is not far off, or no effect takes half of it away: that of the system.
+    The system's own where it is not far off, or no effect takes half of it away.
 
     `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: added at most.
     """
@@ -196,7 +193,7 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
             ]
             least = min((trial.chi_square for trial in second), default=0.0)
             trials: list[Fitted] = []
-            # the best one first: what even the linear fit leaves far behind it is not followed
+            # the best first: what even the linear fit leaves far behind is not followed
             for one, two in sorted(zip(first, second, strict=True), key=lambda pair: pair[1].chi_square):
                 if two.chi_square <= _HOPELESS * least:
                     ended = _settled(two.chi_square, one.chi_square) or (
@@ -215,9 +212,9 @@ def _settled(squares: float, before: float) -> bool:
 
 
 def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
-    """Return the forms of further effects that take a share of the squares away in the linear fit, and what it leaves.
+    """Return forms of further effects that take a share of the squares away in the linear fit, and what it leaves.
 
-    Each trial re-simulates all runs several times; a linear fit costs a few products of a form's columns.
+    A trial re-simulates all runs several times; a linear fit costs a few products.
     """
     fitted = system.fitted
     effects = {form.effect for form in fitted.forms}
@@ -239,14 +236,14 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeighedModels:
-    """Models about the best ones of one linearisation, and their probabilities."""
+    """Models about the best of one linearisation, with probabilities."""
 
     models: list[Model]
     probability: FloatArray  #: shape (n_scales, n_models)
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
-    #: probability that the calibration is as believed, if no effect is at work; 1 where that is unlikely
+    #: probability that the calibration is as believed without an effect; 1 where that is unlikely
     as_believed: float
-    #: log weight of the current model, all scales of the lack of fit and all of the calibration together
+    #: log weight of the current model over all of lack of fit and calibration
     current_weight: float
 
     @property
@@ -257,18 +254,18 @@ class _WeighedModels:
 def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
     """Weigh the models about the best ones.
 
-    Steps leave the calibration free beside every model. What is likely at the end is weighed together with which of the
-    calibration's parameters must be off: an effect that explains their shift too needs none.
+    Steps leave the calibration free. What is likely at the end is weighed with which of its parameters must be off: an
+    effect that explains their shift too needs none.
     """
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
     if ScaleEvidence.is_open(local.system) and models.index(()) in likely:
-        # whether there is a gap at all rests on the noise
+        # whether there is a gap rests on the noise
         weight = weight + scale_gains(local, weight, {*likely, models.index(local.current)}, models, _LIKELY_WINDOW)
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
     if local.system.path.s.calibration_held:
-        # nothing of it can be off beside any model
+        # nothing can be off beside any model
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
         free = free_estimates(local.system, models[n], weighting)
@@ -276,7 +273,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
-    # what is hardly likely is taken to need the calibration off as much as the neediest of the likely
+    # hardly likely ones are taken as needy as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
@@ -284,10 +281,10 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
 
 
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:
-    """Return where a search has moved to, None where that leaves far more than what it has left.
+    """Return where a search has moved to, None where that leaves far more than before.
 
-    A payload's slope is read off the path: away from the law that gave it, the fit leaves what that had taken. Beside
-    no lack of fit a hypothesis with more forms leaves no more; where it does, its path is not that of its optimum.
+    A payload's slope is read off the path: away from its law, the fit leaves what that had taken. Without a lack of fit
+    more forms leave no more; where they do, the path is not their optimum's.
     """
     local, fitted = moved
     most = _OUTDONE * max(left.chi_square, float(len(local.system.gap)))
@@ -306,15 +303,15 @@ def _most_probable(
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Move to the most probable set of effects until the current one is so about its own path, too.
 
-    Of sets that take turns, that of the fewest effects, then the most probable about its own path. A set whose fit runs
-    away (`settle` gives None) is not moved to.
+    Of sets that take turns, that of the fewest effects, then the most probable one; none whose fit runs away (`settle`
+    gives None).
     """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):
         weighed = weigh(local)
         by_set, own = local.by_effects(weighed.models, weighed.probability.sum(axis=0)), local.current_effects
         if gap_certain:
-            # no effect then counts by a lack of fit and by the calibration alone
+            # no effect then counts by lack of fit and calibration alone
             by_set[()] -= weighed.nothing * weighed.as_believed
         visited[own] = local, fitted, weighed
         most_probable = max(by_set, key=lambda key: by_set[key])

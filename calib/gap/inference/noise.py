@@ -1,8 +1,8 @@
 """The noise of each run: its covariance over the channels, and what supports it.
 
 Heading noise along a path becomes lateral error at its end, so the channels of a run are correlated, each run in its
-own way. The covariance is a sum of components; their scales are estimated from replicates, after a mean in each channel
-and a calibration of each replicate group are removed. The noise of windows is checked by its growth with their length.
+own way. The covariance is a sum of components; their scales are estimated from replicates, beside a mean in each
+channel and a calibration of each group. The noise of windows is checked by its growth with their length.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
 
-#: repeats with fewer degrees of freedom a channel are joined with coarser ones
+#: repeats with less a channel are joined with coarser ones
 ENOUGH_DOF_PER_CHANNEL: Final = 15.0
 #: and in all
 ENOUGH_DOF: Final = 30.0
@@ -65,16 +65,16 @@ class Basis(StrEnum):
 class NoiseSupport:
     """One way to find a noise level."""
 
-    basis: Basis  #: what it rests on
-    labels: IntArray  #: shape (n_units,): units compared with each other share a number
+    basis: Basis
+    labels: IntArray  #: shape (n_units,): units that are compared share a number
     trends: components.Trends | None  #: what may differ between them and is no noise
-    dof: float  #: degrees of freedom from which it is taken
+    dof: float
 
 
 def noise_supports(path: Path) -> Iterator[NoiseSupport]:
     """Yield the ways to find a noise level, the best first, each with the degrees of freedom that suffice.
 
-    Pooling all units is none of them: it would turn motion that no wheel sees into noise.
+    Not all units pooled: motion that no wheel sees would become noise.
     """
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
@@ -85,7 +85,7 @@ def noise_supports(path: Path) -> Iterator[NoiseSupport]:
     yield NoiseSupport(alike, observations.condition, trends, enough)
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
-    # neighbours are alike in all but this: a session may end between them
+    # neighbours are alike but for this: a session may end between them
     yield NoiseSupport(near, beside, components.session_steps(path), enough)
     yield NoiseSupport(near, beside, None, enough)
     yield NoiseSupport(alike, observations.condition, trends, MIN_DOF)
@@ -104,21 +104,20 @@ def noise_supports(path: Path) -> Iterator[NoiseSupport]:
 class Noise:
     """Covariance of every unit, and what it rests on."""
 
-    #: shape (n_units, 6, 6): over (distance, along, lateral, heading, front, steering); unit variance where a channel
-    #: is missing
+    #: shape (n_units, 6, 6): over (distance, along, lateral, heading, front, steering); unit variance without the
+    #: channel
     covariance: FloatArray
     scales: dict[str, float]  #: scale of each component
-    dof: float  #: degrees of freedom from replicates; 0 where the stated instruments carry it
-    weight: FloatArray  #: shape (n_units,): 1 for ordinary units, less for those far from their repeats
-    supported: bool = True  #: whether these runs support a noise level
-    support: str = ""  #: what supports it, in words; where nothing does, why
-    #: shape (6,): noise level over that by stated sigmas and typical walks, the median over units; NaN without the
-    #: channel
+    dof: float  #: from replicates; 0 where the stated instruments carry it
+    weight: FloatArray  #: shape (n_units,): 1, less for those far from their repeats
+    supported: bool = True  #: whether the runs support a noise level
+    support: str = ""  #: by what, in words; else why not
+    #: shape (6,): noise level over that of stated sigmas and typical walks, median over units; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     @property
     def finding(self) -> str:
-        """Sentence to say first where the noise level is far above the stated sigmas; else empty."""
+        """What is said first where the noise level is far above the stated sigmas."""
         most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
         if not (self.supported and self.excess[most] > REPORTED_EXCESS):
             return ""
@@ -142,15 +141,13 @@ class Noise:
 def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
     """Estimate the noise from replicates.
 
-    These are units of one cell where there are enough of them; else of one condition, with a trend on temperature,
-    dwell, session and further columns removed; else neighbours in the order driven; else runs of one route with their
-    loads and speeds as trends; at last the stated sigmas stand alone. The first of these that supports a floor
-    is taken; where none does, the first that has the degrees of freedom.
+    These are units of one cell; else of one condition, with trends on temperature, dwell, session and further columns
+    removed; else neighbours in the order driven; else runs of one route with trends on loads and speeds; at last the
+    stated sigmas stand alone. The first that supports a floor is taken, else the first with the degrees of freedom.
 
-    Scales that repeats do not determine keep their prior, for the first three the instruments' stated uncertainty.
+    Scales that repeats do not determine keep their prior, for the first three the stated uncertainty.
 
-    `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `start`: an estimate about another
-    path, to begin at.
+    `gap`: (n_units, 6), measured minus predicted about `path`; `start`: an estimate about another path, to begin at.
     """
     shapes = components.NoiseComponents.about(path)
     begin = np.log(components.PRIOR_MEDIANS)
@@ -168,13 +165,12 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         some = repeatability.thinned_replicates(grouped)
         part = whole if some is grouped else repeatability.ScaleLikelihood(path, gap, shapes, some, support.trends)
         log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
-        # those far from their repeats weigh less
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
         if noise.supported:
             return noise
-        # many units are worth nothing where their differences cannot be told from a gap: the next support is tried
+        # units whose differences cannot be told from a gap are worth nothing: the next support
         first = first or noise
     return first or _noise(path, shapes, np.log(components.PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 
@@ -182,7 +178,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 def _noise(
     path: Path, shapes: components.NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
 ) -> Noise:
-    """Return the noise of scales (n_components,) and weights (n_units,), and its support."""
+    """Return the noise of scales (n_components,) and weights (n_units,)."""
     covariance = shapes.covariance(log_scale, weight)
     scales = {
         name: float(np.exp(v))
@@ -224,7 +220,7 @@ def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowG
     """Return whether windows' noise, above the stated one, grows with their length as noise does."""
     if growth is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
-    # a walk of the heading leads the place astray by the length to the power of three halves: the heading alone tells
+    # a walk of the heading leads the place astray by length^(3/2): the heading alone tells
     heading = Channel.HEADING
     floor = float(np.sqrt(covariance[path.s.usable[:, heading], heading, heading].mean()))
     if floor > MAX_GROWTH_RATIO * growth.noise_rms[2]:
@@ -237,8 +233,8 @@ class WindowGrowth:
     """Mean squares of the residual in windows of several lengths, by their growth."""
 
     length_m: FloatArray  #: shape (n_lengths,): mean length of the windows
-    #: shape (3, 3): along, lateral and in heading, mean squares at the shortest length that are constant, grow with the
-    #: length, and grow with its square
+    #: shape (3, 3): of along, lateral, heading at the shortest length: constant, growing with the length, and its
+    #: square
     parts: FloatArray
 
     @property
@@ -249,7 +245,7 @@ class WindowGrowth:
 
 
 def window_growth(path: Path) -> WindowGrowth | None:
-    """Return how the residual grows with the length of the windows; None where these are too few."""
+    """Return how the residual grows with the length of the windows; None if too few."""
     from scipy.optimize import nnls
 
     chains = _chains(path)
@@ -267,14 +263,14 @@ def window_growth(path: Path) -> WindowGrowth | None:
     length, square = np.array(lengths), np.array(squares)
     times = length / length[0]
     laws = np.stack([np.ones(len(times)), times, times**2], axis=1)
-    # each length weighs as its relative uncertainty: half as many windows, a root of two more uncertain
+    # by relative uncertainty: half as many windows are a root of two less certain
     weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times)[:, None])
     parts = np.stack([nnls(laws * weight[:, [k]], square[:, k] * weight[:, k])[0] for k in range(3)])
     return WindowGrowth(length, parts)
 
 
 def _chains(path: Path) -> list[tuple[int, int]]:
-    """Return stretches (first, behind the last) of successive windows that all have a measured pose."""
+    """Return stretches (first, behind the last) of windows in a row with a measured pose."""
     observations = path.s
     posed = np.asarray(observations.usable[:, POSE_CHANNELS].all(axis=1))
     follows = (np.diff(observations.run) == 0) & (np.diff(observations.window) == 1)
@@ -284,7 +280,7 @@ def _chains(path: Path) -> list[tuple[int, int]]:
 
 
 def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
-    """Return the length of joined windows and the residual along, lateral and in heading at their end."""
+    """Return the length of joined windows and the residual (along, lateral, heading) at their end."""
     motions = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
     real, model = map(_chained_pose, motions)
     dx, dy = real[:2] - model[:2]
@@ -294,7 +290,7 @@ def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
 
 
 def _chained_pose(motions: FloatArray) -> FloatArray:
-    """Return the pose after several motions (n, 3), each in the frame of its own start."""
+    """Return the pose after motions (n, 3), each in the frame of its start."""
     heading = np.concatenate(([0.0], np.cumsum(motions[:, 2])))
     place = ((motions[:, 0] + 1j * motions[:, 1]) * np.exp(1j * heading[:-1])).sum()
     return np.array([place.real, place.imag, heading[-1]])

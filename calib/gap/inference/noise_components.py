@@ -13,7 +13,7 @@ from calib.campaign.model import NUMERIC_COLUMNS
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: components: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
+#: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma
     ("position", 1.0, 0.4),  # times the reference's stated sigma
@@ -62,7 +62,7 @@ def kernels(path: Path) -> FloatArray:
 
 
 def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
-    """Return what a turn and a way of 1 at each step do to each end channel, each (n_steps,)."""
+    """Return what a turn and a way of 1 at each step do to each end channel, (n_steps,)."""
     observations, steps = path.s, path.steps
     unit = observations.unit
     c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
@@ -89,7 +89,7 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
 
 
 def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Sum weighted outer products over each unit, shape (n_units, 6, 6)."""
+    """Sum weighted outer products, shape (n_units, 6, 6)."""
     summed = np.zeros((len(starts) - 1, N_CHANNELS, N_CHANNELS))
     weighted = {channel: values * weight for channel, values in vector.items()}
     for a, b in combinations_with_replacement(sorted(vector), 2):
@@ -112,7 +112,7 @@ def quantisation(path: Path) -> FloatArray:
     covariance = np.zeros((len(observations), N_CHANNELS, N_CHANNELS))
     radius = observations.vehicle.wheel_radius_m
     for wheel, sign in ((0, -1.0), (1, 1.0)):
-        # the first and the last count are each off by a uniform share of a count
+        # first and last count are each off by a uniform share of one
         sigma = observations.count_rad[wheel] * radius / np.sqrt(6.0)
         rows = np.zeros(N_CHANNELS)
         rows[[0, 1, 4]] = 0.5 * sigma
@@ -133,7 +133,7 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     kept = np.where(both, covariance, 0.0)
     index = np.arange(N_CHANNELS)
     kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
-    # a small independent variance, so that exactly aliased channels can be factored
+    # independent variance: exactly aliased channels stay factorable
     kept[:, index, index] *= 1.0 + 1e-9
     return kept
 
@@ -154,7 +154,7 @@ class NoiseComponents:
 
     @staticmethod
     def about(path: Path) -> NoiseComponents:
-        """Return the shapes of all units of a path."""
+        """Return those of all units of a path."""
         usable, shapes = path.s.usable, kernels(path)
         both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
         active = np.array([bool((np.abs(shape) * both).sum() > 0) for shape in shapes])
@@ -174,25 +174,25 @@ class NoiseComponents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trends:
-    """What may differ between replicates and is no noise; each coefficient has unit prior variance."""
+    """What may differ between replicates and is no noise, to unit prior variance."""
 
-    #: shape (n_units, 6, k): trends that all units take part in; in the matrix of all they stand before the steps
+    #: shape (n_units, 6, k): of all units, which stand before the steps
     before: FloatArray
-    #: shape (n_units, 6, 2): what a relative step of the left and right radius does; none without steps
+    #: shape (n_units, 6, 2): by a relative step of the left and right radius; none without steps
     of_step: FloatArray
-    #: shape (n_units,): number of each unit's session; radii may step from one to the next
+    #: shape (n_units,): session numbers; radii may step from one to the next
     session: IntArray
     #: shape (n_units, 6, k): the same, after the steps
     after: FloatArray
 
     @staticmethod
     def of_all(shared: FloatArray) -> Trends:
-        """Return trends that all units take part in, (n_units, 6, k), without a step."""
+        """Return trends of all units, (n_units, 6, k), without steps."""
         return Trends(shared, shared[:, :, :0], np.zeros(len(shared), dtype=np.int64), shared[:, :, :0])
 
     @property
     def shared(self) -> FloatArray:
-        """Trends that all units take part in, shape (n_units, 6, k)."""
+        """Those of all units, shape (n_units, 6, k)."""
         return np.concatenate([self.before, self.after], axis=2)
 
     @property
@@ -202,10 +202,7 @@ class Trends:
         return int(self.before.shape[2] + self.after.shape[2] + steps)
 
     def steps(self) -> FloatArray:
-        """Return the step of each session but the first for a unit of each session, (n_sessions, n_sessions - 1).
-
-        Standardised over the units.
-        """
+        """Return each session's standardised steps but the first's, (n_sessions, n_sessions - 1)."""
         n_sessions, some = int(self.session.max()) + 1, np.unique(self.session, return_index=True)[1]
         inside = [(self.session == later).astype(np.float64) for later in range(1, n_sessions)]
         return np.array([_standardised(mine)[0][some] for mine in inside]).reshape(-1, n_sessions).T
@@ -231,9 +228,9 @@ def ambient_trends(path: Path) -> Trends:
 
 
 def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
-    """Return a hundredth of each column on the scale of the pose reference, shape (n_units, 6, k).
+    """Return a hundredth of columns on the scale of the pose reference, (n_units, 6, k).
 
-    Without it, what it does beside distances by another instrument would be noise of both.
+    Without it, what it does beside another instrument's distances would be noise of both.
     """
     usable = path.s.usable
     moved = np.zeros(usable.shape)
@@ -255,8 +252,7 @@ def session_steps(path: Path) -> Trends:
 def ambient_interactions(path: Path) -> list[FloatArray]:
     """Return what the surroundings may do differently at another load or speed.
 
-    One array (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning
-    that varies.
+    (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning that varies.
     """
     observations = path.s
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
@@ -274,10 +270,7 @@ def ambient_interactions(path: Path) -> list[FloatArray]:
 
 
 def load_speed_trends(path: Path) -> FloatArray:
-    """Return what each radius may do with its load (straight and curved) and the speed, shape (n_units, 6, k).
-
-    For runs of one route of which none was driven twice.
-    """
+    """Return what radii may do with load (straight and curved) and speed, (n_units, 6, k), of routes never repeated."""
     observations = path.s
     columns: list[Column] = []
     for wheel, side in enumerate(("left", "right")):
@@ -288,7 +281,7 @@ def load_speed_trends(path: Path) -> FloatArray:
 
 
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
-    """Return a hundredth of each column on the radius of the wheels named, shape (n_units, 6, k)."""
+    """Return a hundredth of columns on the radius of the wheels named, (n_units, 6, k)."""
     pushed = [path.calibration[:, :, k] * column[:, None] * STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
     return np.where(path.s.usable[:, :, None], stacked, 0.0)

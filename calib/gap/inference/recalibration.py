@@ -23,28 +23,27 @@ from calib.types import FloatArray
 
 #: prior odds of each being off by itself
 PRIOR_SHIFT_ODDS: Final = 0.3
-#: share of an effect's whitened size that a calibration shift may have and still belong to it
+#: share of an effect's whitened size up to which a shift belongs to it
 ATTRIBUTED_SHIFT_SHARE: Final = 0.5
 #: least prior standard deviation of a found effect's size, in typical sizes
 MIN_EFFECT_SD: Final = 3.0
-#: all subsets of the relative calibration, by their numbers: both radii (0), their ratio (1), the track (2)
+#: subsets of the relative calibration: both radii (0), their ratio (1), the track (2)
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
-#: one wheel's radius, left (3) or right (4), is as likely off by itself: radii are then off in scale and ratio; alone,
-#: or beside the track (2)
+#: one wheel's radius, left (3) or right (4), is as likely off, alone or beside the track: scale and ratio are then off
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
 #: half a 95 % interval, in standard deviations
 _COVERAGE_SD: Final = 1.96
-#: (left, right, track) -> size of each of the calibration's parameters, shape (3, 3)
+#: (left, right, track) -> sizes of the calibration's parameters, (3, 3)
 _OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
-#: an alternative set is as likely as the best above this share of its probability
+#: an alternative set is likely above this share of the best one's probability
 ALTERNATIVE_ODDS: Final = 0.1
-#: a calibration parameter less probable beside an alternative set is needless there
+#: a calibration parameter less probable beside an alternative is needless there
 NEEDLESS_PROBABILITY: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SubsetWeights:
-    """Log weights beside some forms, of each of `SUBSETS`, shape (n_subsets,), and of a calibration left free."""
+    """Log weights beside some forms: of each of `SUBSETS`, (n_subsets,), and of a calibration left free."""
 
     each: FloatArray
     free: float
@@ -59,7 +58,7 @@ class SubsetWeights:
     def over_free(self) -> float:
         """Log weight of all subsets together over that of a calibration left free.
 
-        A set of causes that explains the gap with the calibration as it is says more than one that needs it off.
+        Causes that explain the gap with the calibration as it is say more than ones that need it off.
         """
         return float(np.logaddexp.reduce(self.each)) - self.free
 
@@ -67,8 +66,8 @@ class SubsetWeights:
 def log_prior_of(count: int, settings: SearchSettings) -> float:
     """Return the log prior odds of one subset of so many parameters, over none being off.
 
-    Of a vehicle that was never calibrated more than one is off: as with effects, every number is less likely than one
-    fewer by the same odds, and of so many all subsets are as likely.
+    Every number is less likely than one fewer by the same odds, as with effects: one alone is rarely off where a
+    vehicle was never calibrated. Of so many all subsets are as likely.
     """
     if not count:
         return 0.0
@@ -79,11 +78,11 @@ def log_prior_of(count: int, settings: SearchSettings) -> float:
 def without_unidentified(
     subset: tuple[int, ...], probabilities: FloatArray, settings: SearchSettings
 ) -> tuple[int, ...]:
-    """Return a subset without what the runs say nothing of: parameters that are no likelier for what was measured.
+    """Return a subset without parameters that are no likelier for what was measured.
 
-    Of what does not show, the prior alone is left, and by that three may well be off together.
+    Of what does not show only the prior is left, by which three may well be off together.
 
-    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,), of all.
+    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,).
     """
     prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
     for way in _ONE_WHEEL:
@@ -104,9 +103,9 @@ def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
 def free_estimates(
     system: LinearSystem, model: Sequence[int], weighting: Weighting
 ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """Return the size of each form of a model in typical sizes, the relative calibration (3,), and their covariance.
+    """Return each form's size in typical sizes, the relative calibration (3,), and their covariance, all free.
 
-    All are free. The covariance is that of left radius, right radius, track and front radius, relative, and the sizes.
+    The covariance is that of left radius, right radius, track and front radius, relative, and the sizes.
     """
     columns = system.columns_of(model)
     estimates, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
@@ -116,12 +115,11 @@ def free_estimates(
 
 
 def _reaches(form: Form, shift: FloatArray, size: float, value: float, covariance: FloatArray) -> bool:
-    """Return whether a zero point where a form of one parameter may have it can make a shift, by its 95 % interval.
+    """Return whether another zero point of a one-parameter form can make a shift, by its 95 % interval.
 
-    At the lower end the effect and the shift together are on the one side of zero, at the upper end on the other.
+    At its lower end effect and shift together are on one side of zero, at the upper end on the other.
 
-    `shift`: of left radius, right radius and track, per unit; `size`, `value`: of the effect and of the shift;
-    `covariance`: (4, 4), of the three and the size.
+    `shift`: of left radius, right radius and track, per unit; `covariance`: (4, 4), of the three and the size.
     """
     for end, side in zip(form.zero_within, (-1.0, 1.0), strict=True):
         if np.isfinite(end):
@@ -143,26 +141,24 @@ def weigh_subsets(
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
-    An effect may be centred elsewhere than assumed, or deviate from its form; a shift of the calibration up to
-    `ATTRIBUTED_SHIFT_SHARE` times the effect's own size counts as part of the effect, where its zero can
-    lie so far off.
+    An effect may be centred elsewhere, or deviate from its form; a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own
+    size counts as part of it, where its zero can lie so far off.
 
     Parameters
     ----------
     system : LinearSystem
-        The linear model.
     model : sequence of int
         Forms, by their numbers in the system.
     sizes : sequence of array of float
         Size of each, in typical sizes.
     values : array of float, shape (3,)
-        Relative size of each calibration parameter beside them, all free.
+        Relative size of each calibration parameter, all free.
     covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
         Of left radius, right radius, track and front radius, relative, and the sizes.
     settings : SearchSettings
         Assumptions of the search.
     shifts : mapping of str to tuple of str
-        For each effect, the calibration parameters that another zero point of it would look like.
+        Calibration parameters that another zero point of each effect would look like.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
@@ -196,7 +192,7 @@ def weigh_subsets(
     def of_subset(subset: tuple[int, ...]) -> float:
         if not subset:
             return weight([], 1.0)
-        # as with the parameters of a form: one scale for all that is off, chosen by its size and paid for once
+        # one scale for all that is off, as with a form's parameters, chosen by size and paid for once
         scale = float(np.clip(np.sqrt(np.mean(times[[*subset]] ** 2)), 0.1, 10.0))
         return weight([*subset], scale) + log_prior_of(len(subset), settings) - SCALE_CHOICE_COST
 
@@ -218,17 +214,16 @@ class Recalibration:
     probabilities : array of float, shape (n_subsets,)
         Their posterior probabilities.
     values, sd : array of float, shape (3,)
-        Relative size of each, all three free, and its standard uncertainty.
+        Relative size of each, all free, and its standard uncertainty.
     signal : array of float, shape (3,)
         Whitened norm of each at its fitted size.
     instead : mapping of str to tuple of str
-        For each, effects of other likely sets beside which it is hardly off.
+        Effects of other likely sets beside which each is hardly off.
     likeliest : tuple of str
-        The most probable subset, or where that is empty all that is likelier off than not, without what the runs say
-        nothing of.
+        The most probable subset; if empty, all likelier off than not, without what the runs say nothing of.
     needed : tuple of str
-        The same where something of it has to be off, because no effect is named: where none is the most probable, what
-        is beside the best hypothesis alone or, where one is likelier off than not, the next.
+        The same where something has to be off, as no effect is named: if none is, what is beside the best hypothesis
+        alone or, where one is likelier off than not, the next.
     """
 
     subsets: tuple[tuple[str, ...], ...]
@@ -241,7 +236,7 @@ class Recalibration:
     needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:
-        """Return the probability that one of the three is off."""
+        """Return the probability that a parameter is off."""
         return float(sum(p for s, p in zip(self.subsets, self.probabilities, strict=True) if name in s))
 
 
@@ -255,10 +250,10 @@ def judge_recalibration(
 ) -> Recalibration:
     """Weigh the subsets of the calibration's parameters against each other.
 
-    Where other sets of effects are likely too, the calibration is judged beside each of them.
+    Where other sets of effects are likely too (`search` has them), it is judged beside each.
 
-    `fitted`: of the effects found, the recalibration free; `search`: has the other sets of effects. `settings` and
-    `shifts` are those of `weigh_subsets`.
+    `fitted`: of the effects found, recalibration free; `settings` and `shifts` are
+    those of `weigh_subsets`.
     """
     if nominal.s.calibration_held:
         held = np.zeros(len(NAMES))
@@ -282,12 +277,12 @@ def judge_recalibration(
     order = np.argsort(-probability, kind="stable")
     likeliest = needed = SUBSETS[int(order[0])]
     if not likeliest:
-        # what is likelier off than not may be divided among sets with parameters that the runs say nothing of
+        # sets may divide it with parameters that the runs say nothing of
         off = [float(sum(p for s, p in zip(SUBSETS, probability, strict=True) if k in s)) for k in range(3)]
         likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN_PROBABILITY)
     if not likeliest:
         beside_own = int(np.argmax(weighed[0][1]))
-        # needless beside another cause, which is not the current one
+        # needless beside a cause other than the current one
         needed = SUBSETS[beside_own] if probability[beside_own] > ALTERNATIVE_ODDS else ()
         if not needed and probability[order[0]] < EVEN_PROBABILITY:
             needed = SUBSETS[int(order[1])]

@@ -16,19 +16,19 @@ from calib.types import BoolArray, FloatArray, IntArray
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 #: of the logs of scales
 SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
-#: units further from their repeats than normal noise takes one in so many of weigh less. Weights that already fall
-#: within its reach let what repeats have in common scatter beyond its stated floor, by a seventh to a quarter in the
-#: square and two to three times as often beyond its 99 % quantile, even where noise is normal
+#: units further from their repeats than normal noise takes one in so many of weigh less. Weights that begin within its
+#: reach let what repeats share exceed its stated floor by a seventh to a quarter in the square, and two to three times
+#: as often its 99 % quantile, even where noise is normal
 OUTLIER_PROBABILITY: Final = 0.05
-#: units that scales are found from, at most: these are then known to a few per cent, and the cost is bounded
+#: units that scales are found from, at most: known to a few per cent, at a bounded cost
 MAX_REPLICATES: Final = 480
 _WEIGHT_ROUNDS: Final = 3
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
-    """Return each unit's neighbourhood among those of its label, in the order driven, shape (n_units,).
+    """Return each unit's neighbourhood among those of its label, in the order driven, (n_units,).
 
-    `labels`: (n_units,); `together`: units of a neighbourhood; those left over join the last.
+    `labels`: (n_units,); `together`: units of one; those left over join the last.
     """
     number = np.zeros(len(labels), dtype=np.int64)
     used = 0
@@ -46,11 +46,11 @@ class Replicates:
 
     units: IntArray  #: shape (n,): their numbers, group by group
     group: IntArray  #: shape (n,): number of the group of each
-    first: IntArray  #: shape (n_groups,): where each group begins
+    first: IntArray  #: shape (n_groups,): start of each group
 
     @staticmethod
     def by(labels: IntArray) -> Replicates:
-        """Group the units by a label, shape (n_units,)."""
+        """Group units by a label, (n_units,)."""
         _, code = np.unique(labels, return_inverse=True)
         units = np.argsort(code, kind="stable")
         units = units[np.bincount(code)[code[units]] >= 2]
@@ -62,7 +62,7 @@ class Replicates:
         return Replicates(units, group, first)
 
     def select(self, keep: BoolArray) -> Replicates:
-        """Return the groups with some of their units only, shape (n,)."""
+        """Return the groups of the units (n,) to keep."""
         return Replicates._numbered(self.units[keep], self.group[keep])
 
     def summed(self, values: FloatArray) -> FloatArray:
@@ -80,13 +80,13 @@ class Replicates:
 
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
-    """Return at most about `most` units: the same share of every group, at least two, of evenly chosen groups."""
+    """Return about `most` units at most: the same share, at least two, of evenly chosen groups."""
     n = len(grouped.units)
     if n <= most:
         return grouped
     sizes = np.diff(np.append(grouped.first, n))
     wanted = np.maximum(2, np.ceil(sizes * most / n))
-    # each unit's place within its group, and which of the wanted places it is the first for
+    # each unit's place within its group, and the wanted place that it is the first for
     place = np.arange(n) - grouped.first[grouped.group]
     slot = np.floor(place * wanted[grouped.group] / sizes[grouped.group])
     chosen = np.concatenate(([True], (np.diff(slot) > 0) | (np.diff(grouped.group) > 0)))
@@ -97,8 +97,8 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
 class ScaleLikelihood:
     """Restricted likelihood of the noise's scales, for one way of grouping units.
 
-    `path`: where the gap was taken; `gap`: (n_units, 6), measured minus predicted; `shapes`: of the noise of all units;
-    `grouped`: replicates; `trends`: what may differ between these and is no noise.
+    `gap`: (n_units, 6), measured minus predicted about `path`; `shapes`: of the noise; `trends`: what may differ
+    between replicates and is no noise.
     """
 
     def __init__(
@@ -119,13 +119,13 @@ class ScaleLikelihood:
 
     @cached_property
     def dof(self) -> float:
-        """Degrees of freedom left for the noise, at most: counted with the own derivatives of each unit."""
+        """Degrees of freedom of the noise, at most: by each unit's own derivatives."""
         design = np.concatenate([self.own, self.design[:, :, 3:]], axis=2)
         used = _rank(design, self.grouped, self.usable)
         return float(max(self.usable.sum() - used - self.k, 0))
 
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return residual (n, 6) and kept (n, 6, 6) of each whitened unit, and the restricted cost's middle term."""
+        """Return residual (n, 6), kept (n, 6, 6) of each whitened unit, and the cost's middle term."""
         if self.known is not None:
             return self.known.solved(whitener, self.prior)
         k, grouped, columns = self.k, self.grouped, whitener @ self.columns
@@ -150,7 +150,7 @@ class ScaleLikelihood:
         return g, kept, middle + square
 
     def cost(self, log_scale: FloatArray, weight: FloatArray) -> tuple[float, FloatArray]:
-        """Return minus the restricted log likelihood, the prior of the scales included, and its gradient."""
+        """Return minus the restricted log likelihood with the scales' prior, and its gradient."""
         factor = whitener_of(self.shapes.covariance(log_scale, weight))
         log_det = -2 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
         residual, kept, middle = self.solved(factor)
@@ -165,14 +165,14 @@ class ScaleLikelihood:
         return 0.5 * (log_det + middle + float(away @ away)), gradient
 
     def weights(self, log_scale: FloatArray) -> FloatArray:
-        """Return unit weights by distance from their repeats, 1 within normal reach, shape (n,)."""
+        """Return unit weights, 1 within normal reach of the repeats, (n,)."""
         from scipy.special import chdtri
 
         covariance = self.shapes.covariance(log_scale, np.ones(len(self.usable)))
         residual, own, _ = self.solved(whitener_of(covariance))
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
         dim = np.maximum(self.usable.sum(axis=1), 1)
-        # what a unit keeps of its own after its group's means are removed
+        # what a unit keeps without its group's means
         kept = np.maximum(dim - lever, 0.25 * dim)
         square = (residual**2).sum(axis=1) / kept * dim
         reach = chdtri(dim, OUTLIER_PROBABILITY)
@@ -181,7 +181,7 @@ class ScaleLikelihood:
 
     @cached_property
     def weighted_share(self) -> FloatArray:
-        """Share of its variance that normal noise keeps under the weights, shape (n,)."""
+        """Share of variance that normal noise keeps under the weights, (n,)."""
         from scipy.special import chdtr, chdtri
 
         dim = np.maximum(self.usable.sum(axis=1), 1)
@@ -191,17 +191,14 @@ class ScaleLikelihood:
 
 
 def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatArray:
-    """Return the logs of the most likely scales, (n_components,), units far from their repeats weighing less.
-
-    `start`: (n_components,), where to begin.
-    """
+    """Return the logs of the most likely scales, (n_components,), from `start` on; far units weigh less."""
     from scipy.optimize import minimize
 
     best, weight = start, np.ones(len(likelihood.usable))
     for _ in range(_WEIGHT_ROUNDS):
         how = {"method": "L-BFGS-B", "bounds": SCALE_BOUNDS, "options": {"maxiter": 30, "ftol": 1e-6}}
         best = minimize(likelihood.cost, best, (weight,), jac=True, **how).x
-        # the share that the weights take from normal noise too makes the scales smaller
+        # what the weights take from normal noise makes scales smaller
         fresh = likelihood.weights(best) / likelihood.weighted_share
         if np.abs(fresh - weight).max() < 0.05:
             break
@@ -210,11 +207,11 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
 
 
 def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:
-    """Return each group's own columns, shape (n_units, 6, 9), and their prior precision, shape (9,)."""
+    """Return each group's own columns (n_units, 6, 9) and their prior precision (9,)."""
     observations = path.s
     design = np.zeros((len(observations), 6, N_GROUP_COLUMNS))
     design[:, :, :3] = _of_their_route(path, grouped)
-    # on a straight the turn by the wheels is the noise itself
+    # on a straight the wheels' turn is the noise
     design[path.guided, :, 2] = 0.0
     design[:, np.arange(6), 3 + np.arange(6)] = 1.0
     design = np.where(observations.usable[:, :, None], design, 0.0)
@@ -224,11 +221,10 @@ def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[Flo
 
 
 def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
-    """Return the calibration derivatives (n_units, 6, 3), within a group their mean over its units.
+    """Return the calibration derivatives (n_units, 6, 3), within a group their mean.
 
-    By each unit's own derivatives a group's calibration takes up noise, in squares a quarter of that of the radii.
-    Groups that drive no way along keep their own, and so do windows of unlike shape: there a wrong radius of the
-    recording would pass for scatter.
+    By each unit's own, a calibration takes up a quarter of the squares of the radii's noise. Groups that drive no way
+    along keep their own, and windows of unlike shape, where a wrong radius of the recording would pass for scatter.
     """
     own: FloatArray = path.calibration[:, :, :3].copy()
     size = np.diff(np.append(grouped.first, len(grouped.units)))
@@ -242,7 +238,7 @@ def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
 
 
 def _rank(design: FloatArray, grouped: Replicates, usable: BoolArray) -> int:
-    """Return the degrees of freedom of the groups' own means and calibrations."""
+    """Return the degrees of freedom of groups' means and calibrations."""
     total = 0
     ends = np.append(grouped.first[1:], len(grouped.units))
     for first, end in zip(grouped.first, ends, strict=True):

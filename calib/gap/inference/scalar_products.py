@@ -1,7 +1,7 @@
-"""Columns of forms, what is held of them beforehand, and their scalar products at each scale of the lack of fit.
+"""Columns of forms, their priors, and their scalar products at each scale of the lack of fit.
 
-Columns of one form beyond `WIDE_FORM` (a step of each radius in each session) are taken up only at scales where they
-are asked for: at all scales they would cost the square of the number of sessions in every product.
+A form of more columns than `WIDE_FORM` (a step of each radius in each session) is taken up at the scales asked for
+only: at all it would cost the square of the number of sessions.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from calib.gap.effects.effect import Form
 from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: what choosing the prior's scale by the fitted size costs, in log-evidence units
+#: cost of choosing the prior's scale by the fitted size, in log-evidence units
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24
-#: of a sum of products over some thousand rows in double precision, relative to its largest part
+#: of a sum of some thousand products in double precision, relative to its largest part
 _ROUNDING: Final = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Where the columns of forms stand: those of a wide one last."""
+    """Where columns of forms stand: a wide one's last."""
 
     starts: IntArray  #: shape (n_forms,)
     counts: IntArray  #: shape (n_forms,)
-    wide: int  #: number of the wide form; -1 where there is none
+    wide: int  #: number of the wide form; -1: none
 
     @staticmethod
     def of(forms: Sequence[Form]) -> Layout:
-        """Arrange the columns of forms: at most one is wide, of which no size has a sign."""
+        """Arrange forms' columns: at most one form is wide, without signs."""
         counts = np.array([len(form.parameters) for form in forms], dtype=np.int64)
         wide = int(np.argmax(counts)) if len(counts) and counts.max() > WIDE_FORM else -1
         if wide >= 0 and any(parameter.sign for parameter in forms[wide].parameters):
@@ -64,22 +64,22 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FormPriors:
-    """What weighing needs of each form and column."""
+    """What weighing needs of forms and columns."""
 
-    forms: tuple[Form, ...]  #: forms on offer
-    layout: Layout  #: where the columns of each form stand
+    forms: tuple[Form, ...]
+    layout: Layout
     most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
-    sign: IntArray  #: shape (p,): 1 or -1 where only sizes of that sign have a meaning, else 0
-    own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point, by which no prior scale is chosen
-    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, the search over forms and scales paid for
+    sign: IntArray  #: shape (p,): 1 or -1 where sizes have that sign only, else 0
+    own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point, which chooses no prior scale
+    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, search over forms and scales paid
     by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
     @staticmethod
     def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
         """Make it of forms and the prior odds of one effect more at work.
 
-        Every number of effects is less likely than one fewer by the same odds, and of so many effects every set is as
-        likely: the more the library offers, the less speaks for any one, and what else is at work speaks for neither.
+        Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely:
+        the more the library offers, the less speaks for any one; effects at work speak for no others.
         Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
         """
         n_effects = len({form.effect for form in forms})
@@ -89,18 +89,18 @@ class FormPriors:
         for number, form in enumerate(forms):
             most[layout.of_form(number)] = max([3.0, *(p.largest / p.typical for p in form.parameters)])
             sign[layout.of_form(number)] = [p.sign for p in form.parameters]
-        # half of the prior lies on the sign that a parameter cannot have
+        # half of the prior lies on the impossible sign
         signed = np.array([sum(p.sign != 0 for p in form.parameters) for form in forms])
         log_prior = -np.log([form.tries for form in forms]) - SCALE_CHOICE_COST + np.log(2.0) * signed
         by_count = np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
         return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-        """Return each model's columns and their forms, both (n_models, width), -1 where there is none."""
+        """Return models' columns and their forms, both (n_models, width), else -1."""
         form, row = _forms_of(models)
         counts = self.layout.counts[form]
         at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
-        # number of each column within its form, and within its model
+        # number of each column within form, and model
         at += _within(np.repeat(np.arange(len(form)), counts))
         place = _within(row)
         table = np.full((2, len(models), int(place.max(initial=-1)) + 1), -1)
@@ -108,12 +108,12 @@ class FormPriors:
         return table[0], table[1]
 
     def widths(self, models: Sequence[tuple[int, ...]]) -> IntArray:
-        """Return each model's number of columns, shape (n_models,)."""
+        """Return models' numbers of columns, (n_models,)."""
         form, row = _forms_of(models)
         return np.bincount(row, self.layout.counts[form], len(models)).astype(np.int64)
 
     def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
-        """Return each model's log prior, shape (n_models,)."""
+        """Return models' log priors, (n_models,)."""
         form, row = _forms_of(models)
         return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[[len(model) for model in models]]
 
@@ -129,9 +129,9 @@ def _within(row: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WideSums:
-    """Scalar products of a wide form's columns, made where asked for and then kept."""
+    """Scalar products of a wide form's columns, made where asked for."""
 
-    #: number of a scale -> products of the columns with each other, (w, w), and with the rest, (w, p + 1)
+    #: number of a scale -> products with each other (w, w), and with the rest (w, p + 1)
     make: Callable[[int], tuple[FloatArray, FloatArray]]
     numbers: IntArray  #: shape (n_scales,): each scale's number for `make`
     _known: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
@@ -146,17 +146,17 @@ class WideSums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """Scalar products of columns and gap, one set for each scale of the lack of fit; nuisances taken out."""
+    """Scalar products of columns and gap at each scale of the lack of fit, nuisances taken out."""
 
-    gram: FloatArray  #: shape (n_scales, p, p): of the columns, without those of a wide form
+    gram: FloatArray  #: shape (n_scales, p, p): of the columns but a wide form's
     right: FloatArray  #: shape (n_scales, p): of the columns with the gap
     square: FloatArray  #: shape (n_scales,): of the gap with itself
     log_det: FloatArray  #: shape (n_scales,): of the covariance, nuisances included
-    log_prior: FloatArray  #: shape (n_scales,): of the scale; the first is no lack of fit at all
+    log_prior: FloatArray  #: shape (n_scales,): of the scale; the first: no lack of fit
     kind: IntArray  #: shape (n_scales,): number of the lack-of-fit component; -1: none
     scale: FloatArray  #: shape (n_scales,): standard deviation of the lack of fit, in noise levels of one run
     n_rows: int  #: length of the gap
-    wide: WideSums | None = None  #: of a wide form's columns, which stand behind the others
+    wide: WideSums | None = None  #: of a wide form's columns, behind the others
 
     def pick(self, scales: BoolArray | slice) -> Sums:
         """Return some scales only."""
@@ -165,7 +165,7 @@ class Sums:
         return replace(self, **{name: getattr(self, name)[scales] for name in by_scale}, wide=wide)
 
     def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the products of columns (k,) with each other and with the gap at a scale, (k, k) and (k,)."""
+        """Return products of columns (k,) at a scale, (k, k), and with the gap, (k,)."""
         p = self.right.shape[1]
         if index.max(initial=-1) < p:
             return self.gram[scale][index[:, None], index], self.right[scale][index]
@@ -176,15 +176,15 @@ class Sums:
 
 
 class Reduced:
-    """Scalar products with what each block may have of its own taken out.
+    """Scalar products without what each block may have of its own.
 
-    `whole`: (n_rows, width), whitened columns and the gap; `gram`: (width, width), their scalar products: see
-    `above_rounding`; `deviations`: (n_rows, k), each block's own, to unit prior variance.
+    `whole`: (n_rows, width), whitened columns and gap; `gram`: (width, width), their products, see `above_rounding`;
+    `deviations`: (n_rows, k), each block's own, to unit prior variance.
     """
 
     def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
         self.gram, self.log_det, self.n_rows = gram, 0.0, len(whole)
-        #: rows of the blocks of each length, shape (n, length, width), and what takes their own columns out of them
+        #: rows of blocks of each length, (n, length, width), and what takes out their own columns
         self.wholes = [blocks.alike_rows(whole, group) for group in range(len(blocks.alike))]
         self.factors: list[FloatArray] = []
         self.taken: list[FloatArray] = []
@@ -201,9 +201,9 @@ class Reduced:
         self.gram = self.gram - rows.T @ rows
 
     def turned(self, kind: LackOfFit, where: slice | None, columns: slice) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (q,) of a lack of fit's scalar products and the turned products (q, n) with some columns.
+        """Return eigenvalues (q,) of a lack of fit's products, and the turned products (q, n) with some columns.
 
-        `where`: its columns common to all blocks, None where each block has its own.
+        `where`: columns common to all blocks, None where each has its own.
         """
         if where is not None:
             eigen, vectors = np.linalg.eigh(self.gram[where, where])
@@ -224,7 +224,7 @@ class Reduced:
 
 
 def above_rounding(gram: FloatArray) -> FloatArray:
-    """Return products (..., k, k) with squares a little larger: no residual is then below zero."""
+    """Return products (..., k, k) with slightly larger squares: no residual falls below zero."""
     return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
 
 
@@ -241,13 +241,13 @@ def scalar_products(
     Parameters
     ----------
     reduced : Reduced
-        The whole: nuisances, columns, gap, columns of a wide form, then those common to all blocks.
+        Nuisances, columns, gap, a wide form's columns, those common to all blocks.
     kinds : sequence of tuple
         Components of the lack of fit, each with its number.
     common : dict of int to slice
-        Places of their columns common to all blocks, by number.
+        Places of columns common to all blocks, by number.
     sizes : tuple of int
-        Number of nuisances, of columns, and of columns of a wide form.
+        Numbers of nuisances, columns and a wide form's columns.
     scales : sequence of float
         Of the lack of fit.
     prior_rest : float
@@ -262,13 +262,13 @@ def scalar_products(
     for number, kind in kinds:
         eigen, turned_of[number] = reduced.turned(kind, common.get(number), core)
         for scale in scales:
-            # a matrix times itself is symmetric: half the time
+            # a matrix times itself: half the time
             shrinking.append(scale / np.sqrt(1.0 + scale**2 * eigen))
             shrunk = turned_of[number] * shrinking[-1][:, None]
             np.subtract(gram[0], shrunk.T @ shrunk, out=gram[len(labels)])
             log_dets.append(reduced.log_det + float(np.log1p(scale**2 * eigen).sum()))
             labels.append((number, scale))
-    # the nuisances' own scale is one: (I + N^T N) on a unit diagonal
+    # nuisances at scale one: (I + N^T N) on a unit diagonal
     inner = gram[:, :m, :m] + np.eye(m)
     root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
     lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + 1e-11 * np.eye(m))
@@ -303,9 +303,9 @@ def scalar_products(
 
 
 def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float], prior_rest: float) -> FloatArray:
-    """Return the log prior odds of no lack of fit, then of each kind at each scale, shape (1 + n_kinds * n_scales,).
+    """Return log prior odds of no lack of fit, then of each kind at each scale, (1 + n_kinds * n_scales,).
 
-    Noise that the windows of a recording share is as likely as none; a lack of fit is not.
+    Noise that windows share is as likely as none.
     """
     others = sum(not kind.is_scatter for kind in kinds)
     odds = [

@@ -1,8 +1,7 @@
 """The evidence of models integrated over the scales of the noise, component by component.
 
-The search weighs models beside one estimate of the noise, from replicates. Few runs tell its scales badly, and noise
-estimated too small passes for a gap. All runs tell them under each model: the integral over the scales is taken about
-the most likely ones (Laplace's method).
+The search weighs models beside one estimate from replicates. Few runs tell scales badly, and noise estimated too small
+passes for a gap. All runs tell them under each model: the integral is taken about the most likely ones (Laplace).
 Tierney, Kadane: Accurate approximations for posterior moments and marginal densities, JASA 81 (1986), 82-86.
 """
 
@@ -21,7 +20,7 @@ from calib.gap.inference.noise_components import COMPONENTS, N_CHANNELS, PRIOR_M
 from calib.gap.inference.repeatability import MAX_REPLICATES, PRIOR_SPREADS, SCALE_BOUNDS
 from calib.types import FloatArray
 
-#: steps to the most likely scales, from those estimated from replicates
+#: steps from the scales of replicates to the most likely ones
 _MAX_STEPS: Final = 30
 _RIDGE: Final = 1e-2
 #: of variances: channels exactly alike stay factorable
@@ -29,9 +28,9 @@ _ROUNDING: Final = 1e-9
 
 
 class ScaleEvidence:
-    """The likelihood of the noise's scales under a model, all units taking part.
+    """Likelihood of the noise's scales under a model by all units.
 
-    `system`: about a path, whitened by the noise as it was estimated.
+    `system`: whitened by the estimated noise.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -56,20 +55,20 @@ class ScaleEvidence:
         return len(system.path.s) <= MAX_REPLICATES
 
     def _by_unit(self, columns: FloatArray) -> FloatArray:
-        """Return ordered rows (n_rows, q) by unit and channel, (n_units, 6, q); 0 where nothing was measured."""
+        """Return rows (n_rows, q) by unit and channel, (n_units, 6, q); 0 where not measured."""
         spread = np.zeros((len(self._fixed), N_CHANNELS, columns.shape[1]))
         spread[self._blocks.unit, self._blocks.channel] = columns
         return spread
 
     def _whitened_at(self, log_scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variance of each component, (n_components,), and the inverse Cholesky factors (n_units, 6, 6)."""
+        """Return components' variances (n_components,) and inverse Cholesky factors (n_units, 6, 6)."""
         variance = np.asarray(np.exp(2 * log_scale) * self._active)
         return variance, whitener_of(np.tensordot(variance, self._kernels, axes=1) + self._fixed)
 
     def _cost(self, log_scale: FloatArray, columns: FloatArray) -> tuple[float, FloatArray, float, float]:
-        """Return minus the log likelihood, prior included, its gradient, the square of the gap and log |C|.
+        """Return minus the log likelihood with prior, its gradient, the gap's square and log |C|.
 
-        `columns`: (n_units, 6, q), of the model and its nuisances, to unit prior variance.
+        `columns`: (n_units, 6, q), of model and nuisances, to unit prior variance.
         """
         variance, factor = self._whitened_at(log_scale)
         own, gap = factor @ columns, (factor @ self._gap[:, :, None])[:, :, 0]
@@ -95,7 +94,7 @@ class ScaleEvidence:
         return np.asarray(2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2))
 
     def gain(self, columns: FloatArray) -> float:
-        """Return the log evidence over all scales less that beside the estimated ones, but for a constant.
+        """Return the log evidence over all scales less that at the estimated ones, but for a constant.
 
         `columns`: (n_rows, q), whitened, of the model and what it may leave, to unit prior variance.
         """
@@ -123,13 +122,11 @@ def scale_gains(
     Parameters
     ----------
     local : LocalSearch
-        The linearisation.
     weight : array of float, shape (n_scales, n_models)
         Log weights beside the noise as it was estimated.
     likely : iterable of int
         Models to integrate; the gain of the others is the least of theirs.
     models : list of tuple of int
-        All of them.
     window : float
         Weights this far below the best are not integrated.
     """
@@ -147,7 +144,7 @@ def scale_gains(
 
 
 def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:
-    """Return what a model and its nuisances do at a scale of the lack of fit, (n_rows, q), to unit prior variance."""
+    """Return columns (n_rows, q) of a model and its nuisances at a scale, to unit prior variance."""
     system, sums = local.system, local.sums
     weighting = Weighting.from_component(system, int(sums.kind[scale]), float(sums.scale[scale]), local.deviations)
     parts = [system.calibration, weighting.common]

@@ -1,4 +1,4 @@
-"""The gap along each run, and the stretch of a route over which it grows: a zone of the ground, a joint."""
+"""The gap along each run, and the stretch of a route where it grows: a zone of the ground, a joint."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
 POSE_COLUMNS: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 RANGE_COLUMNS: Final = ("range_m",)
-#: channels whose gap is traced along the way -> field of a trace
+#: channels traced along the way -> field of a trace
 TRACED_CHANNELS: Final = {Channel.ALONG: "along_m", Channel.HEADING: "heading_rad"}
 GRID_SPACING_M: Final = 0.25
 MAX_GRID_POINTS: Final = 120
@@ -28,37 +28,37 @@ MAX_GRID_POINTS: Final = 120
 MAX_STRETCH_SHARE: Final = 0.4
 MIN_TRACED_RUNS: Final = 4
 MIN_TURN_RAD: Final = 0.3
-#: runs shorter than this share of the usual length are omitted, and the last part of the route with them
+#: share of the usual length below which runs are omitted, and with them the last part of the route
 WHOLE_RUN_SHARE: Final = 0.95
-#: what a stretch keeps of itself beside the trend, at least, as a share of the grid
+#: least of a stretch beside the trend, as a share of the grid
 MIN_STRETCH_NORM: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """Gap along one run: reference minus odometry, accumulated piece by piece in the vehicle's own frame."""
+    """Gap along one run: reference minus odometry, accumulated in the vehicle's own frame."""
 
     #: run_id, kind: of the run
     run_id: str
     kind: str
-    back: bool  #: whether it was driven back along a corridor
-    #: way_m, turn_rad: shape (n,): travelled distance and heading, by odometry
+    back: bool  #: along a corridor
+    #: way_m, turn_rad: shape (n,): distance and heading, by odometry
     way_m: FloatArray
     turn_rad: FloatArray
-    #: x_m, y_m: shape (n,): place, by odometry, in the run's own frame
+    #: x_m, y_m: shape (n,): by odometry, in the run's frame
     x_m: FloatArray
     y_m: FloatArray
-    #: along_m, heading_rad: shape (n,): the accumulated gap; the second is NaN where only a rangefinder was logged
+    #: along_m, heading_rad: shape (n,): accumulated gap; the second is NaN with a rangefinder only
     along_m: FloatArray
     heading_rad: FloatArray
-    stops: FloatArray  #: shape (n,): stops on the way so far
-    time_s: FloatArray  #: shape (n,): since the start of the run
+    stops: FloatArray  #: shape (n,): so far
+    time_s: FloatArray  #: shape (n,): since the start
 
 
 def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
-    """Return the gap along every run that has a continuous reference or a logged range."""
+    """Return the gap along runs with a continuous reference or logged range."""
     if observations.aside_m is not None:
-        # two wheels on one axle cannot follow a vehicle that goes sideways
+        # two wheels on an axle cannot follow sideways motion
         return []
     campaign = on_one_axle(campaign, observations.model)
     first = {str(name): unit for unit, name in reversed(list(enumerate(observations.labels["run_id"])))}
@@ -79,7 +79,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
-    """Return counts and reference (poses before ranges) where all are known; None where too little is."""
+    """Return counts and reference (poses before ranges) where all known; None if too few."""
     needed = (*COUNT_COLUMNS, *(POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
@@ -105,28 +105,28 @@ def _trace(
         along, turned = np.abs(log["range_m"] - log["range_m"][0]) - np.abs(x), np.full(len(x), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         moving = np.flatnonzero(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])) > MOVING_MPS)
-    # a stop is a gap between two moving steps, and begins behind the first
+    # a stop is a gap between moving steps, and begins behind the first
     stops = _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(step)))
     since_start = log["t_s"] - log["t_s"][0]
     return Trace(*label, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
 
 
 def _summed(steps: FloatArray | IntArray) -> FloatArray:
-    """Return the running sum of steps (n,) from zero, shape (n + 1,)."""
+    """Return the running sum (n + 1,) of steps (n,) from zero."""
     return np.append(0.0, np.cumsum(steps))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Route:
-    traces: list[Trace]  #: those long enough
-    grid: FloatArray  #: shape (n_grid,): distance from the start; of corridors driven both ways the place on the ground
-    #: spacing_m, length_m: of the grid, and of the route
+    traces: list[Trace]
+    grid: FloatArray  #: shape (n_grid,): distance from the start; place on the ground of corridors both ways
+    #: spacing_m, length_m: of grid and route
     spacing_m: float
     length_m: float
-    on_floor: bool  #: whether the grid is a place on the ground
+    on_floor: bool  #: whether the grid is on the ground
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
-        """Return what a run accumulated on the grid, shape (n_grid,); of a run back, accumulated from its far end."""
+        """Return what a run accumulated on the grid, (n_grid,); from its far end on a run back."""
         if self.on_floor and trace.back:
             # gained between two places on the ground, each way they are passed
             return -np.interp(self.length_m - self.grid, trace.way_m, values)
@@ -143,9 +143,9 @@ class _Route:
 def scan_route(
     kind: str, traces: list[Trace], channel: Channel, rng: np.random.Generator, *, signed: bool
 ) -> tuple[PlaceResult, int] | None:
-    """Search a route for the stretch over which a channel's gap grows, and count the stretches searched.
+    """Search a route for the stretch where a channel's gap grows, and count those searched.
 
-    The p value is that of the best stretch alone; None where there are too few whole runs.
+    The p value is the best stretch's alone; None for too few whole runs.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def scan_route(
     rng : numpy.random.Generator
         For the bootstrap.
     signed : bool
-        Look for a gap that has the other sign on the way back.
+        Look for a gap of the other sign on the way back.
     """
     from scipy.special import stdtr
 
@@ -200,7 +200,7 @@ def scan_route(
 
 
 def _route(traces: list[Trace]) -> _Route | None:
-    """Return the runs that are about as long as usual, with their grid; None where they are too few or too short."""
+    """Return runs about as long as usual, with their grid; None if too few or too short."""
     if len(traces) < MIN_TRACED_RUNS:
         return None
     length = float(np.median([float(trace.way_m[-1]) for trace in traces]))
@@ -215,14 +215,14 @@ def _route(traces: list[Trace]) -> _Route | None:
 
 
 def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return each run's growth of the gap (n_runs, n_grid) over each stretch, beside its calibration.
+    """Return each run's growth of the gap (n_runs, n_grid) over stretches, beside its calibration.
 
-    Sizes (n_runs, n_stretches); squares of each stretch beside the calibration; its start and its end on the grid.
+    Sizes (n_runs, n_stretches); each stretch's squares beside the calibration, start and end on the grid.
     """
     grid = route.grid
     starts, ends = _stretches(len(grid))
     ramp = np.clip((grid[None, :] - grid[starts][:, None]) / (grid[ends] - grid[starts])[:, None], 0.0, 1.0)
-    # what correlates with the turns is no matter of a place: it is asked of the turns
+    # what correlates with turns is asked of the turns, not of a place
     turned = np.stack([route.read(trace, trace.turn_rad) for trace in route.traces]).mean(axis=0)
     trend = [np.ones_like(grid), grid - grid.mean()]
     if np.ptp(turned) > MIN_TURN_RAD:

@@ -1,4 +1,4 @@
-"""What the gap correlates with: F tests on the covariates of each run and on the travel of each wheel."""
+"""What the gap correlates with: F tests on each run's covariates and each wheel's travel."""
 
 from __future__ import annotations
 
@@ -16,25 +16,22 @@ from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
-#: with fewer known values nothing is asked of a covariate
+#: known values that a test needs
 MIN_RUNS: Final = 6
-#: turns and lengths that differ by less are noise of the wheels themselves, which the gap shares
+#: differences of turns that are the wheels' own noise, which the gap shares
 MIN_TURN_RAD: Final = 0.3
 MIN_LENGTH_VARIATION: Final = 0.05
 BOOTSTRAP_DRAWS: Final = 300
-#: wheels whose travel is correlated by more cannot be asked beside each other
+#: correlation beyond which wheels cannot be asked beside each other
 MAX_WHEEL_CORRELATION: Final = 0.9999
 
 
 def covariate_values(observations: Observations) -> dict[str, FloatArray | StrArray]:
-    """Return what the gap may depend on, by name, each shape (n_units,): numbers, or labels as text.
-
-    Missing numbers are NaN, missing labels empty. Only what varies is listed.
-    """
+    """Return what varies and the gap may depend on, by name, (n_units,): numbers, else NaN; labels, else empty."""
     number, labels = observations.number, observations.labels
     load_left, load_right = observations.wheel_loads_N
     by_wheels = observations.total(observations.turn_rad)
-    # by the reference where there is one: the wheels' own turn shares the gap's errors
+    # by the reference if measured: the wheels' turn shares the gap's errors
     turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
     speed = number("speed_mps")
     values: dict[str, FloatArray | StrArray] = {"route": labels["kind"]}
@@ -78,7 +75,7 @@ def covariate_test(
     Returns
     -------
     CovariateResult or None
-        The channel with the smallest p, multiplied by the number of channels; not yet held to the table's error.
+        The channel of the smallest p, times the number of channels; not yet held to the table's error.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:
@@ -97,7 +94,7 @@ def covariate_test(
 
 
 def interval(shares: FloatArray) -> tuple[float, float] | None:
-    """Return the middle 95 % of bootstrapped shares (n_draws,); None where most of them are unknown."""
+    """Return the middle 95 % of bootstrapped shares (n_draws,); None if most are unknown."""
     known = shares[np.isfinite(shares)]
     if len(known) < 0.5 * len(shares):
         return None
@@ -129,7 +126,6 @@ class _Dependence:
 
     @property
     def df(self) -> int:
-        """Degrees of freedom of the covariate."""
         return 1 if self.group is None else int(self.group.max())
 
     def squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -150,7 +146,7 @@ class _Dependence:
         return total, explained, n
 
     def p_value(self, most_dof: float) -> float:
-        """Return the p of an F test, the residual no smaller than the noise level and known no better."""
+        """Return the p of an F test, the residual no smaller or better known than the noise level."""
         from scipy.special import fdtrc
 
         total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
@@ -159,15 +155,15 @@ class _Dependence:
         return float(fdtrc(self.df, min(dof, most_dof), max(explained, 0.0) / self.df / residual))
 
     def shares(self, weight: FloatArray) -> FloatArray:
-        """Return the share of variance above the noise level that the covariate explains, for weights (n_draws, n)."""
+        """Return the explained share of variance above the noise level for weights (n_draws, n)."""
         total, explained, n = self.squares(weight)
         return _share(explained, self.df, total - explained, n - self.df - 1.0, total - (n - 1.0))
 
 
 def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Return the share of the squares beyond the noise level that is explained by `df` parameters, each shape (n,).
+    """Return the share of squares beyond the noise level explained by `df` parameters, (n,).
 
-    What they explain by chance, from the squares `left` at `dof` degrees of freedom, is taken off.
+    Less what they explain by chance, from the squares `left` at `dof`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
@@ -175,9 +171,9 @@ def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, be
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
-    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), one beside the other.
+    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), beside each other.
 
-    Of all channels together; empty where the wheels cannot be told apart.
+    Of all channels; empty where the wheels cannot be told apart.
     """
     from scipy.special import fdtrc
 
@@ -192,7 +188,7 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
     for wheel, name in enumerate(("left wheel", "right wheel")):
         explained, rest = _partial_squares(whole[None], wheel)
         residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
-        # without an intercept the test leans on the noise level's own scale, known no better than repeats know it
+        # without an intercept the test leans on the noise level's scale, known as well as repeats know it
         p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
         share = float(_shares(whole[None], np.array([n]), wheel)[0])
         ci95 = interval(_shares(np.tensordot(draws, products, axes=1), draws @ sizes, wheel))
@@ -201,7 +197,7 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
 
 
 def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return whitened products of left travel, right travel and gap (n_units, 3, 3), and the rows of each unit."""
+    """Return whitened products of left, right travel and gap (n_units, 3, 3), and rows of units."""
     usable = nominal.s.usable
     columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
     white = whitened_rows(nominal, noise, columns)
@@ -212,13 +208,13 @@ def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray,
 
 
 def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
-    """Return the share above the noise level that a wheel explains, of moments (n, 3, 3) of `count` rows (n,)."""
+    """Return a wheel's share above the noise level by moments (n, 3, 3) of `count` rows (n,)."""
     explained, rest = _partial_squares(moments, wheel)
     return _share(explained, 1, rest, count - 2.0, moments[:, 2, 2] - count)
 
 
 def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:
-    """Return what a wheel explains beside the other, and what both leave, of moments (n, 3, 3), each shape (n,)."""
+    """Return what a wheel explains beside the other, and what both leave, by moments (n, 3, 3), (n,)."""
     other = 1 - wheel
     with np.errstate(all="ignore"):
         ratio = moments[:, wheel, other] / moments[:, other, other]

@@ -17,14 +17,14 @@ from calib.gap.observations.from_campaign import edges_along
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
 
-#: chance of any false finding over the whole table
+#: chance of any false finding in the table
 FALSE_FINDING_PROBABILITY: Final = 0.05
 MAX_LISTED_RUNS: Final = 8
 WINDOW_LENGTH_M: Final = 1.0
 MIN_WINDOWS: Final = 10
 MIN_STOPS: Final = 5
 MIN_TURN_RAD_PER_M: Final = 0.1
-#: with fewer runs, errors are not clustered by run
+#: runs below which errors are not clustered
 MIN_CLUSTERS: Final = 8
 
 
@@ -40,9 +40,9 @@ def locate(
 ) -> GapLocation:
     """Say where the gap lies.
 
-    Every covariate is tested in every channel by an F test of the gap over its noise level; the smallest p of a
-    covariate is multiplied by the channels looked at, and the table is held to one chance in twenty of any false
-    finding by Holm's steps. Shares come with bootstrap intervals over units.
+    Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
+    multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
+    Shares have bootstrap intervals over units.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def locate(
     rng : numpy.random.Generator
         For the bootstrap.
     floor : array of float, shape (n_units, n_channels), optional
-        What the gap is shown against; that of `noise` where not given.
+        What the gap is shown against; by default that of `noise`.
     campaign : Campaign, optional
         The same runs with their logs: without it, no places inside runs.
     """
@@ -115,11 +115,11 @@ def _times(observations: Observations, unit: int) -> dict[str, float]:
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
-    """Return the table, smallest p first, each line held to the table's chance of any false one by Holm's steps.
+    """Return the table, smallest p first, held by Holm's steps to its chance of any false line.
 
-    Own code: to import statsmodels takes longer than all this.
+    Own code: statsmodels takes longer to import than all this.
     """
-    # covariates that vary alike have one p but for rounding, which must not order them
+    # covariates that vary alike differ by rounding, which must not order them
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
     stands = np.maximum.accumulate(stepped) <= FALSE_FINDING_PROBABILITY
@@ -131,10 +131,10 @@ def find_places(
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
 
-    A run's calibration (offset and slope of the gap along the way) is taken off first. The rest is searched for a
-    stretch over which it grows in all runs of a route (corridors out and back by place on the ground), and compared
-    between turns and straights, stops and none. All p values are multiplied by the number of places; the chance of any
-    false place is 5 %.
+    A run's calibration (offset and slope along the way) is taken off first. The rest is searched for a stretch over
+    which it grows in all runs of a route (corridors out and back by place on the ground), and compared between turns
+    and straights, stops and none. p values are multiplied by the number of places, for a chance of 5 % of any false
+    one.
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:
@@ -161,7 +161,7 @@ def find_places(
 
 
 def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
-    """Return how much of the gap correlates with turns and with stops, beside the way, each with its own p."""
+    """Return how much of the gap correlates with turns and stops, beside the way."""
     gained, run = _cut(traces)
     way, turn, stops = (gained[name] for name in ("way_m", "turn_rad", "stops"))
     lines = []
@@ -180,7 +180,7 @@ def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
 
 
 def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
-    """Return what windows of about a metre gained, by field of a trace, and the number of their run, (n_windows,)."""
+    """Return gains of windows of about a metre, by field of a trace, and their runs, (n_windows,)."""
     edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
     gained = {
         name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
@@ -191,7 +191,7 @@ def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
 
 
 def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
-    """Regress a channel's gap on the way and a covariate; `windows` (n_windows, 3) has way, covariate and gap."""
+    """Regress a channel's gap on way and covariate; `windows` (n_windows, 3): way, covariate, gap."""
     from scipy.special import stdtr
 
     size, error, dof = _slope(windows[:, :2], windows[:, 2], run)
@@ -208,10 +208,9 @@ def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what
 
 
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    """Return the second coefficient of a regression on way and what is asked (n, 2), its standard error and dof.
+    """Return the second coefficient of a regression on way and what is asked (n, 2), its error and dof.
 
-    Errors are clustered by run where runs suffice. Own code: statsmodels divides the clustered squares by other degrees
-    of freedom than those of its t, and is slow to import.
+    Clustered by run if runs suffice. Own code: statsmodels divides clustered squares by other dof than its t's.
     """
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)

@@ -8,11 +8,11 @@ from typing import Any, Final
 from calib.documents import plain_fields
 from calib.gap.observations.arrays import Channel
 
-#: what a line is called that stands for all channels together
+#: name of all channels together
 ALL_CHANNELS = "all"
 
 
-#: fields of a place that only a stretch of a route has
+#: fields of a place that is a stretch
 STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direction", "floor")
 
 
@@ -20,12 +20,12 @@ STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direc
 class ChannelGap:
     """The gap in one channel."""
 
-    channel: Channel = field(metadata={"json": False})  #: which
-    #: rms, floor: root mean square of the gap and of its noise level, in the channel's unit
+    channel: Channel = field(metadata={"json": False})
+    #: rms, floor: root mean squares of gap and noise level, in the channel's unit
     rms: float
     floor: float
     mean: float = 0.0  #: mean of the gap
-    n_units: int = 0  #: how many units have the channel
+    n_units: int = 0  #: units with the channel
 
     @property
     def ratio(self) -> float | None:
@@ -41,13 +41,13 @@ class ChannelGap:
 class CovariateResult:
     """What the gap correlates with."""
 
-    name: str  #: covariate, with its unit suffix; ``left wheel`` and ``right wheel`` for the wheels' travel
-    channel: Channel | None  #: where it shows most; None where it was asked of all channels together
+    name: str  #: with its unit suffix; ``left wheel`` and ``right wheel`` for travel
+    channel: Channel | None  #: where it shows most; None: all together
     share: float  #: of the variance above the noise level, 0 to 1
     ci95: tuple[float, float] | None  #: bootstrap interval of the share
     p_value: float  #: of no dependence, times the number of channels looked at
-    significant: bool  #: whether it stands with a chance of 5 % of any false line in the table
-    n_units: int = 0  #: how many units were looked at
+    significant: bool  #: at a chance of 5 % of any false line in the table
+    n_units: int = 0  #: looked at
 
     @property
     def channel_label(self) -> str:
@@ -61,14 +61,14 @@ class CovariateResult:
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """A run that deviates much: its channel, gap and floor in the channel's unit, and their ratio `z`."""
+    """A run that deviates much: gap and floor in the channel's unit, and their ratio `z`."""
 
     run_id: str
     channel: Channel
     value: float
     floor: float
     z: float
-    #: from_s, to_s: when in the run, where it is a window of a recording; None for a whole run
+    #: from_s, to_s: of a window of a recording, else None
     from_s: float | None = None
     to_s: float | None = None
 
@@ -92,21 +92,21 @@ class PlaceResult:
     channel: Channel  #: what opens there
     size: float  #: by how much, in `unit`
     ci95: tuple[float, float]  #: interval of the size
-    unit: str  #: ``m``, ``rad``, or one of them per radian of turn
+    unit: str  #: ``m``, ``rad``, or either per radian of turn
     p_value: float  #: times the number of places looked at
-    n_runs: int  #: runs that were looked at
-    what: str = ""  #: what the size counts, for turns and stops: ``per stop``
-    #: route, coordinate: of a stretch: kind of the runs, and what its place is counted in
+    n_runs: int  #: looked at
+    what: str = ""  #: of turns and stops, what the size counts: ``per stop``
+    #: route, coordinate: of a stretch: kind of runs, and what counts its place
     route: str = ""
     coordinate: str = ""
-    place: tuple[float, float] | None = None  #: of a stretch: its ends in m
-    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None  #: interval of either end in m
-    by_direction: bool = False  #: of a stretch: whether the gap has the other sign on the way back
-    #: of a stretch: x and y of its ends on the ground in m
+    place: tuple[float, float] | None = None  #: of a stretch: ends in m
+    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None  #: of either end in m
+    by_direction: bool = False  #: of a stretch: whether the sign changes on the way back
+    #: of a stretch: x and y of its ends on the ground, m
     floor: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the line as plain JSON values, without what a stretch or what turns and stops do not have."""
+        """Return the line as plain JSON values, without fields that do not apply."""
         absent = STRETCH_FIELDS if self.place is None else ("what",)
         document = plain_fields(self, channel=self.channel.label)
         return {key: value for key, value in document.items() if key not in absent}
@@ -116,24 +116,24 @@ class PlaceResult:
 class GapLocation:
     """Where a gap lies."""
 
-    channels: tuple[ChannelGap, ...] = ()  #: those that were measured
-    covariates: tuple[CovariateResult, ...] = ()  #: what it correlates with, smallest p first
-    runs: tuple[RunDeviation, ...] = ()  #: those that deviate most
+    channels: tuple[ChannelGap, ...] = ()  #: measured ones
+    covariates: tuple[CovariateResult, ...] = ()  #: smallest p first
+    runs: tuple[RunDeviation, ...] = ()  #: deviating most
     places: tuple[PlaceResult, ...] = ()  #: inside the runs, smallest p first
-    notes: tuple[str, ...] = ()  #: what cannot be asked of these runs
-    rest: GapLocation | None = None  #: the same for what the named causes leave
+    notes: tuple[str, ...] = ()  #: what these runs cannot be asked
+    rest: GapLocation | None = None  #: of what the named causes leave
 
     @property
     def significant(self) -> tuple[CovariateResult, ...]:
-        """The covariates that stand."""
+        """Covariates that stand."""
         return tuple(line for line in self.covariates if line.significant)
 
     def channel(self, channel: Channel) -> ChannelGap | None:
-        """Return the gap in a channel, None where it was not measured."""
+        """Return a channel's gap, None if not measured."""
         return next((gap for gap in self.channels if gap.channel is channel), None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the location as plain JSON values; ``rest`` only where there is one."""
+        """Return the location as plain JSON values; ``rest`` if there is one."""
         document = plain_fields(self, channels={gap.channel.label: gap.to_dict() for gap in self.channels})
         if self.rest is None:
             del document["rest"]

@@ -22,8 +22,7 @@ from calib.vehicle import Vehicle
 class Channel(IntEnum):
     """A channel; its value is its column in arrays of shape (n_obs, n_channels).
 
-    Distance by rangefinder; along, left of and heading of the end pose; front wheel against rear wheels, in way and in
-    turn.
+    Distance by rangefinder; along, left of and heading of the end pose; front wheel against rear, in way and turn.
     """
 
     DISTANCE = 0
@@ -48,20 +47,20 @@ N_CHANNELS: Final = len(Channel)
 #: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache, and a campaign
-#: of any size needs no more memory
+#: steps worked on at a time: forty arrays of half a megabyte mostly stay in the processor's cache, and memory does not
+#: grow with the campaign
 STEPS_AT_ONCE: Final = 2**16
-#: so many steps keep what follows from the counts alone: some ten values each
+#: so many steps keep what follows from counts: ten values each
 KEPT_STEPS: Final = 2**20
 
-#: a window that starts within this after the end of another follows it: rounding of a log's times
+#: one window follows another that ended within this: rounding of a log's times
 SAME_TIME_S: Final = 1e-6
-#: standard uncertainty of a curvature from whole counts, over that of a turn about one track's length: an effect that
-#: grows with the curvature is then good to a fiftieth in the tightest turns
+#: standard uncertainty of curvature by whole counts, over that of a turn about one track: effects that grow with it are
+#: then good to a fiftieth in the tightest turns
 CURVATURE_ERROR_PER_TRACK: Final = 0.02
 #: smoothing over more steps would join one turn with the next
 MOST_SMOOTHED_STEPS: Final = 10
-#: a run without a log whose heading changes by less than this is taken as one arc
+#: turn below which a run without a log is one arc
 STRAIGHT_RAD: Final = 0.35
 
 #: fields of `Observations` with a value for each step
@@ -73,7 +72,7 @@ Value = TypeVar("Value")
 
 
 class _KeptIfFew(Generic[Value]):
-    """A property of steps that is kept once worked out, unless the steps are too many."""
+    """A property of steps, kept unless they are too many."""
 
     def __init__(self, make: Callable[[Observations], Value]) -> None:
         self.make, self.__doc__ = make, make.__doc__
@@ -90,81 +89,77 @@ class _KeptIfFew(Generic[Value]):
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Observations and steps of a campaign."""
+    """A campaign's observations and steps."""
 
     vehicle: Vehicle  #: geometry and mass
     model: OdometryModel  #: what the simulator believes
-    #: shape (n_units + 1,): steps of observation u are ``starts[u]:starts[u + 1]``; each has one or more
+    #: shape (n_units + 1,): observation u has steps ``starts[u]:starts[u + 1]``, at least one
     starts: IntArray
     #: roll_left_rad, roll_right_rad: shape (n_steps,): wheel rotation of each step
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
-    #: phase_left_rad, phase_right_rad: shape (n_steps,): wheel angle at the end of each step, by the counter
+    #: phase_left_rad, phase_right_rad: shape (n_steps,): counted wheel angle at the end of each step
     phase_left_rad: FloatArray
     phase_right_rad: FloatArray
-    #: time_s, duration_s: shape (n_steps,): time since the run's start at the end of each step, and how long the step
-    #: took
+    #: time_s, duration_s: shape (n_steps,): time since the run's start at the end of each step, and its duration
     time_s: FloatArray
     duration_s: FloatArray
-    #: front_roll_rad, steer_rad, steer_change_rad: shape (n_steps,): front wheel's rotation of each step, its mean
-    #: steering angle and by how much that changed; NaN where not logged
+    #: front_roll_rad, steer_rad, steer_change_rad: shape (n_steps,): front wheel's rotation, mean steering angle and
+    #: its change; NaN where not logged
     front_roll_rad: FloatArray
     steer_rad: FloatArray
     steer_change_rad: FloatArray
-    from_log: BoolArray  #: shape (n_obs,): false where an observation's steps were made up from its totals
-    #: shape (n_units, 6): measured distance, x, y and heading in its own frame; NaN where not measured. The prediction
-    #: fills the last two, where the front wheel is compared with the rear ones
+    from_log: BoolArray  #: shape (n_obs,): false where steps were made up from totals
+    #: shape (n_units, 6): measured distance, x, y and heading in its own frame, else NaN; the last two are for the
+    #: prediction, front wheel against rear ones
     measured: FloatArray
-    simulated: FloatArray  #: shape (n_obs, 6): an outside simulator's prediction of the same; NaN where there is none
+    simulated: FloatArray  #: shape (n_obs, 6): an outside simulator's prediction, else NaN
     usable: BoolArray  #: shape (n_obs, 6): channels that an observation has
     numbers: Mapping[str, FloatArray]  #: shape (n_obs,): covariates of each observation
     labels: Mapping[str, StrArray]  #: shape (n_obs,): ``run_id``, ``session``, ``kind``, ``direction``
-    #: shape (n_units,): replicates (same route, direction, loads, speed) share a number; by what was driven,
-    #: not by labels
+    #: shape (n_units,): number that replicates (route, direction, loads, speed) share, by what was driven, not by
+    #: labels
     condition: IntArray
-    #: shape (n_units,): replicates that were also driven in the same session, warmth, dwell and further
-    #: columns
+    #: shape (n_units,): that replicates of one session, warmth, dwell and further columns share
     cell: IntArray
-    kind: IntArray  #: shape (n_obs,): units of the same route and direction
-    #: shape (n_obs,): 1 where the laser's distance is the projection on the start heading, 0 where it is the length
-    #: of the line
+    kind: IntArray  #: shape (n_obs,): of route and direction
+    #: shape (n_obs,): 1 where the laser's distance is along the start heading, 0 where the length of the line
     axis: FloatArray
-    #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_obs,): stated standard uncertainty of what was measured
+    #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_obs,): stated standard uncertainty
     sigma_distance_m: FloatArray
     sigma_xy_m: FloatArray
     sigma_theta_rad: FloatArray
-    #: shape (n_obs,): the same of the heading of the observation's start frame, where that was read too; else 0
+    #: shape (n_obs,): of the start frame's heading, where that was read too; else 0
     sigma_start_rad: FloatArray
     count_rad: tuple[float, float]  #: rotation of the left and right wheel between two counts
-    windowed: bool  #: whether recordings were cut into windows
-    #: run, window: shape (n_obs,): row of the run table among those included, and number of the window within it
+    windowed: bool  #: whether recordings were cut
+    #: run, window: shape (n_obs,): row of the run among those included, and window within it
     run: IntArray
     window: IntArray
-    #: shape (n_obs, 3): where each observation starts in the frame common to all; NaN where that is not known
+    #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
-    common_frame: bool  #: whether places on the floor mean the same in all observations
-    guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
-    by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured
-    sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle
-    sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
-    notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
-    #: whether the front wheel alone, or the way of the rear axle and the steering, drive the odometry: the two wheels
-    #: represent it
+    common_frame: bool  #: whether places on the floor mean the same in all
+    guided: BoolArray  #: shape (n_obs,): heading by guidance, not measured
+    by_gyro: BoolArray  #: shape (n_obs,): turn measured by a gyro
+    sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor
+    sigmas_assumed: bool = False  #: whether a program filled in an unstated uncertainty
+    notes: tuple[str, ...] = ()  #: what was omitted or assumed
+    #: whether the front wheel alone, or rear axle's way and steering, drive the odometry, represented by the two wheels
     by_front: bool = False
-    by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
-    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
-    #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
+    by_shaft: bool = False  #: whether that is the rear axle's way, under the front wheel's name
+    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left
+    #: whether the parameters of a user's simulator replace the free recalibration
     calibration_held: bool = False
-    #: whether effects of the model itself are looked up, which act where nothing varies, too
+    #: whether to look up effects of the model that act where nothing varies, too
     applied: bool = False
-    first_unit: int = 0  #: number of the first observation among those of the whole campaign, for a `part` of it
+    first_unit: int = 0  #: of a `part`: number of its first observation in the whole campaign
 
     def __len__(self) -> int:
         return len(self.starts) - 1
 
     @cached_property
     def follows(self) -> BoolArray:
-        """Whether each observation starts where the one before it ended, as windows of a recording do, (n_obs,)."""
+        """Whether each observation starts where the last one ended, as windows do, (n_obs,)."""
         first, last = self.starts[:-1], self.starts[1:] - 1
         start_s = self.time_s[first] - self.duration_s[first]
         same = (self.run[1:] == self.run[:-1]) & self.from_log[1:] & self.from_log[:-1]
@@ -182,7 +177,7 @@ class Observations:
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """Observations to be worked on at a time, `STEPS_AT_ONCE` steps or one unit."""
+        """Observations worked on at a time: `STEPS_AT_ONCE` steps or one unit."""
         edges = [0]
         while edges[-1] < len(self):
             most = self.starts[edges[-1]] + STEPS_AT_ONCE
@@ -190,7 +185,7 @@ class Observations:
         return tuple(slice(first, behind) for first, behind in pairwise(edges))
 
     def parts(self) -> Iterator[Observations]:
-        """Yield some observations at a time, those of `spans`; itself where steps are few."""
+        """Yield observations by `spans`; itself where steps are few."""
         for units in self.spans:
             yield self if len(self.spans) == 1 else self.part(units)
             let_go(*self.steps)
@@ -201,11 +196,11 @@ class Observations:
         return tuple(getattr(self, name) for name in _OF_STEPS)
 
     def of_parts(self, what: Callable[[Observations], FloatArray]) -> FloatArray:
-        """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""
+        """Return a quantity (n_obs, ...) worked out from steps, part by part."""
         return np.concatenate([what(part) for part in self.parts()])
 
     def part(self, units: slice) -> Observations:
-        """Return some observations alone; arrays are views of these. Parts are kept with what is derived from them."""
+        """Return some observations, arrays as views. Parts are kept with what is derived from them."""
         place = (units.start, units.stop)
         if place in self._parts:
             return self._parts[place]
@@ -236,7 +231,7 @@ class Observations:
         return part
 
     def here(self, values: FloatArray | IntArray | BoolArray) -> Any:
-        """Return what an array (n, ...) over all observations of the campaign says of these, shape (n_obs, ...)."""
+        """Return an array (n, ...) over all observations of the campaign for these, (n_obs, ...)."""
         return values[self.first_unit : self.first_unit + len(self)]
 
     def total(self, steps: ArrayLike) -> FloatArray:
@@ -244,7 +239,7 @@ class Observations:
         return np.asarray(np.add.reduceat(floats(steps), self.starts[:-1]))
 
     def cumulative(self, steps: FloatArray) -> FloatArray:
-        """Return the running sum of a step array (n_steps,) of an observation, the step included, shape (n_steps,)."""
+        """Return the running sum of steps (n_steps,) in each observation, the step included, (n_steps,)."""
         running = np.cumsum(steps)
         before = np.zeros(len(self))
         before[1:] = running[self.starts[1:-1] - 1]
@@ -257,7 +252,7 @@ class Observations:
 
     @property
     def wheel_loads_N(self) -> FloatArray:
-        """Load of the left and of the right wheel, shape (2, n_obs); NaN where not known."""
+        """Load of left and right wheel, shape (2, n_obs); NaN if unknown."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
 
     @property
@@ -266,12 +261,12 @@ class Observations:
 
     @cached_property
     def radius_left_m(self) -> FloatArray:
-        """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
+        """The model's left radius in each observation, shape (n_obs,)."""
         return np.asarray(self.model.radius_left_m + self.model.slope_left_m_per_N * self._over_N[0])
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
-        """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
+        """The model's right radius in each observation, shape (n_obs,)."""
         return np.asarray(self.model.radius_right_m + self.model.slope_right_m_per_N * self._over_N[1])
 
     @_KeptIfFew
@@ -296,20 +291,20 @@ class Observations:
 
     @_KeptIfFew
     def steer_cos(self) -> FloatArray:
-        """Return what of the front wheel's way the rear wheels go, 1 where no angle is logged, shape (n_steps,).
+        """Return the rear wheels' share of the front wheel's way, (n_steps,).
 
-        1 where the rear axle's own way is counted.
+        1 without a logged angle or where the rear axle's way is counted.
         """
         return np.ones(len(self.unit)) if self.by_shaft else self._over_way(np.cos)
 
     @_KeptIfFew
     def steer_sin(self) -> FloatArray:
-        """Return what of the front wheel's way over the wheelbase is turn, 0 where none is logged, shape (n_steps,)."""
+        """Return the share of the front wheel's way over the wheelbase that is turn, else 0, (n_steps,)."""
         return self._over_way(np.tan if self.by_shaft else np.sin)
 
     @cached_property
     def front_ways(self) -> FloatArray:
-        """What the front wheel and its steering say of way (m) and turn (rad) of each observation, shape (n_obs, 2)."""
+        """Way (m) and turn (rad) of each observation by front wheel and steering, shape (n_obs, 2)."""
         if len(self.spans) > 1:
             return self.of_parts(lambda part: part.front_ways)
         front_m = np.nan_to_num(self.front_roll_rad) * self.vehicle.front_radius_m
@@ -317,10 +312,10 @@ class Observations:
         return np.stack([self.total(front_m * self.steer_cos), turn], axis=1)
 
     def _over_way(self, of: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Return the mean of a function of the steering angle over the front wheel's way in each step (n_steps,).
+        """Return the mean of a function of the steering angle over the front wheel's way, (n_steps,).
 
-        The mean of both ends, and a sixth of what the function and the wheel's rate change by: over a whole turn its
-        errors cancel, whether the front wheel or the rear axle keeps its speed (Euler and Maclaurin).
+        The mean of both ends, and a sixth of what function and wheel's rate change by: over a whole turn errors cancel,
+        whether front wheel or rear axle keeps its speed (Euler and Maclaurin).
         """
         begin, end = map(of, self._steer_ends)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -332,13 +327,13 @@ class Observations:
 
     @property
     def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
-        """Steering angle at the beginning and at the end of each step, each shape (n_steps,)."""
+        """Steering angle at both ends of each step, (n_steps,)."""
         angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
         return angle - half, angle + half
 
     @_KeptIfFew
     def speed_mps(self) -> FloatArray:
-        """Speed of each step by the log, else the set speed, shape (n_steps,); 0 where neither is known."""
+        """Speed of each step by the log, else as set, else 0, shape (n_steps,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             logged = self.path_m / self.duration_s
         known = self.number("speed_mps")[self.unit]
@@ -350,7 +345,7 @@ class Observations:
         return self.curvature_of(self.turn_rad, self.path_m)
 
     def curvature_of(self, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
-        """Return the curvature of steps of these turns and paths, each shape (n_steps,), smoothed like the model's."""
+        """Return the curvature of steps by turns and paths (n_steps,), smoothed like the model's."""
         half = self._half_window
         turn, path = self._smooth(turn_rad, half), self._smooth(np.abs(path_m), half)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -358,10 +353,7 @@ class Observations:
 
     @cached_property
     def _half_window(self) -> int:
-        """Steps to either side that leave the curvature good to `CURVATURE_ERROR_PER_TRACK`.
-
-        More would take an arc's ends into the straights.
-        """
+        """Steps to either side: as `CURVATURE_ERROR_PER_TRACK` asks; more would take arcs into straights."""
         step_m = np.abs(self.path_m)
         rolling = step_m > 1e-6
         if not rolling.any():
@@ -371,7 +363,7 @@ class Observations:
         return int(np.clip(np.ceil(0.5 * (steps - 1.0)), 0, MOST_SMOOTHED_STEPS))
 
     def _smooth(self, steps: FloatArray, half: int) -> FloatArray:
-        """Return a running mean within each observation, shape (n_steps,)."""
+        """Return a running mean in each observation, (n_steps,)."""
         running = np.concatenate(([0.0], np.cumsum(steps)))
         index = np.arange(len(steps))
         first = np.maximum(index - half, self.starts[self.unit])

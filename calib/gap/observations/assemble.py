@@ -19,7 +19,7 @@ from calib.vehicle import wheel_loads_N
 
 
 def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
-    """Return the wheel loads of all runs, each shape (n_runs,), and whether any of them is known."""
+    """Return wheel loads of all runs, each (n_runs,), and whether any is known."""
     runs, vehicle = campaign.runs, campaign.vehicle
     left, right = runs.number("load_left_N"), runs.number("load_right_N")
     payload, x = runs.number("payload_kg"), runs.number("payload_x_m")
@@ -31,11 +31,11 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
 
 #: columns of the format that are filled like covariates
 FILLED: Final = ("temperature_C", "minutes_under_load")
-#: values beyond these are absurd, with any others
+#: values beyond these are absurd
 PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
-#: and values further than this from the median, in widths of the middle half: 30 standard deviations of a normal one
+#: and further than so many widths of the middle half from the median: 30 standard deviations if normal
 MOST_SPREADS: Final = 20.0
-#: a few are a fifth at most; more are another matter
+#: share that is a few
 MOST_ODD: Final = 0.2
 #: runs named in a remark
 MOST_LISTED: Final = 5
@@ -43,7 +43,7 @@ _LABELS = ("run_id", "session", "kind", "direction")
 
 
 def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -> Observations:
-    """Lay observations in the order driven end to end; determine the channels of each, and the replicates."""
+    """Lay observations end to end in the order driven; determine channels and replicates."""
     campaign, model, stands_in, remarks = setup.campaign, setup.model, setup.stands_in, list(notes)
     rolls = _of_steps(units, "left_rad"), _of_steps(units, "right_rad")
     starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
@@ -55,7 +55,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
     guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
     measured[guided, Channel.HEADING], usable[guided, Channel.HEADING] = 0.0, True
-    # a front wheel that drives the odometry itself cannot be compared with it
+    # a front wheel that drives the odometry is not compared with it
     usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
     numbers = _numbers(campaign, index, path, remarks)
@@ -114,7 +114,7 @@ def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
 
 
 def _of_steps(units: Sequence[Observation], name: str, of: Callable[[FloatArray], FloatArray] = np.diff) -> FloatArray:
-    """Return what a function makes of a field for each step, end to end; NaN where an observation lacks the field."""
+    """Return what a function makes of a field in each step, end to end; NaN where it is missing."""
     fields = [(u.n_steps, getattr(u, name)) for u in units]
     parts = [np.full(n_steps, np.nan) if values is None else of(values) for n_steps, values in fields]
     joined = np.concatenate(parts, out=step_array(sum(map(len, parts))))
@@ -140,13 +140,13 @@ def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> Flo
     if not known.any():
         return heading
     wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
-    # only where the two then agree: with swapped or halved counts the wheels are wrong
+    # only where both then agree: wheels with swapped or halved counts are wrong
     with np.errstate(invalid="ignore"):
         wraps = np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
     if np.abs(heading[known]).max() <= np.pi + 0.05:
         return heading + wraps
     odd = int(np.count_nonzero(wraps))
-    # a few headings are wrong only where all others agree with the wheels
+    # a few headings are wrong where all others agree with the wheels
     disagree = int(np.count_nonzero(np.abs(turn - heading - wraps)[known] >= 1.0))
     if not 0 < odd <= MOST_ODD * known.sum() or disagree > MOST_ODD * known.sum():
         return heading
@@ -163,11 +163,11 @@ def _measured(
     with np.errstate(invalid="ignore"):
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
-        # without a log the distance tells a run guided along a line: wheels of unequal radii seem to turn on it
+        # without a log the distance tells a guided run, on which unequal wheels seem to turn
         guided = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
     pose_ok = logged | straight
     usable = np.isfinite(measured)
-    # along and lateral are read in the frame of the measured heading; without one, of the wheels' heading
+    # along and lateral are in the frame of the measured heading, else of the wheels'
     usable[:, 1:3] &= pose_ok[:, None] & usable[:, 1:2] & usable[:, 2:3]
     usable[:, 0] &= logged | guided | (np.abs(turn) < STRAIGHT_RAD)
     if left_out := int((~pose_ok & np.isfinite(measured[:, 1])).sum()):
@@ -182,7 +182,7 @@ def _guided(
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
     if one_sensor:
-        # one sensor stands for both wheels: nothing can tell them apart
+        # one sensor for both wheels: nothing tells them apart
         posed[:] = True
     guided = were_guided(measured[:, 0], path, turn * steps.track_m, posed)
     apart_m = turn[guided] * steps.track_m
@@ -261,9 +261,9 @@ def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return what the laser's distance of each observation lies along.
+    """Return what the laser's distance lies along.
 
-    An end pose tells: the start heading (1) or the line to the end point (2); without one, the guide line (0).
+    By the end pose: start heading (1) or line to the end point (2); without one the guide line (0).
     """
     both = usable[:, :3].all(axis=1)
     ahead = both.any() and looks_ahead(*measured[both, :3].T)

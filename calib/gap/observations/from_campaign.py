@@ -1,4 +1,4 @@
-"""From a campaign to observations: a run each, or windows of long recordings, each in the frame of its own start."""
+"""From a campaign to observations: runs, or windows of recordings, in the frames of their starts."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from calib.gap.observations.assemble import assemble
 from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
 from calib.types import FloatArray, IntArray
 
-#: with fewer runs than this, recordings are cut into windows
+#: fewer runs are cut into windows
 MIN_WHOLE_RUNS: Final = 12
 #: longest window
 WINDOW_M: Final = 4.0
-#: windows wanted of all recordings together
+#: windows of all recordings
 WINDOWS_WANTED: Final = 48
 #: shortest window, in tracks
 MIN_WINDOW_TRACKS: Final = 1.5
@@ -34,21 +34,21 @@ MIN_WINDOW_SAMPLES: Final = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """A run with the reference's poses in its log."""
+    """A run with reference poses in its log."""
 
     unit: Observation
     reference: ReferencePoses | None
 
 
 def window_length_m(travelled_m: float, track_m: float) -> float:
-    """Return the length of a window: short enough for many, long enough that wheels matter, shape ()."""
+    """Return the length of windows: short enough for many, long enough that wheels matter."""
     return float(np.clip(travelled_m / WINDOWS_WANTED, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
 
 
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
-    """Return the samples that border windows of equal way, at most one a sample.
+    """Return samples that border windows of equal way, at most one a sample.
 
-    `way_m`: (n_samples,), way from the start on, rising; `count`: windows wanted.
+    `way_m`: (n_samples,), rising; `count`: windows wanted.
     """
     windows = max(int(count), 1) if count < len(way_m) else len(way_m)
     edges = np.unique(np.searchsorted(way_m, np.linspace(0.0, way_m[-1], windows + 1)))
@@ -56,9 +56,9 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
 
 
 def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
-    """Cut a recording into windows of about a length, by what the wheels roll; empty where there is but one.
+    """Cut a recording into windows of about a length of rolling; empty if there is but one.
 
-    A front wheel is kept where it drives the odometry; else it is compared over whole runs only.
+    A front wheel is kept if it drives the odometry, else compared over whole runs only.
     """
     if (reference := recorded.reference) is None:
         return []
@@ -77,7 +77,7 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
-    """Return an observation of the motion between two poses of the reference, both uncertain."""
+    """Return the motion between two poses of the reference, both uncertain."""
     (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
     measured[1:] = observation.relative_pose(start, end)
@@ -95,24 +95,24 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
     )
 
 
-#: what wheels may roll after the reference's last pose for it to be the end pose
+#: roll after the reference's last pose within which that is the end pose
 END_TOLERANCE_M = 1e-3
-#: recordings are cut into windows, too, where fewer runs are driven like another one
+#: runs like another one below which recordings are cut, too
 MIN_REPLICATED = 8
 
 
 def observations_of(
     campaign: Campaign, model: OdometryModel | None = None, *, whole_runs: bool = False
 ) -> Observations:
-    """Arrange a campaign for the diagnosis; `model` is what the simulator believes, by default the campaign's own.
+    """Arrange a campaign for the diagnosis; `model`: the simulator's, by default the campaign's own.
 
-    Excluded rows are omitted. Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly
-    any was driven twice, unless `whole_runs`. A run without a log counts by its row. Refused where no run has both
-    counts and something measured.
+    Without excluded rows. Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any
+    was driven twice, unless `whole_runs`. A run without a log counts by its row. Refused where no run has both counts
+    and something measured.
     """
     setup = _setup(campaign, model)
     n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
-    # thousands of small arrays would leave memory behind that nothing large fits into
+    # thousands of small arrays would leave memory in holes
     room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
@@ -132,7 +132,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     model = model or campaign.model
     stands_in = without_rear_wheels(campaign)
     if stands_in:
-        # wheels that represent others do not carry a load of their own
+        # wheels that represent others have no load of their own
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
@@ -140,10 +140,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
-    """Yield time since its start (n,) and the vehicle's poses (n, 3) by the reference, of each observation.
-
-    None where its log has no poses with headings.
-    """
+    """Yield times since the start (n,) and reference poses of the vehicle (n, 3) of each observation, else None."""
     setup = _setup(campaign, observations.model)
     known: tuple[int, ReferencePoses | None, FloatArray] = (-1, None, np.zeros(0))
     for number, run in enumerate(observations.run.tolist()):
@@ -188,9 +185,9 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
-    """Return a run with what its row and log measured at its end; None where it has no counts.
+    """Return a run with what row and log measured at its end; None without counts.
 
-    What varies along it goes into `room`, shape (n_quantities, n_samples).
+    What varies along it goes into `room`, (n_quantities, n_samples).
     """
     campaign, runs, per_rad = setup.campaign, setup.campaign.runs, setup.per_rad
     log = campaign.logs.of(run)
@@ -208,7 +205,7 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     distance = runs.number("distance_m")[run]
     if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
         distance = log["range_m"][-1]
-    # an end pose in a map says nothing without the pose at the start
+    # an end pose in a map means nothing without the start
     names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
     read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
     pose = observation.poses_of_vehicle(read, campaign.reference, in_map=False)[0]
@@ -225,7 +222,7 @@ def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
     rows = log_rows(log)
     inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
     if len(inside) < len(rows) and _rolled_outside_m(log, rows, inside, setup) > END_TOLERANCE_M:
-        # the reference saw a part of the run only: that part is what can be compared
+        # only what the reference saw can be compared
         part = observation_from_log(unit.run, log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
     if reference.from_first:

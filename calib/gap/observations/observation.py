@@ -1,4 +1,4 @@
-"""A run or a window of a recording: its wheel angles, what was measured at its end, and the reference's poses in it."""
+"""A run or window of a recording: wheel angles, what was measured at its end, and reference poses."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from calib.campaign.settings import Encoder, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.types import FloatArray, IntArray, in_frame
 
-#: steps of a thinned log; the arcs between are exact for what the wheels rolled
+#: steps of a thinned log; arcs between are exact for the wheels
 MAX_STEPS: Final = 400
-#: steps of a run whose totals alone are known
+#: steps of a run by its totals
 STEPS_WITHOUT_LOG: Final = 40
-#: arrays of more steps lie in temporary files
+#: more lie in temporary files
 HELD_STEPS: Final = 2**21
 
 
@@ -43,13 +43,13 @@ class CountsPerRadian:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """What all runs of a campaign are read with."""
+    """What all runs are read with."""
 
     campaign: Campaign
     model: OdometryModel  #: what the simulator believes
     per_rad: CountsPerRadian
-    in_map: bool  #: whether the reference's poses stand in one frame for all runs
-    stands_in: bool  #: whether the two wheels represent a front wheel, or for four wheels
+    in_map: bool  #: whether reference poses stand in one frame for all runs
+    stands_in: bool  #: whether both wheels represent a front wheel, or four
 
 
 def _nan(*shape: int) -> FloatArray:
@@ -61,28 +61,25 @@ class Observation:
     """A run, or a window of a recording."""
 
     run: int  #: row of the run table
-    window: int  #: number of the window within its run, 0 for a whole run
-    #: time_s, left_rad, right_rad: shape (n_steps + 1,): time since the run's start and angles of the wheels by their
-    #: counters
+    window: int  #: within the run, 0 for a whole one
+    #: time_s, left_rad, right_rad: shape (n_steps + 1,): time since the run's start and counted wheel angles
     time_s: FloatArray
     left_rad: FloatArray
     right_rad: FloatArray
-    #: front_rad, steer_rad: shape (n_steps + 1,): angle of the front wheel and its steering angle
+    #: front_rad, steer_rad: shape (n_steps + 1,): front wheel's angle and steering angle
     front_rad: FloatArray | None = None
     steer_rad: FloatArray | None = None
-    aside_m: FloatArray | None = None  #: shape (n_steps + 1,): what mecanum wheels rolled to the left
-    from_log: bool = True  #: false where the steps were made up from the totals
-    #: measured, simulated: shape (4,): distance, x, y and heading at the end, in the frame of its start; NaN
-    #: where not measured
+    aside_m: FloatArray | None = None  #: shape (n_steps + 1,): mecanum wheels' roll to the left
+    from_log: bool = True  #: false where made up from totals
+    #: measured, simulated: shape (4,): distance, x, y and heading at the end in the start frame, else NaN
     measured: FloatArray = field(default_factory=lambda: _nan(4))
     simulated: FloatArray = field(default_factory=lambda: _nan(4))
-    #: sigma_xy_m, sigma_theta_rad: standard uncertainty of the measured position and heading; NaN where the settings'
-    #: holds
+    #: sigma_xy_m, sigma_theta_rad: standard uncertainty of measured position and heading; NaN: the settings'
     sigma_xy_m: float = float("nan")
     sigma_theta_rad: float = float("nan")
-    #: standard uncertainty of the heading of the observation's start frame, where that was read too
+    #: standard uncertainty of the start frame's heading, where that was read too
     sigma_start_rad: float = 0.0
-    #: shape (3,): where the observation starts in the frame common to all runs; NaN where there is none
+    #: shape (3,): start in the frame common to all runs, else NaN
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
     by_gyro: bool = False  #: whether a gyro measured its turn
 
@@ -97,14 +94,14 @@ ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad",
 
 
 def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
-    """Return the samples of a log that have a time and both counts, shape (n_samples,); none if a column is missing."""
+    """Return a log's samples with time and both counts, (n_samples,); none without the columns."""
     if not {"t_s", "counts_left", "counts_right"} <= log.keys():
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero(np.isfinite(log["t_s"]) & np.isfinite(log["counts_left"]) & np.isfinite(log["counts_right"]))
 
 
 def thinned(rows: IntArray) -> IntArray:
-    """Return at most `MAX_STEPS` + 1 of the samples, evenly spread, first and last kept."""
+    """Return at most `MAX_STEPS` + 1 samples, evenly spread, first and last kept."""
     return rows if len(rows) <= MAX_STEPS + 1 else rows[_evenly(len(rows))]
 
 
@@ -116,9 +113,9 @@ def _evenly(n_rows: int) -> IntArray:
 def observation_from_log(
     run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian
 ) -> Observation:
-    """Make a unit of two or more samples of a log, thinned here; nothing is measured yet.
+    """Make a unit, not yet measured, of two or more samples of a log, thinned here.
 
-    The front wheel, or the shaft, counts where all of its samples are there.
+    Front wheel or shaft count where all their samples are there.
     """
     index = thinned(rows)
     counted = "counts_front" if "counts_front" in log else WHEEL_COLUMNS["shaft"][0]
@@ -136,7 +133,7 @@ def observation_from_log(
 
 
 def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> Observation | None:
-    """Make a unit of a row's totals, as one arc; None where the row has no counts."""
+    """Make a unit of a row's totals, one arc; None without counts."""
     left, right = float(runs.number("counts_left")[run]), float(runs.number("counts_right")[run])
     if not (np.isfinite(left) and np.isfinite(right)):
         return None
@@ -145,14 +142,14 @@ def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> 
     return Observation(run=run, window=0, time_s=time_s, left_rad=left_rad, right_rad=right_rad, from_log=False)
 
 
-#: a log needs so many poses for a reference of its own
+#: poses of a log's own reference, at least
 MIN_POSES: Final = 3
-#: a first pose so far from zero, in stated uncertainties, was not taken in the frame of the run's start
+#: stated uncertainties from zero of a first pose in another frame than the run's start
 MAP_START_SIGMAS: Final = 8.0
 MAP_START_M, MAP_START_RAD = 0.01, 0.02
-#: a course is taken over at least so many stated uncertainties of a position
+#: least way of a course, in stated uncertainties of a position
 COURSE_SIGMAS: Final = 100.0
-#: over no more than this share of the run
+#: its largest share of the run
 COURSE_SHARE: Final = 0.25
 
 
@@ -160,18 +157,18 @@ COURSE_SHARE: Final = 0.25
 class ReferencePoses:
     """Poses of the middle of the rear axle in a run, by the reference."""
 
-    rows: IntArray  #: shape (n_poses,): samples of the log that have a pose and counts
-    #: shape (n_poses, 3): x, y and unwrapped heading; in one frame for the whole run. NaN headings where only positions
-    #: were measured.
+    rows: IntArray  #: shape (n_poses,): samples with a pose and counts
+    #: shape (n_poses, 3): x, y and unwrapped heading, in one frame for the run; headings NaN if only positions were
+    #: measured
     poses: FloatArray
-    #: shape (n_poses,): what the wheels rolled up to each pose, the mean of both, standing turns included
+    #: shape (n_poses,): mean roll of both wheels up to each, standing turns included
     travelled_m: FloatArray
-    in_map: bool  #: true where the frame is one that all runs share
-    from_first: bool  #: true where the run's own frame is that of its first pose, not the frame that the poses stand in
-    course: CourseOverGround | None  #: how headings are made up where the reference has none
+    in_map: bool  #: whether all runs share the frame
+    from_first: bool  #: whether the run's frame is that of its first pose, not of the poses
+    course: CourseOverGround | None  #: how headings are made up, if not measured
 
     def pose(self, number: int) -> tuple[FloatArray, float]:
-        """Return a pose, and the standard uncertainty of its heading where that was made up (else NaN)."""
+        """Return a pose, and its heading's standard uncertainty if that was made up (else NaN)."""
         if self.course is None:
             return self.poses[number], float("nan")
         return self.course.pose(number)
@@ -179,22 +176,22 @@ class ReferencePoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseOverGround:
-    """Headings from positions: the course over a short way, less what the wheels say of heading against it."""
+    """Headings from positions: the course over a short way, less the wheels' heading against it."""
 
     positions: FloatArray  #: shape (n_poses, 2): of the sensor
-    by_wheels: FloatArray  #: shape (n_poses, 3): the vehicle's pose by its wheels
-    travelled_m: FloatArray  #: shape (n_poses,): what was rolled up to each pose
+    by_wheels: FloatArray  #: shape (n_poses, 3): of the vehicle
+    travelled_m: FloatArray  #: shape (n_poses,): roll up to each pose
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
-    sigma_xy_m: float  #: standard uncertainty of a position
-    way_m: float  #: way over which a course is taken
+    sigma_xy_m: float  #: standard uncertainty
+    way_m: float  #: of a course
 
     def pose(self, number: int) -> tuple[FloatArray, float]:
-        """Return the vehicle's pose at a sample, and the standard uncertainty of its heading; NaN where it stood."""
+        """Return the vehicle's pose at a sample, and its heading's standard uncertainty; NaN where it stood."""
         here = self.travelled_m[number]
         first = int(np.searchsorted(self.travelled_m, here - 0.5 * self.way_m, side="right")) - 1
         last = int(np.searchsorted(self.travelled_m, here + 0.5 * self.way_m))
         first, last = max(first, 0), min(last, len(self.travelled_m) - 1)
-        # at the ends of the run the whole way lies on one side
+        # at the run's ends on one side
         if first == 0:
             last = max(last, min(int(np.searchsorted(self.travelled_m, self.way_m)), len(self.travelled_m) - 1))
         if last == len(self.travelled_m) - 1:
@@ -225,7 +222,7 @@ def relative_pose(first: FloatArray, last: FloatArray) -> FloatArray:
 
 
 def poses_are_in_a_map(campaign: Campaign) -> bool:
-    """Return whether the logs' poses stand in one frame for all runs: so stated, or runs do not begin at zero."""
+    """Return whether poses of all runs stand in one frame: so stated, or none begin at zero."""
     reference, logs = campaign.reference, campaign.logs
     if reference.frame is not None:
         return reference.frame == "map"
@@ -234,7 +231,7 @@ def poses_are_in_a_map(campaign: Campaign) -> bool:
         return False
     far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)
     bent = max(MAP_START_RAD, MAP_START_SIGMAS * reference.sigma_theta_rad)
-    # a reference that only begins on the way says nothing of the run's start
+    # a reference that begins on the way tells nothing of the start
     first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
     turned = np.zeros(len(first)) if heading is None else np.nan_to_num(np.abs(heading[first]))
     away = np.hypot(x[first], y[first])
@@ -242,7 +239,7 @@ def poses_are_in_a_map(campaign: Campaign) -> bool:
 
 
 def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePoses | None:
-    """Return the vehicle's poses of a run by its log's reference; None where the log has too few."""
+    """Return the vehicle's poses by a log's reference; None if too few."""
     reference, model, per_rad = setup.campaign.reference, setup.model, setup.per_rad
     if not {"ref_x_m", "ref_y_m"} <= log.keys():
         return None
@@ -254,7 +251,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         heading, there = (heading, with_heading) if with_heading.sum() >= MIN_POSES else (None, there)
     if len(rows := all_rows[there]) < MIN_POSES:
         return None
-    # at every sample: between the poses of a slow reference the vehicle turns
+    # at every sample: the vehicle turns between slow poses
     left = log["counts_left"][all_rows] / per_rad.left * model.radius_left_m
     right = log["counts_right"][all_rows] / per_rad.right * model.radius_right_m
     travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[there]
@@ -287,9 +284,8 @@ def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> Float
 def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
     """Turn poses of the sensor (n, 3) into poses of the vehicle.
 
-    In a map they are poses of the sensor; else the sensor's motion since its own start pose, V = X S X^-1 with the
-    sensor's place X on the vehicle. A position without a heading stays as it is where the sensor sits on the axle, and
-    cannot be used elsewhere.
+    In a map of the sensor; else its motion since its start, V = X S X^-1 with its place X on the vehicle. A position
+    without heading stays if the sensor is on the axle, and cannot be used elsewhere.
     """
     place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
     if place == 0.0 and yaw == 0.0:
@@ -303,9 +299,9 @@ def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) 
 
 
 def step_array(n_steps: int) -> FloatArray:
-    """Return zeros, shape (n_steps,): of many steps in a temporary file, mapped, whose pages `let_go` gives back."""
+    """Return zeros (n_steps,), many in a mapped temporary file, whose pages `let_go` gives back."""
     if n_steps > HELD_STEPS and hasattr(os, "posix_fallocate") and hasattr(mmap, "MADV_DONTNEED"):
-        # all of its room is taken here: where the disk has none, the array is held in memory
+        # all room is taken here: a full disk leaves the array in memory
         with suppress(OSError), TemporaryFile() as file:
             os.posix_fallocate(file.fileno(), 0, 8 * n_steps)
             return np.ndarray(n_steps, buffer=mmap.mmap(file.fileno(), 8 * n_steps))
@@ -313,7 +309,7 @@ def step_array(n_steps: int) -> FloatArray:
 
 
 def let_go(*arrays: FloatArray | None) -> None:
-    """Give back the memory of arrays that lie in files; the system reads again what is asked for again."""
+    """Give back memory of arrays in files; it is read again where asked for."""
     bases: list[object] = [array.base for array in arrays if array is not None]
     for base in bases:
         if isinstance(base, mmap.mmap):

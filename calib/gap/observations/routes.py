@@ -13,29 +13,29 @@ from calib.campaign.model import Campaign
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
 
-#: places along a route at which two are compared
+#: places at which routes are compared
 ROUTE_KNOTS: Final = 10
-#: two routes are one within this share of their length, at every place
+#: share of length within which routes are one, at every place
 ROUTE_LENGTH_SHARE: Final = 0.15
 #: and within these turns: absolute, and as a share of all the turning
 ROUTE_TURN_RAD, ROUTE_TURN_SHARE = 0.25, 0.05
-#: where no heading was measured, wheels that differ by this share pass for the same route
+#: difference of wheels that pass for one route without measured heading, as a share
 ROUTE_WHEELS_SHARE: Final = 0.02
-#: a kind of route that ends so is driven on another lane of the same floor
+#: end of a kind that names a lane of the same floor
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelTravel:
-    """Steps of all observations, end to end, as the wheels report them by the model."""
+    """Steps of all observations, end to end, by wheels and model."""
 
-    starts: IntArray  #: shape (n_obs + 1,): steps of observation u are ``starts[u]:starts[u + 1]``
-    #: left_m, right_m: shape (n_steps,): travel of the wheels in each step
+    starts: IntArray  #: shape (n_obs + 1,): observation u has steps ``starts[u]:starts[u + 1]``
+    #: left_m, right_m: shape (n_steps,): travel in each step
     left_m: FloatArray
     right_m: FloatArray
     track_m: float
-    duration_s: FloatArray  #: shape (n_steps,): duration of each step
-    logged: BoolArray  #: shape (n_obs,): which observations have a log
+    duration_s: FloatArray  #: shape (n_steps,)
+    logged: BoolArray  #: shape (n_obs,): whether there is a log
 
     def total(self, steps: FloatArray) -> FloatArray:
         """Sum a step quantity (n_steps,) over each observation, shape (n_obs,)."""
@@ -58,10 +58,9 @@ class WheelTravel:
 
 
 def levels(values: FloatArray, width: float) -> IntArray:
-    """Return a number for each of the levels that set values stand at, shape (n,).
+    """Return a number for each level that values stand at, (n,).
 
-    Values within `width` of their neighbour in size are one level. What varies without steps is cut into bins of twice
-    the width. NaN is a level of its own.
+    Values within `width` of a neighbour in size are one level; without steps, bins of twice the width; NaN its own.
     """
     number = np.full(len(values), -1, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(values))
@@ -81,7 +80,7 @@ def levels(values: FloatArray, width: float) -> IntArray:
 
 
 def row_numbers(columns: Sequence[IntArray | FloatArray | StrArray]) -> IntArray:
-    """Return a number for each distinct row of several columns, in the order of first appearance, shape (n,)."""
+    """Return a number for each distinct row of columns, by first appearance, (n,)."""
     code = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         _, part = np.unique(column, return_inverse=True)
@@ -93,11 +92,10 @@ def row_numbers(columns: Sequence[IntArray | FloatArray | StrArray]) -> IntArray
 
 
 def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
-    """Return a number for each of the routes driven, shape (n_obs,), in the order of first appearance.
+    """Return each observation's number of route, (n_obs,), by first appearance.
 
-    Observations have one route where length, heading and distance agree at every tenth of the wheels'
-    rolling. The heading is the wheels', drawn linearly to the measured one at the end where there is one, so that
-    wheels of unequal radii make no other route.
+    One route agrees in length, heading and distance at every tenth of the wheels' rolling. The wheels' heading is drawn
+    linearly to the one measured at the end: unequal radii make no other route.
     """
     shapes, rolled, tolerance = _shapes(driven, heading_rad)
     route = np.full(len(rolled), -1, dtype=np.int64)
@@ -134,27 +132,24 @@ def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, F
 
 
 def load_width_N(vehicle: Vehicle) -> float:
-    """Return the difference of wheel loads from which on two runs were loaded differently."""
+    """Return the difference of wheel loads that tells runs apart."""
     return 0.017 * vehicle.unladen_load_N
 
 
 def speed_width_mps(speed_mps: FloatArray) -> float:
-    """Return the difference of speeds from which on two runs were driven differently: a tenth, 0.05 m/s at most."""
+    """Return the difference of speeds that tells runs apart: a tenth, 0.05 m/s at most."""
     known = speed_mps[np.isfinite(speed_mps) & (speed_mps > 0)]
     return float(min(0.05, 0.1 * np.median(known))) if len(known) else 0.05
 
 
 def lane_names(kind: StrArray) -> StrArray:
-    """Return the lane that a label of the kind of route ends with (``_b``, ``_2``), else an empty text, shape (n,)."""
+    """Return the lane that labels end with (``_b``, ``_2``), else empty, (n,)."""
     ending = [_LANE.search(str(name)) for name in kind]
     return np.array([match.group(1) if match else "" for match in ending], dtype=np.str_)
 
 
 def measured_speed(driven: WheelTravel) -> FloatArray:
-    """Return the mean speed of each observation over its way, by its log, shape (n_obs,); NaN without a log.
-
-    A mean over the distance, so that standing still at the ends weighs nothing.
-    """
+    """Return each observation's mean speed over its way by its log, else NaN, (n_obs,): standing weighs nothing."""
     way_m = driven.rolled_m
     with np.errstate(divide="ignore", invalid="ignore"):
         pace = np.where(driven.duration_s > 0, way_m**2 / driven.duration_s, 0.0)
@@ -202,22 +197,22 @@ def _column_width(values: FloatArray) -> float:
     return spread / 10.0 if spread > 0 else 1.0
 
 
-#: how far a run guided along a corridor is taken to stray from its line, where unspecified
+#: how far a guided run strays from its line, unless specified
 ASSUMED_LATERAL_M: Final = 0.05
 
 
 def heading_by_straightness(
     amplitude_m: FloatArray, wavelength_m: FloatArray, weave_rad: FloatArray, way_m: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return how uncertain the heading at the end of a straight run is, and where it was assumed, each (n_obs,).
+    """Return the uncertainty of a straight run's heading at the end, and where it was assumed, each (n_obs,).
 
-    A stated weave of amplitude A and wavelength l (NaN where not stated) turns the vehicle by up to 2 pi A / l; else it
-    wove as `weave_of_log` says; else it is taken to stray by `ASSUMED_LATERAL_M` in one wave over its length.
+    A stated weave of amplitude A and wavelength l (NaN: not stated) turns by up to 2 pi A / l; else `weave_of_log`;
+    else a stray of `ASSUMED_LATERAL_M` in one wave over the length.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
         assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)
-    # both ends lie somewhere on the wave, whose root mean square each of them adds
+    # both ends lie on the wave, and add its root mean square each
     seen = np.sqrt(2.0) * weave_rad
     has_stated, has_seen = np.isfinite(stated) & (stated > 0), np.isfinite(weave_rad)
     sigma = np.where(has_stated, stated, np.where(has_seen, np.maximum(seen, 0.1 * assumed), assumed))
@@ -225,7 +220,7 @@ def heading_by_straightness(
 
 
 def weave_of_log(driven: WheelTravel) -> FloatArray:
-    """Return the root mean square of the heading about its linear trend along the path, (n_obs,); NaN without a log.
+    """Return the heading's root mean square about its trend along the path, (n_obs,); NaN without a log.
 
     The trend is that of unequal radii.
     """

@@ -24,22 +24,22 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
 
-#: signatures closer than this (in standard deviations) are confounded: no test at 1 % separates them
+#: standard deviations within which signatures are confounded: no test at 1 % separates them
 SEPARATION_SD: Final = 3.0
-#: an alternative may be this many times its largest plausible size, which is a judgement and no limit
+#: an alternative's limit over its largest plausible size, which is a judgement
 PLAUSIBLE_FACTOR: Final = 2.0
 #: whitened norm at which an effect is detected among the whole library
 DETECTION_SIGNAL: Final = 5.0
-#: an effect of which a recalibration leaves less than this share is indistinguishable from it: rounding is near
+#: share left by a recalibration below which an effect is indistinguishable from it: rounding is near
 ABSORBED_SHARE: Final = 1e-3
-#: proportions between the parameters of an effect whose proportions nothing states: no two alike
+#: proportions of an effect's parameters, unless stated: no two alike
 _PROPORTIONS: Final = (1.0, 0.7, -0.8, 0.9, -0.6, 0.5, -0.7, 0.8)
 
 
 def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
     """Return the distance of a contribution (n_rows,) from all that a form can do, in standard deviations.
 
-    The form's parameters are free within what is plausible, their allowed signs included.
+    Parameters are free within plausible sizes and allowed signs.
     """
     target = project(nuisance, contribution[:, None])[:, 0]
     columns = project(nuisance, system.columns(form))
@@ -47,9 +47,9 @@ def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArra
     sizes = np.linalg.solve(columns.T @ columns + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
     sign, shift = np.array([(p.sign, p.shift) for p in form.parameters]).T
     if shift.any():
-        # no further than the sizes beside it make it
+        # no further than sizes beside it make it
         bound = np.where(shift, bound * np.sqrt(np.mean(sizes[shift == 0] ** 2)), bound)
-    # a form of one sign (counts are lost, never won) is no alternative to the other sign
+    # a form of one sign (counts are lost, never won) does nothing of the other
     sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
     return float(np.linalg.norm(target - columns @ sizes))
 
@@ -61,10 +61,10 @@ def aliases_of(
     forms: Mapping[str, Sequence[Form]],
     named: Sequence[str],
 ) -> dict[str, float]:
-    """Return the effects that are confounded with a contribution, with their distance in standard deviations.
+    """Return effects confounded with a contribution, each with its distance in standard deviations.
 
-    For `system`, `nuisance` and `contribution` see `distance`; `forms`: the library on this campaign; `named`: effects
-    of the hypothesis itself, which are no alternatives.
+    `system`, `nuisance`, `contribution`: see `distance`; `forms`: the library on this campaign; `named`: effects of the
+    hypothesis, no alternatives.
     """
     nearest = {
         name: min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
@@ -75,7 +75,7 @@ def aliases_of(
 
 
 def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
-    """Return the noise of observations that need not be driven yet; a missing scale takes its prior median."""
+    """Return the noise of observations, driven or not; missing scales take their prior median."""
     scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
     covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
@@ -84,7 +84,7 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
 def fitted_sizes(
     observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
 ) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size of each fitted effect on some observations, and of radii and track; empty without a fit."""
+    """Return form and size of fitted effects on observations, and of radii and track; empty without a fit."""
     sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
         return sizes
@@ -102,10 +102,10 @@ def fitted_sizes(
 
 
 class Signatures:
-    """Whitened signatures of a library on some observations; distances between them on any subset of these.
+    """Whitened signatures of a library on observations; distances between them on any of these.
 
-    `path`: the observations, about the path to linearise; `noise`: their noise; `effects`: the library; `sizes`: form
-    and size of effects that were fitted; the others have typical size, in the form of the strongest signal.
+    `path`: about which to linearise; `effects`: the library; `sizes`: form and size of fitted effects; others have
+    typical size, in the form of the strongest signal.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Signatures:
         known = {id(form): columns for form, columns in zip(every, signature_columns(path, every), strict=True)}
         blocks, truths = [path.calibration * CALIBRATION_SD], []
         calibration = whitened_rows(path, noise, blocks[0])
-        #: number of the effect, first and last column of each form
+        #: each form's effect number, first and last column
         self.forms: list[tuple[int, int, int]] = []
         self._places: dict[int, tuple[int, FloatArray]] = {}
         position = 4
@@ -150,22 +150,22 @@ class Signatures:
         self.unit = np.repeat(np.arange(len(path.s))[:, None], 6, axis=1)[path.s.usable]
 
     def of_form(self, form: Form) -> FloatArray:
-        """Return the whitened signatures of one of the `offered` forms in typical sizes, (n_rows, n_parameters)."""
+        """Return whitened signatures of an `offered` form in typical sizes, (n_rows, n_parameters)."""
         first, largest = self._places[id(form)]
         return np.asarray(self.columns[:, first : first + len(largest)] / largest)
 
     def gram(self, units: BoolArray) -> FloatArray:
-        """Return the scalar products of all columns over some observations (n_units,)."""
+        """Return scalar products of all columns over observations (n_units,)."""
         kept = self.columns[units[self.unit]]
         return np.asarray(kept.T @ kept)
 
     def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the signal of each effect (..., n_truths) and its distance from each other one (..., n_effects).
+        """Return each effect's signal (..., n_truths) and distance from each other (..., n_effects).
 
-        The signal is the whitened norm beside a free recalibration (of the calibration's own three: without it). The
-        distance is the norm of the residual after the other effect is fitted within what is plausible; infinite from
-        itself. `gram`: scalar products of all columns, or several sets of them, shape (..., n_columns, n_columns);
-        `truths`: the numbers of the effects in question, by default all.
+        The signal is the whitened norm beside a free recalibration (of the calibration's own three: without it), the
+        distance that of the residual after the other effect within what is plausible; infinite from itself. `gram`:
+        scalar products of all columns, (..., n_columns, n_columns); `truths`: numbers of the effects in question, all
+        by default.
         """
         numbers = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
         target = self.first_truth + numbers
@@ -198,8 +198,8 @@ class DetectionLimit:
     """The smallest size of an effect that some runs would show."""
 
     effect: str  #: id of the effect
-    smallest: str  #: that size with its unit; where `never`, the reason
-    never: bool = False  #: whether no size would show
+    smallest: str  #: with its unit; where `never`, why
+    never: bool = False  #: whether at no size
 
     @property
     def sentence(self) -> str:
@@ -211,17 +211,17 @@ class DetectionLimit:
 class Outlook:
     """What a set of runs can show."""
 
-    effects: tuple[str, ...]  #: effects that the runs excite, shape (n,)
-    absent: tuple[str, ...]  #: effects that act through nothing in these runs
-    signal: FloatArray  #: shape (n,): whitened norm of each at its typical size, beside a free recalibration
+    effects: tuple[str, ...]  #: shape (n,): excited by the runs
+    absent: tuple[str, ...]  #: nothing that they act through
+    signal: FloatArray  #: shape (n,): whitened norm at typical size, beside a free recalibration
     #: shape (n, n): the row's effect at its typical size from all that the column's can do, in standard deviations;
     #: infinite on the diagonal
     distance: FloatArray
-    smallest: dict[str, DetectionLimit]  #: detection limit of each effect
+    smallest: dict[str, DetectionLimit]  #: of each effect
 
     @property
     def told_apart(self) -> BoolArray:
-        """Which effects, at typical size, are detected and separated from every other, shape (n,)."""
+        """Whether effects at typical size are detected and separated from all others, shape (n,)."""
         return np.asarray((self.signal >= SEPARATION_SD) & (self.distance.min(axis=1) >= SEPARATION_SD))
 
     def to_dict(self) -> dict[str, Any]:
@@ -241,7 +241,7 @@ class Outlook:
 
 
 def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
-    """Return what the runs of a campaign, driven or not, can show of the whole library."""
+    """Return what a campaign's runs, driven or not, can show of the library."""
     observations = observations_of(campaign)
     path = predict(observations)
     noise = noise_at(path, {})
@@ -263,14 +263,13 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
 def undetectable(
     system: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
 ) -> tuple[DetectionLimit, ...]:
-    """Return the detection limits of the effects that these runs would not show at typical size.
+    """Return detection limits of effects that these runs would not show at typical size.
 
-    A limit is `never` where the runs excite nothing of the effect, or a recalibration absorbs all of it. Known `forms`
-    are not built again.
+    `never` where the runs excite nothing, or a recalibration absorbs all. Known `forms` are not built again.
     """
     limits, found = _Limits(system.calibration, system.columns), []
     for effect in effects:
-        # an effect that is not among them offers none; the calibration's own never are
+        # effects not among them offer none; the calibration's own never are
         offered = effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
         found.append(limits.of(effect, offered))
     return tuple(limit for times, limit in found if times > 1.0)
@@ -282,7 +281,7 @@ class _Limits:
         self.of_form = of_form
 
     def of(self, effect: Effect, forms: Sequence[Form]) -> tuple[float, DetectionLimit]:
-        """Return the detection limit of an effect in typical sizes (infinite for `never`), and in words."""
+        """Return an effect's detection limit in typical sizes (infinite: `never`), and in words."""
         if not forms:
             why = "nothing that it acts through varies, or is used, in these runs"
             return np.inf, DetectionLimit(effect.id, why, never=True)
@@ -290,12 +289,12 @@ class _Limits:
         limit, best, moves = np.inf, None, False
         for form in forms:
             columns = self.of_form(form)
-            # one parameter at a time, the recalibration free
+            # one parameter at a time, recalibration free
             signals = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
             norms = np.sqrt((columns**2).sum(axis=0))
             moves = moves or bool(norms.any())
             for parameter, signal, norm in zip(form.parameters, signals, norms, strict=True):
-                # of two that differ by rounding alone, the first
+                # of two alike but for rounding, the first
                 if signal > ABSORBED_SHARE * max(norm, 1e-12) and DETECTION_SIGNAL / signal < limit * (1.0 - 1e-9):
                     limit, best = DETECTION_SIGNAL / float(signal), parameter
         if best is None:

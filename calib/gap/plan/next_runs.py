@@ -1,4 +1,4 @@
-"""Which runs to drive next, best first: those that separate confounded effects; plans and candidates from a file."""
+"""Which runs to drive next, best first, to separate confounded effects; plans and candidates from a file."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from calib.types import FloatArray
 
 #: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
-#: effects or pairs named for one run: what fits on a line
+#: effects or pairs named for a run: one line
 MOST_NAMED: Final = 3
-#: twice the separation that is needed leaves a margin for sizes other than assumed
+#: twice the separation needed: a margin for other sizes
 ENOUGH_SD: Final = 2.0 * SEPARATION_SD
-#: separation beyond this is worth no further run
+#: separation worth no further run
 CAP_SD: Final = 4.0 * SEPARATION_SD
-#: a gain below this many standard deviations is not worth naming
+#: smallest gain worth naming, in standard deviations
 NOTEWORTHY_SD: Final = 0.05
-#: candidates weighed in one go: their scalar products are held twice
+#: candidates weighed at once: their scalar products are held twice
 AT_ONCE: Final = 16
-#: runs of a route that show how much they scatter: the noise level of routes that were not repeated is assumed
+#: runs of a route that show its scatter: else its noise level is assumed
 REPEATS: Final = 3
-#: a recorded distance outside this is no corridor
+#: recorded distances of corridors
 CORRIDOR_RANGE_M: Final = (2.0, 500.0)
 
 
@@ -60,15 +60,14 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    The runs are driven in one session that begins with a repeat of an unladen corridor run, those of a route that was
-    not repeated so far `REPEATS` times. Each greedy step takes the run after which the two nearest confounded effects
-    are furthest apart; where none are confounded, the run after which most effects of the library are detected and
-    separated. What the law of the load lacks comes first, and a length beside a reference that alone measures any.
+    The runs are one session that begins with a repeat of an unladen corridor run; of a route not yet repeated,
+    `REPEATS` times each. Each greedy step takes the run after which the nearest confounded effects are furthest apart;
+    without any, the run after which most effects of the library are detected and separated. What the law of the load
+    lacks comes first, and a length beside a reference that alone measures any.
 
-    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of effects that are
-    confounded there, the named one first; `fitted`: gives sizes, typical for other effects; `model`: the simulator's,
-    the campaign's own by default; `candidates`: runs to choose from, see `default_candidates`; `most`: how many runs to
-    recommend.
+    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
+    effects, the named one first; `fitted`: gives sizes, typical for others; `model`: the simulator's, by default the
+    campaign's; `candidates`: see `default_candidates`; `most`: runs to recommend.
     """
     driven = campaign.included()
     if model is not None:
@@ -88,7 +87,7 @@ def next_runs(
         effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
     run_id = observations.labels["run_id"].astype(str)
-    # the reference run is the first of the planned ones; a run that no channel can be compared on has no observation
+    # the reference run comes first; what no channel can compare has no observation
     names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
     alone = signatures.gram(~np.char.startswith(run_id, "next"))
     base = alone + signatures.gram(run_id == names[0])
@@ -132,7 +131,7 @@ def _candidates(driven: Campaign, measured: Measured, ties: Sequence[Sequence[st
     candidates = planned_runs.default_candidates(driven, loops=loops, tape=tape)
     scaled = any(ReferenceScale.id in tie for tie in ties)
     if scaled if not measured.distance else not (measured.position and measured.beside):
-        # a length by other means than the rangefinder's, or the reference's
+        # a length by other means than rangefinder or reference
         candidates.append(replace(_corridor_run(driven), tape=True))
     return candidates
 
@@ -142,9 +141,9 @@ def _corridor_run(driven: Campaign) -> PlannedRun:
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
-    """Return the corridor run of the largest payload where one session alone has several loads.
+    """Return the corridor run of the largest payload where only one session has several loads.
 
-    The next session begins unladen, so it then has two.
+    The next session, begun unladen, then has two.
     """
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
@@ -154,7 +153,7 @@ def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
 
 
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
-    """Return the runs driven and, as their model says, those of `next_runs`, the repeat of a corridor before them."""
+    """Return the runs driven and, as their model says, those of `next_runs` with the repeat before them."""
     driven = campaign.included()
     planned = [_corridor_run(driven), *(run for run in runs for _ in range(run.count))]
     return joined(driven, drive(driven, planned, _measured(driven), _corridor_m(driven)))
@@ -172,9 +171,9 @@ class _Task:
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of each confounded pair, else of each effect from zero and from its nearest neighbour.
+        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour.
 
-        `gram`: scalar products of all columns, shape (..., n_columns, n_columns); a set of distances for each.
+        `gram`: (..., n_columns, n_columns), scalar products; distances for each.
         """
         signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
@@ -212,7 +211,7 @@ class _Task:
 def _measured(campaign: Campaign) -> Measured:
     runs, logs = campaign.runs, campaign.logs
     front = logs.columns.get("counts_front")
-    # what a closed loop measures, a mark on the floor does
+    # a floor mark measures a closed loop
     open_path = runs.label("loop") != CLOSED
     poses, by_laser = ("ref_x_m", "ref_theta_rad"), np.isfinite(runs.number("distance_m"))
     position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
@@ -229,7 +228,7 @@ def _measured(campaign: Campaign) -> Measured:
 
 
 def _count(campaign: Campaign, run: PlannedRun) -> int:
-    """Return how often to drive a run: `REPEATS` times unless so many of its route show their scatter."""
+    """Return how often to drive a run: `REPEATS` times unless its route's scatter is known."""
     runs = campaign.runs
     alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
     if run.tape:
@@ -246,13 +245,13 @@ def _corridor_m(campaign: Campaign) -> float:
 
 
 FORMAT: Final = "calib-plan/1"
-#: sensors that drive the odometry without rear encoders -> what only a log holds of them
+#: sensors that drive the odometry without rear encoders -> what only a log has
 _IN_LOG_ONLY: Final = {
     "front": "the front wheel and its angle",
     "wheels": "the counts of the four wheels",
     "shaft": "the steering angle",
 }
-#: wider than any run: what is beyond is a typing error
+#: beyond any run: a typing error
 _Size = Annotated[float, Field(ge=-1e6, le=1e6)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 
@@ -328,7 +327,7 @@ def read_plan(path: Path) -> Campaign:
 
 
 def read_candidates(path: Path) -> list[PlannedRun]:
-    """Return the runs to choose from: a file with ``[[runs]]`` as in a plan; ``count`` has no effect."""
+    """Return runs to choose from: a file with ``[[runs]]`` as in a plan, ``count`` unused."""
     return list({repr(run): run for run in _runs(_load(path).get("runs"), path)}.values())
 
 

@@ -1,4 +1,4 @@
-"""Planned runs: what is to be driven, candidates, and the campaign that an exact model of the vehicle would record."""
+"""Planned runs: what to drive, candidates, and the campaign that an exact model would record."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from calib.odometry.routes import NAMED, Route, arc, radii_of_model, straight
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, wheel_loads_N
 
-#: numbers that say something at zero too, unlike stops and a payload's place
+#: numbers that matter at zero too
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
-#: routes that end where they begin, heading as they did
+#: routes that end as they begin
 CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
 SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
 BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
-#: sampling of a route: below 0.1 s of a log at walking pace
+#: of a route's samples: below 0.1 s at walking pace
 ROUTE_SPACING_M: Final = 0.05
-#: the short corridor over the long one: distances far enough apart to tell an offset from a scale
+#: short over long corridor: enough to tell an offset from a scale
 SHORT_CORRIDOR: Final = 0.6
 DEFAULT_CORRIDOR_M: Final = 20.0
 #: ramps of a laden vehicle
 ACCELERATION_MPS2: Final = 0.5
-#: what vehicles log at
+#: of vehicles' logs
 LOG_PERIOD_S: Final = 0.1
-#: conditions of a run, as the run table names them
+#: of a run, as in the run table
 CONDITIONS: Final = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
-#: routes beside those of `calib simulate`, each with a mirror image to the right
+#: routes beside those of `calib simulate`, each with its mirror image
 LEFT_ROUTES: Final = {
     "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
     "circle_left": (arc(1.2, 4 * np.pi),),
@@ -47,7 +47,7 @@ LEFT_ROUTES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """A run to drive; fields as in the run table, NaN where any value will do."""
+    """A run to drive; fields as in the run table, NaN for any."""
 
     kind: str  #: a route; see `route_of`
     direction: str = ""  #: ``out``, ``back`` or empty
@@ -58,15 +58,15 @@ class PlannedRun:
     speed_mps: float = 0.5
     temperature_C: float = float("nan")
     minutes_under_load: float = float("nan")
-    read_rolling: bool = False  #: the end is measured while the vehicle still rolls
-    stops: int = 0  #: stops between start and end
-    loop: str = ""  #: ``closed``: it ends on the mark where it began
-    tape: bool = False  #: a corridor whose length a tape measure gives, beside a rangefinder the place of its end
+    read_rolling: bool = False  #: end measured while rolling
+    stops: int = 0  #: between start and end
+    loop: str = ""  #: ``closed``: ends on the mark of its start
+    tape: bool = False  #: a corridor's length by tape, beside a rangefinder its end's place
     count: int = 1  #: how often to drive it
-    columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric columns
-    why: str = ""  #: what the run would tell, where it is recommended
-    size: str = ""  #: its straights and the radii of its bends in words, where it is recommended
-    #: then: standard deviations between the nearest confounded effects; None where no effects are confounded
+    columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric ones
+    why: str = ""  #: what a recommended run would tell
+    size: str = ""  #: straights and radii of bends in words, if recommended
+    #: standard deviations then between the nearest confounded effects; None without any
     distance: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -80,22 +80,21 @@ class PlannedRun:
 
 
 def usual_temperature_C(campaign: Campaign) -> float:
-    """Return the median temperature of a campaign, NaN where none is recorded."""
+    """Return a campaign's median temperature, NaN if not recorded."""
     temperature = campaign.runs.number("temperature_C")
     return float(np.nanmedian(temperature)) if np.isfinite(temperature).any() else float("nan")
 
 
 def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = False) -> list[PlannedRun]:
-    """Return candidate runs over routes, directions, payloads and their place, speeds, temperatures and dwell.
+    """Return candidates over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    Without motion capture: `loops` close on a mark on the floor where they began, `tape` measures corridors. The
-    largest payload is the campaign's own (twice the vehicle's mass where it carried none); temperatures vary by 10 K
-    where the campaign records them.
+    Without motion capture `loops` close on a mark on the floor, `tape` measures corridors. The largest payload is the
+    campaign's own (without any, twice the vehicle's mass); temperatures vary by 10 K where recorded.
     """
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
     usual_C = usual_temperature_C(campaign)
-    # a payload stands on the vehicle: within a fraction of the wheelbase
+    # a payload stands within a fraction of the wheelbase
     ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
     payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0)]
     payloads += [(0.5 * most_kg, ahead, aside), (0.5 * most_kg, ahead, -aside)]
@@ -126,7 +125,7 @@ def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = 
 
 
 def joined(first: Campaign, second: Campaign) -> Campaign:
-    """Return the runs of two campaigns of one vehicle as one, the second's after the first's."""
+    """Return the runs of two campaigns of one vehicle as one, the second's last."""
     tables, logs = (first.runs, second.runs), (first.logs, second.logs)
     if any(len(log.offsets) != len(table) + 1 for log, table in zip(logs, tables, strict=True)):
         raise BadInputError("campaigns whose numbers of logs and runs differ cannot be joined")
@@ -148,15 +147,15 @@ def joined(first: Campaign, second: Campaign) -> Campaign:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What is measured on a run."""
+    """What is measured on runs."""
 
-    distance: bool = True  #: laser distance on corridor runs
-    position: bool = True  #: reference position at the end
-    heading: bool = True  #: reference heading at the end
-    front: bool = False  #: counts and steering angle of the front wheel, in the log
-    log: bool = True  #: a log at all
-    gyro: bool = False  #: turn of the run by a gyro
-    beside: bool = True  #: position and heading on corridor runs too, beside the laser
+    distance: bool = True  #: by laser on corridors
+    position: bool = True  #: by reference at the end
+    heading: bool = True  #: by reference at the end
+    front: bool = False  #: counts and steering angle, in the log
+    log: bool = True
+    gyro: bool = False  #: turn by a gyro
+    beside: bool = True  #: position and heading on corridors, too
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
@@ -186,7 +185,7 @@ def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
 
 
 def size_of(route: Route) -> str:
-    """Return the lengths of the straights of a route and the radii of its bends in words."""
+    """Return a route's straights and radii of bends in words."""
     pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
     straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
     radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
@@ -196,9 +195,9 @@ def size_of(route: Route) -> str:
 def drive(
     campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
 ) -> Campaign:
-    """Return the noise-free campaign that the runs would give if the vehicle were exactly as its model.
+    """Return the noise-free campaign of runs if the vehicle were exactly as its model.
 
-    `campaign` gives vehicle, encoders, model and instruments; its own runs are not part of the result.
+    `campaign`: gives vehicle, encoders, model and instruments, not its runs.
     """
     logs = [_log(campaign, run, measured, corridor_m) for run in runs]
     ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])
@@ -215,7 +214,7 @@ def drive(
     if (by_length := corridor & np.array([run.tape or measured.distance for run in runs])).any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
     closed = np.array([run.loop == CLOSED for run in runs])
-    # beside an instrument a tape gives the place of the end
+    # beside an instrument, a tape gives the end's place
     seen = ~corridor | measured.beside
     placed = (np.array([run.tape for run in runs]) & measured.distance) | (seen & (closed | measured.position))
     by_reference = {"ref_x_m": placed, "ref_y_m": placed, "ref_theta_rad": seen & (closed | measured.heading)}
@@ -264,11 +263,11 @@ def wheel_counts(
     Parameters
     ----------
     campaign : Campaign
-        Its model gives radii and lengths; its odometry, which wheels are counted.
+        Its model gives radii and lengths; its odometry, the wheels.
     distance_m, heading_rad : array of float, shape (n,)
-        Travelled distance of the axle's middle, and heading, at the samples.
+        Way of the axle's middle and heading at the samples.
     loads_N : tuple of float
-        Of the left and the right wheel.
+        Of left and right wheel.
     front : bool
         The front wheel is counted too.
     """
@@ -291,7 +290,7 @@ def wheel_counts(
 def _both_sides(
     encoder: Encoder, distance_m: FloatArray, half_m: FloatArray, radii_m: Sequence[FloatArray | float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the counts (n,) of a left and of a right wheel, whose ways differ from the middle's by `half_m` (n,)."""
+    """Return left and right wheel's counts (n,), whose ways differ from the middle's by `half_m` (n,)."""
     left = (distance_m - half_m) / radii_m[0] * encoder.counts_per_rev_left / (2 * np.pi)
     right = (distance_m + half_m) / radii_m[1] * encoder.counts_per_rev_right / (2 * np.pi)
     return left, right
@@ -308,17 +307,17 @@ def _steered(
     else:
         step_m = np.hypot(ahead, model.wheelbase_m * turn)
         name, per_rev, rolled_m = "counts_front", campaign.encoder.front, np.append(0.0, np.cumsum(step_m))
-        # abs: the sign of a rounded zero must not reverse the wheel
+        # a rounded zero's sign must not reverse the wheel
         angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
     return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
 
 
 def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
-    """Return times (s) and travelled distances (m) from stop to stop (n_stops,), start and end included.
+    """Return times (s) and ways (m) from stop to stop (n_stops,), start and end included.
 
-    Ramps have `ACCELERATION_MPS2`, stops last half a second; with `read_rolling` the log ends while the vehicle rolls.
-    The period is `LOG_PERIOD_S`, longer where that would exceed `calib.errors.PLANNED_SAMPLES`.
+    Ramps of `ACCELERATION_MPS2`, stops of half a second; with `read_rolling` the log ends in motion. Every
+    `LOG_PERIOD_S`, less often beyond `calib.errors.PLANNED_SAMPLES`.
     """
     if not speed > 0.0:
         raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
@@ -343,7 +342,7 @@ def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tup
     return np.concatenate(time), np.concatenate(distance)
 
 
-#: route and direction of six runs, driven in three sessions under changing conditions
+#: route and direction of six runs in three sessions under changing conditions
 ROUTES: Final = (*CORRIDORS, *SQUARES, *BENDS)
 SESSIONS: Final = ("mon", "tue", "wed")
 #: payload, its place ahead of the axle and left of the middle
@@ -356,8 +355,8 @@ UNDER_LOAD_MIN: Final = (0.0, 3.0, 15.0, 40.0)
 def demonstration() -> Campaign:
     """Return 36 noise-free runs of a nominal vehicle: a corridor both ways, squares and curved routes.
 
-    Loads, speeds, temperatures, time under load and stops vary; laser, end poses and the front wheel are measured, and
-    one end in five is read while the vehicle rolls.
+    Loads, speeds, temperatures, time under load and stops vary; laser, end poses and front wheel are measured, one end
+    in five while rolling.
     """
     radius_m, track_m = 0.100, 0.700
     nominal = Campaign(
@@ -378,7 +377,7 @@ def demonstration() -> Campaign:
 
 def _demonstrated(number: int) -> PlannedRun:
     lap, (kind, direction) = number // len(ROUTES), ROUTES[number % len(ROUTES)]
-    # a second, shorter lane on every other lap
+    # a shorter lane on every other lap
     kind += "_short" if kind == "corridor" and lap % 2 else ""
     return PlannedRun(
         kind, direction, SESSIONS[lap // 2], *PAYLOADS[(number + lap) % len(PAYLOADS)],

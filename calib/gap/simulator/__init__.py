@@ -1,1 +1,1 @@
-"""The user's own simulator: its settings, its runs, and a diagnosis in its parameters."""
+"""The user's simulator: settings, runs, and a diagnosis in its parameters."""

@@ -1,4 +1,4 @@
-"""A diagnosis in the parameters of the user's simulator, and a fix that the simulator itself confirms."""
+"""A diagnosis in the parameters of the user's simulator, and a fix that it confirms itself."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from calib.gap.simulator.runner import Differences, SimulatorRunner, differences
 from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
 
-#: an effect of the calibration that the simulator's parameters reproduce but for this share is theirs to set
+#: share of a calibration effect that the simulator's parameters may miss and still stand for it
 SPANNED_SHARE: Final = 0.1
-#: and one of the steering where so many standard deviations of the gap are left at most: more tells the two apart
+#: standard deviations of the gap that may be left of one of the steering: more tells the two apart
 TOLD_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatorDiagnosis:
-    """A diagnosis in the parameters of a simulator, and what ran it: its counts say what that cost."""
+    """A diagnosis in a simulator's parameters, and what ran it, with the cost in its counts."""
 
     diagnosis: Diagnosis
     runs: SimulatorRunner
@@ -54,18 +54,17 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    It runs at its nominal parameters (twice where it may not repeat itself), with each a step off, and with the fix;
-    the verdict is among its parameters and the effects of the library.
+    It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
+    verdict is among parameters and library.
 
     Parameters
     ----------
     campaign : Campaign
-        Read from a folder.
     settings : SimulatorSettings
     seed : int
         For the bootstrap of intervals.
     exclude : tuple of str
-        Effects to leave out, of the library or ``simulator:NAME``.
+        To leave out, of the library or ``simulator:NAME``.
     workers : int
         Runs of the simulator at once.
     progress : callable
@@ -74,7 +73,7 @@ def diagnose_simulator(
     Raises
     ------
     CalibError
-        Where the simulator fails, hangs or writes nonsense, or predicts nothing that was measured.
+        Where the simulator fails, hangs, writes nonsense, or predicts nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(
@@ -82,7 +81,7 @@ def diagnose_simulator(
             "run 'calib ingest' first"
         )
     root = FilePath(campaign.root)
-    # a simulator is driven as the vehicle's odometry is
+    # driven as the vehicle's odometry is
     campaign = on_its_source_alone(campaign)
     measured = observations_of(campaign, whole_runs=True)
     _check_excluded(exclude, measured, settings, campaign)
@@ -125,8 +124,8 @@ def _confirmed(
 ) -> Diagnosis:
     """Return the diagnosis with the fix that the simulator was run with.
 
-    A parameter is linear at first: its curvature may pass for a further cause. So beside others the search is repeated
-    with what the runs with a fix by parameters alone showed, or else with that beside the other causes.
+    A parameter's curvature may pass for a further cause: beside others the search is repeated with what runs of a fix
+    by parameters alone showed, or else with that beside the other causes.
     """
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
@@ -143,7 +142,7 @@ def _confirmed(
             again = searched(through)
             names = named_parameters(again, runner).keys()
             if names and (names == tried.keys() or (fix is by_itself and names < tried.keys())):
-                # beside other effects than before the parameters are of other sizes
+                # beside other effects parameters have other sizes
                 diagnosis, found = again, iterated(again, runner, through, fix if names == tried.keys() else None)
                 break
     if found is None:
@@ -152,13 +151,13 @@ def _confirmed(
 
 
 def simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
-    """Return the observations with a table of the simulator (n_runs, 4) in place of calib's own model.
+    """Return the observations with a simulator's table (n_runs, 4) in place of calib's model.
 
-    Channels that it does not predict are not compared; its scatter adds to the stated uncertainties.
+    Channels not predicted are not compared; its scatter adds to the stated uncertainties.
     """
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
     simulated[:, :4] = table[differences.rows(measured)]
-    # of a heading whole turns do not count
+    # but for whole turns of a heading
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
@@ -210,10 +209,10 @@ def _candidates(
     exclude: Sequence[str],
     campaign: Campaign,
 ) -> tuple[list[Effect], tuple[str, ...]]:
-    """Return the parameters and the effects of the library beside them, with a note on those that do not matter.
+    """Return parameters and effects of the library beside them, with a note on those that do not matter.
 
-    Effects that a parameter stands for, or of the calibration that the parameters reproduce, are left to these: nothing
-    tells them apart, and a parameter can be set.
+    Effects that parameters stand for or, of the calibration, reproduce are left to these: nothing tells them apart, and
+    a parameter can be set.
     """
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
@@ -247,14 +246,14 @@ def _candidates(
 
 
 def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
-    """Return how far each form moves the readings at typical size, in standard deviations."""
+    """Return how far forms move the readings at typical size, in standard deviations."""
     return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
 
 
 def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool:
     """Return whether an effect is a wrong setting of the odometry, as simulators have them.
 
-    Beside a noisy simulator, any of one parameter: noise alone would tell it from one of the simulator.
+    Beside a noisy one any of one parameter: noise alone would tell it from the simulator's.
     """
     if noisy and (forms := effect.forms(observations)):
         return all(len(form.parameters) == 1 for form in forms)
@@ -265,7 +264,7 @@ def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool
 def _spanned(
     rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path, noisy: bool
 ) -> dict[str, dict[str, list[int]]]:
-    """Return the signs, 1 and -1, with which parameters do what each form of a rival would, by its id and label."""
+    """Return the signs, 1 and -1, of parameters that do what each form of a rival would, by id and label."""
     offered = [form for effect in own for form in effect.forms(nominal.s)]
     targets = [form for rival in rivals for form in rival.forms(nominal.s)]
     if not offered or not targets:
@@ -279,7 +278,7 @@ def _spanned(
     for form, aim in zip(targets, aims.T, strict=True):
         share = SPANNED_SHARE
         if not noisy and not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
-            # wheelbase and scale of the angle are alike in small angles alone: no more than shows in a gap so large
+            # wheelbase and angle scale are alike in small angles alone: no more than shows in such a gap
             share = min(share, TOLD_SD / max(float(np.linalg.norm(gap)), 1e-12))
         limit = share * np.linalg.norm(aim)
         ways = [way for way in (1, -1) if np.linalg.norm(left_by(columns, way * aim, sign)) < limit]

@@ -24,46 +24,45 @@ from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averag
 from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray, IntArray
 
-#: runs of the simulator with a fix, at most, a secant step each: one where it is linear, seven where its slope triples
+#: most runs with a fix, a secant step each: one if linear, seven if the slope triples
 MOST_RERUNS: Final = 8
-#: a correction of the fix below this share of its standard uncertainties is not worth another run, below the second one
-#: where the gap is at the noise already; below the third not of a noisy simulator
+#: shares of its standard uncertainties below which a correction is not worth another run; the second where the gap is
+#: at the noise, the third of a noisy simulator
 CONVERGED: Final = (0.3, 0.5, 1.0)
-#: squares of two runs of a noisy simulator are alike within this factor: the one that asks for no more is kept
+#: factor within which squares of a noisy simulator are alike: the run that asks for no more is kept
 ALIKE: Final = 1.3
-#: a step shorter than this share of the whole deviation tells no slope beside the simulator's rounding, the second one
-#: beside its scatter
+#: share of the deviation below which a step tells no slope beside the simulator's rounding, or beside its scatter
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
-#: parameters alone are searched where they leave no more than so many times what the verdict's causes do
+#: parameters alone are searched where they leave at most so many times what all causes do
 ALONE: Final = 2.0
-#: parameters alone are followed where they promise to leave no more than this share of the gap's squares
+#: and followed where they promise to leave at most this share of the gap's squares
 ALONE_SHARE: Final = 0.5
-#: less than so many times the squares of noise is noise, at levels known so well; else others than the named are tried
+#: squares of noise, at levels known so well; beyond, others than the named are tried
 LACKING: Final = 1.5
-#: so many of them, each further one if it leaves less than this share of what is left without
+#: so many of them, each if it leaves less than this share
 MOST_ALONE: Final = 3
 FURTHER_SHARE: Final = 0.5
-#: prior standard deviation of a correction in typical sizes: keeps the solution finite
+#: prior standard deviation of a correction in typical sizes: a finite solution
 CORRECTION_SD: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatorFix:
-    """Deviations from the nominal parameters, by name of the named ones, and what the simulator does there."""
+    """Deviations from nominal of named parameters, and what the simulator does there."""
 
     deviation: Mapping[str, float]
     table: FloatArray  #: shape (n_runs, 4)
     derivative: Mapping[str, FloatArray]  #: shape (n_runs, 4)
-    wider: Mapping[str, float]  #: half width of the interval over that with the derivative about the nominal parameters
-    short: Mapping[str, float]  #: by how much the last run asked for another value
-    settled: bool  #: whether it asked for no more than their uncertainty, or what is left is noise
-    square: float  #: of the whitened gap that is left
+    wider: Mapping[str, float]  #: interval's half width over that by the nominal derivative
+    short: Mapping[str, float]  #: what the last run asked further
+    settled: bool  #: whether it asked for no more than uncertainty, or left noise
+    square: float  #: of the whitened gap left
 
 
 def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
-    """Return the parameters of the simulator that a diagnosis names, by the id of the cause."""
+    """Return the simulator's parameters that a diagnosis names, by cause."""
     declared = runner.settings.by_cause
     return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
@@ -77,11 +76,10 @@ def fixed(
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it.
 
-    `differences`: the simulator about its nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
+    `differences`: about the nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
     """
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
-    # the gap of the simulator as it is and with the fix set, on all runs
     nominal = diagnosis.nominal
     before = residuals(nominal, nominal)
     change = difference(found.table, differences.nominal)[differences.rows(nominal.s)]
@@ -90,7 +88,7 @@ def fixed(
     closure = held_out.closure
     assert diagnosis.evidence is not None
     closes = closure.ci95 is not None and closure.ci95[0] > ADEQUATE_CLOSURE
-    # what causes of the library take is not for the parameters to close
+    # the parameters need not close what causes of the library take
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     fits = own.ci95 is not None and own.ci95[0] > ADEQUATE_CLOSURE
@@ -121,7 +119,7 @@ def fixed(
 
 
 def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return what to set in the simulator, by parameter; RefusedError where none of its parameters is named."""
+    """Return what to set in the simulator, by parameter; RefusedError if none is named."""
     if not diagnosis.fix.parameters:
         raise RefusedError(
             f"{diagnosis.campaign}: the verdict names no parameter of the simulator, so there is none to set; "
@@ -135,8 +133,8 @@ def iterated(
 ) -> SimulatorFix:
     """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
 
-    The derivative by finite differences is brought into line with every further run (Broyden 1965); a step that leads
-    away is halved. `start`: a fix that it was run with; by default the diagnosis' parameters are run first.
+    Every run adjusts the derivative by finite differences (Broyden 1965); a step that leads away is halved. `start`: a
+    fix already run, by default the diagnosis' parameters.
     """
     fitted = diagnosis.fitted
     sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
@@ -148,11 +146,11 @@ def iterated(
 def alone(
     diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
-    """Return parameters that may do without the verdict's other causes, and the fix by them; None where they do not.
+    """Return parameters that may do without the other causes, and the fix by them; None where they do not.
 
-    A curved effect of a parameter may have passed for a cause of the library, or the parameter for none. They are the
-    named ones, whose `start` is the fix beside the others, or else, where the verdict leaves more than noise, those of
-    `_most_able`. Without a fix the named ones are returned.
+    A parameter's curvature may have passed for a cause of the library, or the parameter for none. They are the named
+    ones, whose `start` is the fix beside the others, or, where the verdict leaves more than noise, those of
+    `_most_able`; without a fix the named ones.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
@@ -179,7 +177,7 @@ def _followed(
 ) -> SimulatorFix:
     """Run the simulator as `iterated` does, beside a fit's other causes, first at `trial` (n_named,).
 
-    Else it begins with what is left at the start, and is not run where that promises to leave more than `limit`.
+    Else it begins at the start, and does not run where that promises to leave more than `limit`.
     """
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
@@ -234,12 +232,12 @@ def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What a run of the simulator leaves of the gap, and the correction that it asks for."""
+    """What a run leaves of the gap, and the correction that it asks for."""
 
     square: float  #: of the whitened gap
-    promised: float  #: of what the correction leaves of it, if that is linear
+    promised: float  #: of what the correction leaves, if linear
     correction: FloatArray  #: shape (n_named,)
-    sd: FloatArray  #: standard uncertainty of each deviation, shape (n_named,)
+    sd: FloatArray  #: of each deviation, shape (n_named,)
     off: float  #: largest correction in standard uncertainties
     converged: bool
 
@@ -253,9 +251,9 @@ def _asked(
     derivative: FloatArray,
     typical: FloatArray,
 ) -> _Asked:
-    """Return what a table of the simulator (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it.
+    """Return what a table (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it.
 
-    `derivative`: by the named parameters, (n_runs, 4, n_named).
+    `derivative`: (n_runs, 4, n_named).
     """
     rows = differences.rows(path.s)
     gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
@@ -303,7 +301,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
         value, unit = values[each.name], "" if each.unit in ("", "1") else f" {each.unit}"
         off = each.nominal - value
         way = "large" if off > 0.0 else "small"
-        # a share of the right value, as lengths have it
+        # a share of the right value, of lengths
         in_percent = min(value, each.nominal) > 0.0 and abs(off) < 0.5 * value
         size = f"{100 * abs(off) / value:.2g} %" if in_percent else f"{abs(off):.3g}{unit}"
         parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
@@ -311,7 +309,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
 
 
 def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
-    """Return a diagnosis that names no parameter of the simulator, and says so; its closure is on held-out runs."""
+    """Return a diagnosis that names no parameter, and says so; closure on held-out runs."""
     if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED} or any(
         name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects
     ):
@@ -338,7 +336,7 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
 
 
 def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
-    """Return, by id, the parameter that leaves least of the gap at a plausible deviation, and others that add much."""
+    """Return, by id, the parameter that leaves least of the gap when plausible, and others that add much."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
     chosen: list[int] = []
@@ -366,9 +364,9 @@ def _share_together(diagnosis: Diagnosis) -> float:
 
 
 def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
-    """Return what columns (n_rows, k) leave of an aim (n_rows,) at sizes of unit prior, (n_rows,).
+    """Return what columns (n_rows, k) of unit prior leave of an aim (n_rows,), (n_rows,).
 
-    `sign`: (k,), of each size 1 or -1 where it may have that one only, else 0.
+    `sign`: (k,), 1 or -1 of sizes of that sign only, else 0.
     """
     from scipy.optimize import lsq_linear
 
@@ -378,7 +376,7 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    """Return in words which parameter alone would do it with its forbidden sign; empty where none would."""
+    """Return in words which parameter would do it with its forbidden sign, else empty."""
     forms, a, r = _signatures(diagnosis)
     for form, column in zip(forms, a.T, strict=True):
         sign = form.parameters[0].sign

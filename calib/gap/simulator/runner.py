@@ -1,4 +1,4 @@
-"""Runs of the user's simulator, several at once, stopped as a whole; and what a step off each parameter changes."""
+"""Runs of the user's simulator, several at once, and what a step off each parameter changes."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
 from calib.types import FloatArray, Progress
 
-#: kept of a simulator's output for an error: its last lines say what went wrong
+#: bytes of output kept for an error: the last lines say what went wrong
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
 #: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
-#: how often a run is looked at: an interruption is heeded within this time
+#: time between looks at a run, within which an interruption is heeded
 LOOK_S: Final = 0.05
 
 
@@ -41,8 +41,8 @@ class Job:
     """One run of the simulator."""
 
     parameters: dict[str, float]
-    what: str  #: what it is for, as an error names it
-    repeat: int = 0  #: number among runs with the same parameters
+    what: str  #: as an error names it
+    repeat: int = 0  #: among runs with the same parameters
 
 
 class _Stopped(Exception):
@@ -51,21 +51,21 @@ class _Stopped(Exception):
 
 @dataclass(eq=False)
 class SimulatorRunner:
-    """Runs a simulator on a campaign, at most `workers` at once; results that are kept already are not run again."""
+    """Runs a simulator on a campaign, at most `workers` at once; kept results are not run again."""
 
     settings: SimulatorSettings  #: the command
     campaign: Path  #: folder of the campaign
-    run_ids: Sequence[str]  #: runs that it has to simulate
+    run_ids: Sequence[str]  #: to simulate
     cache: RunCache  #: of results
     workers: int  #: runs at once
     progress: Progress  #: see `calib.types.Progress`
-    asked: int = 0  #: runs that were asked for
-    ran: int = 0  #: of these, those that were not kept already
-    seconds: list[float] = field(default_factory=list)  #: wall time of each that ran
+    asked: int = 0  #: runs asked for
+    ran: int = 0  #: of these, not kept already
+    seconds: list[float] = field(default_factory=list)  #: wall time of each run
     _stop: threading.Event = field(default_factory=threading.Event)
 
     def run(self, jobs: Sequence[Job]) -> list[FloatArray]:
-        """Return what each run simulates, (n_runs, 4); an error or an interruption ends all that is at work."""
+        """Return what each run simulates, (n_runs, 4); an error or interruption ends all at work."""
         results = [self.cache.get(job.parameters, job.repeat, self.run_ids) for job in jobs]
         todo = [number for number, result in enumerate(results) if result is None]
         self.asked, self.ran = self.asked + len(jobs), self.ran + len(todo)
@@ -74,10 +74,10 @@ class SimulatorRunner:
         command = self._command()
         with ThreadPoolExecutor(min(self.workers, len(todo))) as pool:
             try:
-                # an interruption while they are handed over ends those at work, too
+                # an interruption meanwhile ends those at work, too
                 waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
                 while waiting:
-                    # asleep, not in the futures' own wait: an interruption there leaves their locks held
+                    # not in the futures' own wait, where an interruption leaves locks held
                     time.sleep(LOOK_S)
                     for future in [future for future in waiting if future.done()]:
                         results[waiting.pop(future)] = future.result()
@@ -90,7 +90,7 @@ class SimulatorRunner:
 
     @property
     def sentence(self) -> str:
-        """How often it was asked to run so far, and how long that took."""
+        """How often it was to run, and how long that took."""
         each = f", {sum(self.seconds) / len(self.seconds):.2g} s each" if self.seconds else ""
         runs = "1 run" if self.ran == 1 else f"{self.ran} runs"
         return f"Simulator: {runs}{each}; {self.asked - self.ran} of {self.asked} results were kept from before."
@@ -131,7 +131,7 @@ class SimulatorRunner:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 cwd=self.settings.path.resolve().parent,
-                # a group of its own, so that what it starts ends with it
+                # a group, so that what it starts ends with it
                 start_new_session=True,
             )
         except OSError as error:
@@ -143,7 +143,7 @@ class SimulatorRunner:
         deadline = time.monotonic() + self.settings.timeout_s
         fault, status = "", None
         while not fault and status is None:
-            # its output ends with it, and is waited for asleep; the wait for a process asks again and again
+            # its output ends with it, waited for asleep: waiting for a process asks again and again
             reader.join(LOOK_S)
             with suppress(subprocess.TimeoutExpired):
                 status = process.wait(0.0 if reader.is_alive() else LOOK_S)
@@ -192,34 +192,34 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 #: within this share of an instrument's stated uncertainty a simulator repeats itself
 NOISE_SHARE: Final = 0.02
-#: runs of a noisy simulator at each set of parameters: their mean has half the scatter of one
+#: runs of a noisy one per set of parameters: their mean has half the scatter
 REPEATS: Final = 4
-#: change by a step, in standard deviations of one run of a noisy simulator, that shows a parameter's signature within
-#: 1 % in each run: a longer step bends the paths, a hundred times 2 mrad by 0.2 rad
+#: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %: longer ones bend the
+#: paths, a hundred times 2 mrad by 0.2 rad
 CLEAR_CHANGE: Final = 60.0
-#: a step is enlarged to this share of a nominal value that is not zero, at most: beyond lies what may have no meaning
+#: largest step over a nominal value that is not zero: beyond may have no meaning
 NOT_NOTHING: Final = 0.9
 _HEADING: Final = 3
-#: a simulator's distance is that of its end point where they agree this well; laser and path length are further off
+#: agreement of a distance with its end point; laser and path length are further off
 SAME_DISTANCE_M: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Differences:
-    """A simulator about its nominal parameters; arrays are of (distance, x, y, heading)."""
+    """A simulator about its nominal parameters, as (distance, x, y, heading)."""
 
     run_ids: tuple[str, ...]
-    nominal: FloatArray  #: shape (n_runs, 4): NaN where it does not predict a channel
-    change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): change per unit, 0 where not predicted
-    size: Mapping[str, float]  #: by parameter: the deviation from nominal over which the change was taken
-    scatter: FloatArray  #: shape (n_runs, 4): standard deviation of one simulation; 0 where it repeats itself
-    repeats: int  #: runs at each set of parameters that were averaged
-    #: as what it writes distances: 1, along x; 2, from the start as the crow flies; None where it is neither
+    nominal: FloatArray  #: shape (n_runs, 4): NaN if not predicted
+    change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): per unit, 0 if not predicted
+    size: Mapping[str, float]  #: by parameter: deviation over which it was taken
+    scatter: FloatArray  #: shape (n_runs, 4): standard deviation of one run; 0 if it repeats itself
+    repeats: int  #: runs averaged at each set of parameters
+    #: of its distances: 1, along x; 2, from the start as the crow flies; None: neither
     axis: float | None = None
     met: Mapping[str, float] = field(default_factory=dict)  #: deviations of a run that the changes together meet
 
     def effects(self, settings: SimulatorSettings, nominal: DrivenPath) -> list[SimulatorParameter]:
-        """Return the parameters as effects on the runs of a path, the model alone."""
+        """Return the parameters as effects on a path, the model alone."""
         rows = self.rows(nominal.s)
         wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
         carried = {}
@@ -227,7 +227,7 @@ class Differences:
             size, both_ways = self.size[each.name], self.repeats > 1 and not each.parameter.sign
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
-            # what wheels carry is no sum: together they would miss the run that the changes meet
+            # what wheels carry is no sum, and would miss the run that the changes meet
             met = [(carried[name], size) for name, size in self.met.items()]
             pushes = [motion.motion(size) for motion, size in met]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
@@ -239,9 +239,9 @@ class Differences:
         return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
     def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> Differences:
-        """Return the differences brought into line with a run: linear in the deviations, they then meet its table.
+        """Return the differences adjusted to a run: linear in the deviations, they meet its table.
 
-        The least change of the derivatives that does so, sizes in typical ones (Broyden 1965).
+        By the least change of derivatives, sizes in typical ones (Broyden 1965).
         """
         change = difference(table, self.nominal)
         miss = change - sum((self.change[name] * size for name, size in deviation.items()), np.zeros_like(change))
@@ -261,22 +261,22 @@ class Differences:
 
 
 def difference(later: FloatArray, earlier: FloatArray) -> FloatArray:
-    """Return the difference of two tables (n_runs, 4): headings within half a turn, 0 where not predicted."""
+    """Return the difference of tables (n_runs, 4): headings within half a turn, 0 if not predicted."""
     apart = later - earlier
     apart[:, _HEADING] = (apart[:, _HEADING] + np.pi) % (2 * np.pi) - np.pi
     return np.asarray(np.nan_to_num(apart))
 
 
 def averaged(tables: list[FloatArray]) -> FloatArray:
-    """Return the mean of tables (n_runs, 4) of the same parameters."""
+    """Return the mean of tables (n_runs, 4)."""
     first = tables[0]
     return np.asarray(first + sum((difference(table, first) for table in tables), np.zeros_like(first)) / len(tables))
 
 
 def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
-    """Run a simulator at its nominal parameters, and with each of them a step off; twice where these do not tell all.
+    """Run a simulator at nominal parameters, and with each a step off; twice where these do not tell all.
 
-    Where two nominal runs differ by more than `NOISE_SHARE` of the stated uncertainties `sigma` (4,), see `_averaged`.
+    Where nominal runs differ by more than `NOISE_SHARE` of the uncertainties `sigma` (4,), see `_averaged`.
     """
     settings = runner.settings
     steps = {each.name: each.step for each in settings.parameters}
@@ -300,10 +300,10 @@ def _averaged(
     known: Mapping[tuple[str, float], FloatArray],
     scatter: FloatArray,
 ) -> Differences:
-    """Return the differences of a noisy simulator: every set of parameters is run `REPEATS` times and averaged.
+    """Return a noisy simulator's differences: the mean of `REPEATS` runs at each set of parameters.
 
-    A step that the scatter (4,) hides is enlarged and taken to both sides, half of the runs each: what bends is alike
-    on both. `known`: runs of each parameter a step off.
+    A step that the scatter (4,) hides is enlarged and taken to both sides, half of the runs each: bends are alike on
+    both. `known`: runs a step off.
     """
     settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
     size = dict[str, float]()
@@ -326,7 +326,7 @@ def _averaged(
     for at, tables in sets.items():
         tables += [next(results) for _ in range(len(tables), counts[at])]
     within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
-    # of each run by itself: that of a heading grows with the way
+    # by run: a heading's grows with the way
     scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets)))
     means = {at: averaged(tables) for at, tables in sets.items()}
     middle = means["", 0.0]
@@ -341,7 +341,7 @@ def _averaged(
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
     """Return whether tables, the nominal one first, show that the simulator repeats itself.
 
-    Each number recurs exactly with some parameter a step off, with digits fine enough to show a scatter.
+    Each number recurs exactly with some parameter off, at digits fine enough for a scatter.
     """
     whole = np.stack(tables)
     for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
@@ -358,13 +358,13 @@ def _off(settings: SimulatorSettings, name: str, step: float) -> Job:
 
 
 def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> float:
-    """Return the step at which a parameter changes some channel by `CLEAR_CHANGE` of the scatter, within its largest.
+    """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter, within its largest.
 
-    `change` (n_runs, 4), by the declared step, holds the scatter of two runs.
+    `change`: (n_runs, 4), by the declared step, with the scatter of two runs.
     """
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
-    # to either side, and of a length not to nothing
+    # to either side, a length not to nothing
     most = max(min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf) / abs(each.step), 1.0)
     return each.step * min(max(CLEAR_CHANGE / shown, 1.0) if shown > 0.0 else most, most)
 

@@ -1,4 +1,4 @@
-"""Read ``SIM.toml``: the command of the user's simulator and the parameters that it can be given."""
+"""Read ``SIM.toml``: the user's simulator's command and parameters."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from calib.gap.effects.simulator import SIMULATOR_PREFIX
 from calib.io import sha256_file, write_bytes
 from calib.types import FloatArray
 
-#: what the command has to name: each is replaced by a path
+#: paths that the command has to name
 PLACES: Final = ("{campaign}", "{parameters}", "{out}")
-#: a parameter's typical deviation over the largest plausible one, as the library has it for radii and track
+#: typical over largest plausible deviation, as the library's for radii and track
 TYPICAL_SHARE: Final = 0.1
-#: a simulator with more is told which of them matter: every one costs a run of it
+#: most parameters of a simulator: each costs a run of it
 MOST_PARAMETERS: Final = 200
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.:/\-]{0,79}$")]
@@ -50,12 +50,12 @@ class Declared(BaseModel):
 
     @property
     def parameter(self) -> Parameter:
-        """The deviation from the nominal value, as the inference takes it."""
+        """The deviation from nominal, for the inference."""
         return Parameter(self.name, self.unit, TYPICAL_SHARE * self.largest, self.largest, self.sign)
 
     @property
     def family(self) -> Family:
-        """That of the effect which it stands for: other laws of the family are then forms of one cause."""
+        """Of the effect that it stands for, whose other laws are then forms of one cause."""
         return REGISTRY[self.effect].family if self.effect else Family.SIMULATOR
 
 
@@ -64,21 +64,21 @@ class SimulatorSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    #: arguments with the places of `PLACES`; no shell
+    #: arguments with `PLACES`; no shell
     command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
     timeout_s: PositiveFloat = 600.0  #: of one run
-    inputs: tuple[str, ...] = ()  #: further files whose change makes results stale, relative to the file
+    inputs: tuple[str, ...] = ()  #: further files, relative to this, whose change makes results stale
     parameters: Annotated[tuple[Declared, ...], Field(min_length=1, max_length=MOST_PARAMETERS, alias="parameter")]
     _path: Path = PrivateAttr()
 
     @property
     def path(self) -> Path:
-        """Path of the file; the command runs in its folder."""
+        """Of the file; the command runs in its folder."""
         return self._path
 
     @property
     def by_cause(self) -> dict[str, Declared]:
-        """The parameters by the id of the cause that they are."""
+        """Parameters by the id of their cause."""
         return {SIMULATOR_PREFIX + each.name: each for each in self.parameters}
 
     @property
@@ -120,11 +120,11 @@ def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:
     return None
 
 
-#: what a simulator may predict, in the order of the channels: distance, x, y, heading
+#: predictions in the order of the channels: distance, x, y, heading
 COLUMNS: Final = ("sim_distance_m", "sim_x_m", "sim_y_m", "sim_theta_rad")
-#: a run that ends further off, in metres or radians, has diverged
+#: metres or radians of a run that has diverged
 LARGEST: Final = 1e6
-#: of a table of 100 000 runs; what is larger is no table of end poses
+#: of a table of 100 000 runs; larger is no table of end poses
 MOST_BYTES: Final = 32 << 20
 
 
@@ -133,7 +133,7 @@ class BadTableError(ValueError):
 
 
 def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
-    """Return the simulated (distance, x, y, heading) of each run, (n_runs, 4); NaN where nothing is written.
+    """Return runs' simulated (distance, x, y, heading), (n_runs, 4); NaN where not written.
 
     Rows of other runs are passed over. Raises BadTableError.
     """
@@ -184,7 +184,7 @@ def _number(text: str, name: str, run_id: str) -> float:
     return value
 
 
-#: what a simulator writes wrongly -> (x, y, heading), each from which of these and times what, and what to write
+#: what is written wrongly -> (x, y, heading), each from which and times what, and what to write
 _MILLI, _DEGREE = 1e-3, math.pi / 180.0
 _BLUNDERS: Final = {
     "millimetres; write metres": ((0, 1, 2), (_MILLI, _MILLI, 1.0)),
@@ -202,17 +202,16 @@ _BLUNDERS: Final = {
 
 
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
-    """Return in words what a simulator writes wrongly; empty where its ends are roughly those of the logged counts.
+    """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
 
     Parameters
     ----------
     table : array, shape (n_runs, 4)
         Ends (distance, x, y, heading) at the nominal parameters.
     own : array, shape (n_runs, 4)
-        Those that the campaign's model makes of the counts.
+        By the campaign's model and the counts.
     most : float
-        Share of the way and of the turn by which these may differ on average: vehicles differ by less, blunders by
-        more.
+        Share of way and turn by which these may differ on average: vehicles differ by less, blunders by more.
     """
     length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
 
@@ -229,13 +228,13 @@ def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
     return best if left[best] < most else ""
 
 
-#: what a file is; another number makes what was kept worthless
+#: of a file; another makes kept ones worthless
 FORMAT: Final = "calib-simulator-run/1"
 
 
 @dataclass(frozen=True, slots=True)
 class RunCache:
-    """A folder of results, one file a run; each is written whole or not at all, a damaged one is as good as none."""
+    """A folder of results, a file per run, written whole or not at all; a damaged one is none."""
 
     folder: Path | None  #: None where nothing is kept
     depends: str  #: digest of the command, the simulator's files and the campaign's
@@ -246,7 +245,7 @@ class RunCache:
         return None if self.folder is None else self.folder / name[:2] / f"{name}.json"
 
     def get(self, parameters: Mapping[str, float], repeat: int, run_ids: Sequence[str]) -> FloatArray | None:
-        """Return what a run simulated, shape (n_runs, 4); None where nothing whole is kept."""
+        """Return what a run simulated, (n_runs, 4); None where nothing whole is kept."""
         path = self._path(parameters, repeat)
         try:
             document = json.loads(b"" if path is None else path.read_bytes())
@@ -258,7 +257,7 @@ class RunCache:
         return values
 
     def put(self, parameters: Mapping[str, float], repeat: int, run_ids: Sequence[str], values: FloatArray) -> None:
-        """Keep what a run simulated; where that cannot be done it runs again the next time."""
+        """Keep what a run simulated; if that fails it runs again."""
         path = self._path(parameters, repeat)
         if path is None:
             return
@@ -269,9 +268,9 @@ class RunCache:
 
 
 def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:
-    """Return the cache of a simulator on a campaign.
+    """Return a simulator's cache on a campaign.
 
-    Results depend on the command, on the files that it names or that ``inputs`` lists, and on the campaign's files.
+    Results depend on the command, files that it or ``inputs`` names, and the campaign's.
     """
     folder = settings.path.resolve().parent
     files = {part: folder / part for part in settings.command if "{" not in part}
