@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import GYRO_SIGMA, GYRO_TURN
+from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
@@ -136,7 +136,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
-    return Setup(campaign, model, per_rad, observation.poses_are_in_a_map(campaign), stands_in)
+    return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:

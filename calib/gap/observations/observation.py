@@ -147,9 +147,6 @@ def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> 
 
 #: a log needs so many poses for a reference of its own
 MIN_POSES: Final = 3
-#: a first pose so far from zero, in stated uncertainties, was not taken in the frame of the run's start
-MAP_START_SIGMAS: Final = 8.0
-MAP_START_M, MAP_START_RAD = 0.01, 0.02
 #: a course is taken over at least so many stated uncertainties of a position
 COURSE_SIGMAS: Final = 100.0
 #: over no more than this share of the run
@@ -222,23 +219,6 @@ def _turned(vector: FloatArray, angle: float) -> FloatArray:
 def relative_pose(first: FloatArray, last: FloatArray) -> FloatArray:
     """Return a pose (x, y, heading) as seen from another."""
     return np.asarray(in_frame((last - first)[:, None], first[2:])[0])
-
-
-def poses_are_in_a_map(campaign: Campaign) -> bool:
-    """Return whether the logs' poses stand in one frame for all runs: so stated, or runs do not begin at zero."""
-    reference, logs = campaign.reference, campaign.logs
-    if reference.frame is not None:
-        return reference.frame == "map"
-    x, y, heading = (logs.columns.get(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"))
-    if x is None or y is None:
-        return False
-    far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)
-    bent = max(MAP_START_RAD, MAP_START_SIGMAS * reference.sigma_theta_rad)
-    # a reference that only begins on the way says nothing of the run's start
-    first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
-    turned = np.zeros(len(first)) if heading is None else np.nan_to_num(np.abs(heading[first]))
-    away = np.hypot(x[first], y[first])
-    return bool((np.isfinite(away) & ((away > far) | (turned > bent))).any())
 
 
 def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePoses | None:
