@@ -13,13 +13,13 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import poses_are_in_a_map
-from calib.campaign.settings import OdometryModel, Reference
+from calib.campaign.settings import OdometryModel
 from calib.campaign.wheels import ASIDE, STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
 from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.poses import PoseErrors, Poses, pose_errors
+from calib.odometry.poses import PoseErrors, Poses, pose_errors, poses_of_vehicle
 from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
@@ -113,8 +113,8 @@ def replay(
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
     carried = carried_loads_N(chosen)
     by_geometry = without_rear_wheels(chosen)
-    reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
-    reference = of_vehicle(reference, coefficients.sensor(chosen.reference))
+    read = np.stack([runs.number(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")], axis=1)
+    reference = Poses.from_stacked(poses_of_vehicle(read, coefficients.sensor(chosen.reference), in_map=False))
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
     in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
@@ -263,17 +263,6 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     heading = poses.theta_rad - half
     x, y = since_start(-chord * np.sin(heading), offsets), since_start(chord * np.cos(heading), offsets)
     return Poses(poses.x_m + x, poses.y_m + y, poses.theta_rad), np.hypot(ahead, aside)
-
-
-def of_vehicle(ends: Poses, sensor: Reference) -> Poses:
-    """Return end poses of the reference's sensor, since its own start, as the vehicle's: V = X S X^-1.
-
-    The sensor's place on the vehicle is X.
-    """
-    x, y, yaw = sensor.sensor_x_m, sensor.sensor_y_m, sensor.sensor_yaw_rad
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    back = Poses.from_stacked([-cosine * x - sine * y, sine * x - cosine * y, -yaw])
-    return back.moved(ends.moved(Poses.from_stacked([x, y, yaw])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

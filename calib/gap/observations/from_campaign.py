@@ -18,6 +18,7 @@ from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble
 from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
+from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray
 
 #: with fewer runs than this, recordings are cut into windows
@@ -211,7 +212,7 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     # an end pose in a map says nothing without the pose at the start
     names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
     read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
-    pose = observation.poses_of_vehicle(read, campaign.reference, in_map=False)[0]
+    pose = poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)

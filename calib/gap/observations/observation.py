@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
-from calib.campaign.settings import Encoder, OdometryModel, Reference
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
+from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray, in_frame
 
 #: steps of a thinned log; the arcs between are exact for what the wheels rolled
@@ -262,24 +263,6 @@ def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> Float
     ds, turn = 0.5 * np.diff(left_m + right_m), np.diff(right_m - left_m) / track_m
     mid = np.cumsum(turn) - 0.5 * turn
     return np.vstack([np.zeros(3), np.cumsum(np.stack([ds * np.cos(mid), ds * np.sin(mid), turn], axis=1), axis=0)])
-
-
-def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
-    """Turn poses of the sensor (n, 3) into poses of the vehicle.
-
-    In a map they are poses of the sensor; else the sensor's motion since its own start pose, V = X S X^-1 with the
-    sensor's place X on the vehicle. A position without a heading stays as it is where the sensor sits on the axle, and
-    cannot be used elsewhere.
-    """
-    place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
-    if place == 0.0 and yaw == 0.0:
-        return sensor
-    at, heading = sensor[:, 0] + 1j * sensor[:, 1], sensor[:, 2] - yaw
-    if not in_map:
-        at, heading = place + np.exp(1j * yaw) * at, sensor[:, 2]
-    if place != 0.0:
-        at = at - np.exp(1j * heading) * place
-    return np.stack([at.real, at.imag, heading], axis=1)
 
 
 def step_array(n_steps: int) -> FloatArray:
