@@ -83,7 +83,7 @@ def replay(campaign: CampaignLike, law: Fit | Geometry, *, scheme: str = "exact"
     Raises
     ------
     RefusedError
-        Where no run can be replayed.
+        Where no run can be replayed, or the law is of another vehicle.
     """
     from calib.coefficients.build import from_fit, from_geometry
 

@@ -41,6 +41,9 @@ CLOSED: Final = "closed"
 STANDSTILL_S: Final = 0.5
 #: a closed loop whose wheels turn further off whole turns is doubtful
 WHOLE_TURN_RAD: Final = 0.8
+#: a first pose so far from zero, in stated uncertainties, was not taken in the frame of the run's start
+MAP_START_SIGMAS: Final = 8.0
+MAP_START_M, MAP_START_RAD = 0.01, 0.02
 
 
 def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, progress: Progress = silent) -> Campaign:
@@ -272,6 +275,23 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
     text = f"{int(empty.sum())} closed loop(s) end at x = y = 0 and whole turns"
     border.say(f"{shown}, column loop", text, "closed_loop")
     return replace(campaign, runs=replace(runs, numbers={**runs.numbers, **filled}))
+
+
+def poses_are_in_a_map(campaign: Campaign) -> bool:
+    """Return whether the logs' poses stand in one frame for all runs: so stated, or runs do not begin at zero."""
+    reference, logs = campaign.reference, campaign.logs
+    if reference.frame is not None:
+        return reference.frame == "map"
+    x, y, heading = (logs.columns.get(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"))
+    if x is None or y is None:
+        return False
+    far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)
+    bent = max(MAP_START_RAD, MAP_START_SIGMAS * reference.sigma_theta_rad)
+    # a reference that only begins on the way says nothing of the run's start
+    first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
+    turned = np.zeros(len(first)) if heading is None else np.nan_to_num(np.abs(heading[first]))
+    away = np.hypot(x[first], y[first])
+    return bool((np.isfinite(away) & ((away > far) | (turned > bent))).any())
 
 
 def _turn_by_wheels(campaign: Campaign) -> FloatArray:

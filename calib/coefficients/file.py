@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 
-from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel
+from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel, Reference
 from calib.campaign.wheels import STEERED
 from calib.coefficients import sections
 from calib.coefficients.quantities import Section, first_fault, validated
@@ -24,6 +24,9 @@ from calib.errors import BadFileError, BadInputError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from calib.campaign.model import Campaign
 
 FORMAT: Final = "calib-coefficients/1"
 
@@ -116,6 +119,41 @@ class CoefficientFile(Section):
     def together(self) -> dict[str, float]:
         """Value of each parameter estimated together; empty without a geometry."""
         return {} if self.joint_geometry is None else self.joint_geometry.values
+
+    def sensor(self, stated: Reference) -> Reference:
+        """Return the reference with its sensor where the geometry found it; as `stated` without one."""
+        places = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
+        x, y, yaw = (self.together.get(name, getattr(stated, name)) for name in places)
+        return replace(stated, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw)
+
+    def refuse_other_vehicle(self, campaign: Campaign) -> None:
+        """Raise RefusedError where the file was made for another vehicle than the campaign's.
+
+        Drive and counts a revolution are stated; radii and track may differ as far as calibration moves them.
+        """
+        from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE, implausible
+
+        own, theirs, encoder = self.geometry, campaign.vehicle, campaign.encoder
+        found = []
+        # a skid-steered vehicle drives like a differential one
+        if own.drive != theirs.drive and {own.drive, theirs.drive} != {"differential", "skid"}:
+            found.append(f"drive {own.drive} (not {theirs.drive})")
+        # a front wheel with counts of its own needs none of the rear wheels
+        for name in ("counts_per_rev_left", "counts_per_rev_right") if encoder.counts_per_rev_front is None else ():
+            one, other = getattr(self.encoder, name).value, getattr(encoder, name)
+            if not math.isclose(one, other):
+                found.append(f"{name} {one:.10g} (not {other:.10g})")
+        lengths = [("wheel_radius_m", wheel.radius_ref.value, PLAUSIBLE_CHANGE) for _, wheel in self.wheels]
+        # four mecanum wheels turn about their length and width, not about a track
+        lengths += [("track_m", own.track_m, PLAUSIBLE_TRACK_CHANGE)] if theirs.drive != "mecanum" else []
+        for name, value, most in lengths if self.accepted_implausible is None else ():
+            if implausible(name, value / getattr(theirs, name), most, theirs.drive):
+                found.append(f"{name} {value:.4g} (not {getattr(theirs, name):.4g})")
+        if found:
+            raise RefusedError(
+                f"coefficients of {self.name}: found {', '.join(dict.fromkeys(found))}; expected the vehicle of "
+                f"{campaign.name}; give coefficients of this vehicle, or correct campaign.toml"
+            )
 
     def _joint(self) -> FloatArray | None:
         together = self.joint_geometry

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.campaign.settings import Reference
 from calib.errors import BadFileError, BadInputError
 from calib.io import write_text
 from calib.radius.law import JOINT
@@ -103,6 +104,24 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
         global_x_m=np.asarray(dx),
         global_y_m=np.asarray(dy),
     )
+
+
+def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
+    """Turn poses of the sensor (n, 3) into poses of the vehicle.
+
+    In a map they are poses of the sensor; else the sensor's motion since its own start pose, V = X S X^-1 with the
+    sensor's place X on the vehicle. A position without a heading stays as it is where the sensor sits on the axle, and
+    cannot be used elsewhere.
+    """
+    place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
+    if place == 0.0 and yaw == 0.0:
+        return sensor
+    at, heading = sensor[:, 0] + 1j * sensor[:, 1], sensor[:, 2] - yaw
+    if not in_map:
+        at, heading = place + np.exp(1j * yaw) * at, sensor[:, 2]
+    if place != 0.0:
+        at = at - np.exp(1j * heading) * place
+    return np.stack([at.real, at.imag, heading], axis=1)
 
 
 def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import poses_are_in_a_map
 from calib.campaign.settings import OdometryModel
 from calib.campaign.wheels import ASIDE, STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
 from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, integrate
-from calib.odometry.poses import PoseErrors, Poses, pose_errors
+from calib.odometry.poses import PoseErrors, Poses, pose_errors, poses_of_vehicle
 from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
@@ -101,18 +102,19 @@ def replay(
     `rng`: for the bootstrap; `runtime_runs`: how many runs the runtime is fed. Raises RefusedError where no run has a
     log, a reference end pose and wheel loads within the valid range.
     """
+    coefficients.refuse_other_vehicle(campaign)
     chosen, left_out, notes = _usable(campaign, coefficients.law)
     if not len(chosen.runs):
         reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count) or "no runs"
         raise RefusedError(
             f"{campaign.name}: no run can be replayed ({reasons}); expected runs with a log, a reference end pose and "
-            "wheel loads; log counts and measure ref_x_m, ref_y_m, ref_theta_rad"
+            "wheel loads; log counts and ref_x_m, ref_y_m, ref_theta_rad, in a map at both ends"
         )
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
     carried = carried_loads_N(chosen)
     by_geometry = without_rear_wheels(chosen)
-    reference = Poses(runs.number("ref_x_m"), runs.number("ref_y_m"), runs.number("ref_theta_rad"))
-    reference = of_vehicle(reference, coefficients) if by_geometry else reference
+    read = np.stack([runs.number(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")], axis=1)
+    reference = Poses.from_stacked(poses_of_vehicle(read, coefficients.sensor(chosen.reference), in_map=False))
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
     in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
@@ -202,12 +204,16 @@ def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray)
 
 
 def with_end_poses(campaign: Campaign) -> Campaign:
-    """Return the campaign with the end poses that its logs' own references say, where a row has none."""
+    """Return the campaign with the end poses that its logs' own references say, where a row has none.
+
+    In a map a row's end pose says nothing without the pose at the start, which the log alone has.
+    """
     columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, ("ref_x_m", "ref_y_m", "ref_theta_rad")
-    if not set(names) <= columns.keys():
-        return campaign
     ends = np.stack([campaign.runs.number(name) for name in names])
-    for run in np.flatnonzero(campaign.logs.present & np.isnan(ends).all(axis=0)):
+    if poses_are_in_a_map(campaign.included()):
+        ends[:] = np.nan
+    logged = set(names) <= columns.keys()
+    for run in np.flatnonzero(campaign.logs.present & np.isnan(ends).all(axis=0) & logged):
         poses = np.stack([columns[name][offsets[run] : offsets[run + 1]] for name in names])
         if np.isfinite(poses[:, [0, -1]]).all():
             poses[2] = unwrapped(poses[2])
@@ -257,17 +263,6 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     heading = poses.theta_rad - half
     x, y = since_start(-chord * np.sin(heading), offsets), since_start(chord * np.cos(heading), offsets)
     return Poses(poses.x_m + x, poses.y_m + y, poses.theta_rad), np.hypot(ahead, aside)
-
-
-def of_vehicle(ends: Poses, coefficients: CoefficientFile) -> Poses:
-    """Return end poses of the reference's sensor, since its own start, as the vehicle's: V = X S X^-1.
-
-    The geometry of the coefficient file says where on the vehicle the sensor sits, X.
-    """
-    x, y, yaw = (coefficients.together.get(name, 0.0) for name in ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad"))
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    back = Poses.from_stacked([-cosine * x - sine * y, sine * x - cosine * y, -yaw])
-    return back.moved(ends.moved(Poses.from_stacked([x, y, yaw])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

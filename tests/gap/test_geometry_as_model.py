@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import model_of, with_sensor_of
@@ -50,7 +51,8 @@ def test_a_file_without_a_geometry_leaves_the_sensor_as_stated(
 ) -> None:
     from calib.coefficients.build import coefficients_of
 
+    crossed = project_root / "sample_runs" / "corridor_crossed"
     path = tmp_path / "law.json"
-    path.write_bytes(coefficients_of(project_root / "sample_runs" / "corridor_crossed").file.to_bytes())
+    path.write_bytes(coefficients_of(crossed).file.to_bytes())
     assert with_sensor_of(path, driven).reference == driven.reference
-    assert model_of(path, driven)[1] == ()
+    assert model_of(path, read_campaign(crossed))[1] == ()

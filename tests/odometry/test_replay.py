@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
+from calib.campaign.settings import Reference
 from calib.campaign.tables import write_campaign
 from calib.coefficients.build import coefficients_of
 from calib.coefficients.file import CoefficientFile
+from calib.coefficients.sections import GeometrySection, Quantity
+from calib.errors import RefusedError
+from calib.gap.effects.applied import model_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.odometry.integrate import end_poses
+from calib.odometry.poses import Poses
 from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts
 from tests.campaign.making import with_log_columns, with_numbers
 
+POSES = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 LADEN_N = (900.0, 400.0)
 
 
@@ -68,6 +76,78 @@ def test_radii_follow_the_load_that_the_log_says(campaign: Campaign, coefficient
     assert found.rms_m["constant"] > 0.05
     assert found.runtime.faults == {}
     assert found.runtime.largest_difference_m < 1e-9  # what both promise
+
+
+@pytest.mark.parametrize("frame", ["start", "map"])
+def test_the_frame_and_the_sensors_place_are_taken_out(
+    campaign: Campaign, coefficients: CoefficientFile, frame: Literal["start", "map"]
+) -> None:
+    """A sensor anywhere on the vehicle, whose poses begin at zero or stand in a map: the vehicle's way is the same."""
+    runs, logs = campaign.runs, campaign.logs
+    driven = Poses(*(runs.number(name) for name in POSES))
+    x, y, yaw = 0.3, 0.1, 0.4
+    place = Poses.from_stacked([x, y, yaw])
+    # in a map each run starts elsewhere; the sensor's own start is zero else
+    at = Poses.from_stacked([[3.0 * run, -2.0, 1.0 + run] for run in range(4)])
+    first = place.moved(at) if frame == "map" else Poses.from_stacked(np.zeros((4, 3)))
+    c, s = np.cos(yaw), np.sin(yaw)
+    back = Poses.from_stacked([-c * x - s * y, s * x - c * y, -yaw])
+    last = place.moved(driven).moved(at if frame == "map" else back)
+    columns = {name: np.full(int(logs.offsets[-1]), np.nan) for name in POSES}
+    for poses, rows in ((first, logs.offsets[:-1]), (last, logs.offsets[1:] - 1)):
+        for name, values in zip(POSES, poses.stacked().T, strict=True):
+            columns[name][rows] = values
+    rows = dict(zip(POSES, last.stacked().T, strict=True))
+    reference = replace(campaign.reference, frame=frame, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw)
+    made = replace(with_numbers(campaign, **rows), reference=reference)
+    found = replay(with_log_columns(made, **columns), coefficients, rng=np.random.default_rng(0))
+    assert found.rms_m["corrected"] < 1e-9
+    if frame == "map":
+        with pytest.raises(RefusedError, match="in a map at both ends"):
+            replay(made, coefficients, rng=np.random.default_rng(0))
+
+
+def test_the_geometry_says_where_the_sensor_sits(coefficients: CoefficientFile) -> None:
+    reference = Reference(sensor_x_m=0.5, sensor_yaw_rad=0.1)
+    assert coefficients.sensor(reference) == reference
+    parameters = {name: Quantity(value=2.0, unit=unit) for name, unit in (("sensor_x_m", "m"), ("track_m", "m"))}
+    section = GeometrySection(drive="tricycle", source="rear", parameters=parameters, covariance=[])
+    found = coefficients.changed(joint_geometry=section.model_dump(mode="json")).sensor(reference)
+    assert found == replace(reference, sensor_x_m=2.0)
+
+
+OTHERS: dict[str, dict[str, Any]] = {
+    "counts_per_rev_right 4096 (not 4000)": {"counts_per_rev_right": 4000.0},
+    "drive tricycle (not differential)": {"drive": "differential"},
+    "wheel_radius_m 0.1": {"wheel_radius_m": 0.08},
+    "track_m 0.7 (not 0.52)": {"track_m": 0.52},
+}
+
+
+@pytest.mark.parametrize("named", OTHERS)
+def test_coefficients_of_another_vehicle_are_refused(
+    campaign: Campaign, coefficients: CoefficientFile, named: str, tmp_path: Path
+) -> None:
+    """Else the arrays, by the campaign's vehicle, and the runtime, by the file's, end metres apart."""
+    changes = OTHERS[named]
+    part = "encoder" if "counts_per_rev_right" in changes else "vehicle"
+    other = replace(campaign, **{part: replace(getattr(campaign, part), **changes)})
+    path = tmp_path / "c.json"
+    path.write_bytes(coefficients.to_bytes())
+    with pytest.raises(RefusedError, match=re.escape(named)):
+        replay(other, coefficients, rng=np.random.default_rng(0))
+    with pytest.raises(RefusedError, match="give coefficients of this vehicle"):
+        model_of(path, other)
+
+
+def test_what_calibration_moves_is_no_other_vehicle(campaign: Campaign, coefficients: CoefficientFile) -> None:
+    vehicle = replace(campaign.vehicle, track_m=0.6, wheel_radius_m=0.095)
+    coefficients.refuse_other_vehicle(replace(campaign, vehicle=vehicle))
+    skid = coefficients.changed(vehicle=coefficients.to_dict()["vehicle"] | {"drive": "differential"})
+    skid.refuse_other_vehicle(replace(campaign, vehicle=replace(vehicle, drive="skid", track_m=0.3)))
+    # lengths that a user accepted are not doubted again
+    accepted = coefficients.accepted("a test", ["found a radius"])
+    accepted.refuse_other_vehicle(replace(campaign, vehicle=replace(vehicle, wheel_radius_m=0.05)))
 
 
 def test_a_load_out_of_range_on_the_way_takes_the_run_out(campaign: Campaign, coefficients: CoefficientFile) -> None:

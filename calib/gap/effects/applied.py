@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 #: settings of where a covariate's effect is zero
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"
-#: parameters of a geometry: where the reference's sensor sits, and by how much it reads late
-PLACE: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
+#: parameter of a geometry: by how much the reference reads late
 DELAY: Final = "delay_s"
 
 
@@ -40,6 +39,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, t
     from calib.coefficients.file import believed_model, load_coefficients
 
     file = load_coefficients(path)
+    file.refuse_other_vehicle(campaign)
     return believed_model(file, campaign.model.reference_load_N), (*file.effects, *_delay_of(file))
 
 
@@ -50,12 +50,7 @@ def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
     """
     from calib.coefficients.file import load_coefficients
 
-    together = load_coefficients(path).joint_geometry
-    if together is None:
-        return campaign
-    own = campaign.reference
-    x, y, yaw = (together.values.get(name, getattr(own, name)) for name in PLACE)
-    return replace(campaign, reference=replace(own, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw))
+    return replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
 
 
 def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import GYRO_SIGMA, GYRO_TURN
+from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
@@ -18,6 +18,7 @@ from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble
 from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
+from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray
 
 #: fewer runs are cut into windows
@@ -136,7 +137,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
-    return Setup(campaign, model, per_rad, observation.poses_are_in_a_map(campaign), stands_in)
+    return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
@@ -208,7 +209,7 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     # an end pose in a map means nothing without the start
     names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
     read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
-    pose = observation.poses_of_vehicle(read, campaign.reference, in_map=False)[0]
+    pose = poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)

@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
-from calib.campaign.settings import Encoder, OdometryModel, Reference
+from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
+from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray, in_frame
 
 #: steps of a thinned log; arcs between are exact for the wheels
@@ -144,9 +145,6 @@ def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> 
 
 #: poses of a log's own reference, at least
 MIN_POSES: Final = 3
-#: stated uncertainties from zero of a first pose in another frame than the run's start
-MAP_START_SIGMAS: Final = 8.0
-MAP_START_M, MAP_START_RAD = 0.01, 0.02
 #: least way of a course, in stated uncertainties of a position
 COURSE_SIGMAS: Final = 100.0
 #: its largest share of the run
@@ -221,23 +219,6 @@ def relative_pose(first: FloatArray, last: FloatArray) -> FloatArray:
     return np.asarray(in_frame((last - first)[:, None], first[2:])[0])
 
 
-def poses_are_in_a_map(campaign: Campaign) -> bool:
-    """Return whether poses of all runs stand in one frame: so stated, or none begin at zero."""
-    reference, logs = campaign.reference, campaign.logs
-    if reference.frame is not None:
-        return reference.frame == "map"
-    x, y, heading = (logs.columns.get(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"))
-    if x is None or y is None:
-        return False
-    far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)
-    bent = max(MAP_START_RAD, MAP_START_SIGMAS * reference.sigma_theta_rad)
-    # a reference that begins on the way tells nothing of the start
-    first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
-    turned = np.zeros(len(first)) if heading is None else np.nan_to_num(np.abs(heading[first]))
-    away = np.hypot(x[first], y[first])
-    return bool((np.isfinite(away) & ((away > far) | (turned > bent))).any())
-
-
 def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePoses | None:
     """Return the vehicle's poses by a log's reference; None if too few."""
     reference, model, per_rad = setup.campaign.reference, setup.model, setup.per_rad
@@ -279,23 +260,6 @@ def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> Float
     ds, turn = 0.5 * np.diff(left_m + right_m), np.diff(right_m - left_m) / track_m
     mid = np.cumsum(turn) - 0.5 * turn
     return np.vstack([np.zeros(3), np.cumsum(np.stack([ds * np.cos(mid), ds * np.sin(mid), turn], axis=1), axis=0)])
-
-
-def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
-    """Turn poses of the sensor (n, 3) into poses of the vehicle.
-
-    In a map of the sensor; else its motion since its start, V = X S X^-1 with its place X on the vehicle. A position
-    without heading stays if the sensor is on the axle, and cannot be used elsewhere.
-    """
-    place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
-    if place == 0.0 and yaw == 0.0:
-        return sensor
-    at, heading = sensor[:, 0] + 1j * sensor[:, 1], sensor[:, 2] - yaw
-    if not in_map:
-        at, heading = place + np.exp(1j * yaw) * at, sensor[:, 2]
-    if place != 0.0:
-        at = at - np.exp(1j * heading) * place
-    return np.stack([at.real, at.imag, heading], axis=1)
 
 
 def step_array(n_steps: int) -> FloatArray:
