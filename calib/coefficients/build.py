@@ -16,18 +16,18 @@ from numpy.typing import ArrayLike
 
 from calib import __version__
 from calib.campaign.model import Campaign
-from calib.campaign.settings import Encoder, OdometrySource
+from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import formats, sections
-from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients, sealed
-from calib.coefficients.formats import WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
+from calib.coefficients.file import FORMAT, CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
-from calib.vehicle import Drive, Vehicle
+from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
@@ -223,7 +223,7 @@ def from_geometry(
 
 
 def joint_section(
-    drive: Drive, source: OdometrySource, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
+    drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
 ) -> GeometrySection:
     """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
     suffixes = sorted(UNITS, key=len)
@@ -372,5 +372,6 @@ def export(
     module, _, function = formats.FORMATS[to].partition(".")
     render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
     first, *more = render(file, chosen)
-    notes = assumed_note(file) if to in WITH_NOISE else ()
+    notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
+    notes += assumed_note(file) if to in WITH_NOISE else ()
     return (replace(first, notes=(*first.notes, *notes)), *more)
