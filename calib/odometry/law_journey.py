@@ -116,19 +116,9 @@ def law_journey(
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
-    single = band == "prediction"
     wheels = (law.left, law.right)
-    dof = [float(w.dof_of(w.contrast(load), single_run=single)) for w, load in zip(wheels, loads_N, strict=True)]
     mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
-    spread = law.covariance_at(loads_N, single_run=single)
-    root = np.diag(np.sqrt(np.diag(spread)))[:, :2]
-    if law.joint is not None:
-        # one fit, one scale of its covariance
-        dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
-        root = axes * np.sqrt(np.maximum(sizes, 0.0))
-    # a radius whose standard uncertainty was itself estimated follows Student's t
-    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
-    off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
+    root, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
     scattered = Axle(mean[0] + off[0], mean[1] + off[1], track_m + off[2])
     end = route.poses()[-1]
     distance, square, intervals = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, dict[str, Interval]]()
@@ -169,6 +159,29 @@ def law_journey(
         journeys_ratio=(each[0], each[1], each[2]),
         draws=draws,
     )
+
+
+def _scatter(
+    law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
+    """Return a root of the covariance of radii and track, drawn scales of it with their degrees of freedom, and errors.
+
+    Root (3, k), scales (1 or 2, draws) and errors (3, draws): wheels fitted apart have a scale each, else there is one.
+    """
+    dof = [
+        float(w.dof_of(w.contrast(load), single_run=single))
+        for w, load in zip((law.left, law.right), loads_N, strict=True)
+    ]
+    spread = law.covariance_at(loads_N, single_run=single)
+    root = np.diag(np.sqrt(np.diag(spread)))[:, :2]
+    if law.joint is not None:
+        # one fit, one scale of its covariance
+        dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
+        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    # a radius whose standard uncertainty was itself estimated follows Student's t
+    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
+    off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
+    return root, scale, dof, off
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
