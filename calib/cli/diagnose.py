@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Text, Texts, arg, opt
@@ -100,6 +100,7 @@ def _apply(
     Returns the step that it was, empty where what the diagnosis leads to holds, None where the gap leaves nothing to
     write. `effects`: those that the model has; None for a simulator, of which the parameters to set are written.
     """
+    from calib.coefficients.file import effects_left_out, fitted_beside
     from calib.gap.apply import applied_model
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.simulator.fix import parameters_to_set
@@ -107,14 +108,20 @@ def _apply(
     if diagnosis.kind is VerdictKind.NO_GAP:
         terminal.say(f"{target} is not written: there is no gap, so the model stays as it is.")
         return ""
-    what, step = ("parameters are", "") if effects is None else ("model is", "diagnose --apply")
+    what, step, left_out = "parameters are", "", tuple[str, ...]()
     try:
-        known = effects or ()
-        made = parameters_to_set(diagnosis) if effects is None else applied_model(diagnosis, campaign, known).to_bytes()
+        if effects is None:
+            made: Any = parameters_to_set(diagnosis)
+        else:
+            model = applied_model(diagnosis, campaign, effects)
+            made, what, step = model.to_bytes(), "model is", "diagnose --apply"
+            left_out = fitted_beside(model) and effects_left_out(model, "not in a vehicle's runtime, ros2, c and csv")
     except RefusedError as refused:
         terminal.say(f"{target} is not written: {refused}.")
         return None
     terminal.save(target, made)
+    for text in left_out:
+        terminal.note(text)
     if diagnosis.recommended:
         return step
     terminal.say(f"The written {what} not recommended: see above what speaks against it.")

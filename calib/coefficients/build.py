@@ -19,12 +19,13 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import formats, sections
-from calib.coefficients.file import FORMAT, CoefficientFile, Outside, load_coefficients, sealed
-from calib.coefficients.formats import WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
+from calib.coefficients.file import FORMAT, CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
+from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
@@ -215,24 +216,28 @@ def from_geometry(
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
         noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"], assumed),
     )
-    file = file.changed(joint_geometry=_section(geometry))
+    names = [estimate.name for estimate in geometry.estimates]
+    together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
+    file = file.changed(joint_geometry=together)
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 
-def _section(geometry: Geometry) -> GeometrySection:
+def joint_section(
+    drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
+) -> GeometrySection:
+    """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
     suffixes = sorted(UNITS, key=len)
-    units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in geometry.values}
+    units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in values}
     entries = []
-    for row, column in combinations_with_replacement(range(len(geometry.estimates)), 2):
-        first, second = geometry.estimates[row].name, geometry.estimates[column].name
-        one, other = units[first], units[second]
+    for row, column in combinations_with_replacement(range(len(names)), 2):
+        one, other = units[names[row]], units[names[column]]
         unit = f"({one})^2" if one == other else f"({one})({other})"
-        covariance = Quantity.of(value=float(geometry.covariance[row, column]), unit=unit)
-        entries.append(sections.CovarianceEntry.of(first=first, second=second, covariance=covariance))
+        entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
+        entries.append(sections.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
     return GeometrySection.of(
-        drive=geometry.drive,
-        source=geometry.source,
-        parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in geometry.values.items()},
+        drive=drive,
+        source=source,
+        parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in values.items()},
         covariance=entries,
     )
 
@@ -367,5 +372,6 @@ def export(
     module, _, function = formats.FORMATS[to].partition(".")
     render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
     first, *more = render(file, chosen)
-    notes = assumed_note(file) if to in WITH_NOISE else ()
+    notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
+    notes += assumed_note(file) if to in WITH_NOISE else ()
     return (replace(first, notes=(*first.notes, *notes)), *more)

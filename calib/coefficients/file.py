@@ -245,12 +245,26 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
     return OdometryModel(left_m, right_m, file.geometry.track_m, reference_load_N, *slopes, front, mecanum)
 
 
+#: how the ids of effects begin that act on an instrument, not on the vehicle
+OF_INSTRUMENTS: Final = ("rangefinder_", "reference_", "beam_", "gyro_")
+
+
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
-    """Return one sentence that names the model's effects that `what` leaves out; nothing where there are none."""
+    """Return which of the model's effects `what` leaves out, and what that means; nothing where there are none."""
     if not file.effects:
         return ()
     names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
-    return (f"{what}: {names} of the model; its radius laws and its track alone are used",)
+    return (f"{what}: {names} of the model; its radius laws and its track alone are used", *fitted_beside(file))
+
+
+def fitted_beside(file: CoefficientFile) -> tuple[str, ...]:
+    """Return what a vehicle has to expect of radii fitted beside effects that act on it; nothing without any."""
+    if all(effect.effect.startswith(OF_INSTRUMENTS) for effect in file.effects):
+        return ()
+    return (
+        "radii and track were fitted together with these effects: without them a vehicle may err more than with the "
+        "model before; 'calib geometry' fits radii and track alone",
+    )
 
 
 def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import Header, PoseNoise, from_law, load_points
+from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
@@ -17,7 +17,7 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted
-from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Cause, Diagnosis
@@ -40,17 +40,24 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     observations = diagnosis.observations
     model = observations.model
     slopes, sections = _slopes_and_sections(fitted, diagnosis.corrected_causes)
+    # change of `JOINT` by what was fitted: the calibration's four first
+    by_fitted = np.zeros((len(JOINT), len(fitted.covariance)))
+    by_fitted[4, 2] = model.track_m
+    for row, side in ((0, "left"), (2, "right")):
+        by_fitted[row : row + 2, row // 2] = getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")
+        if side in slopes:
+            by_fitted[row + 1, slopes[side][1]] = 1.0
+    covariance = by_fitted @ fitted.covariance @ by_fitted.T
 
     def law(number: int, side: str) -> WheelLaw:
         grown = 1.0 + float(fitted.calibration[number])
         radius_m = getattr(model, f"radius_{side}_m") * grown
-        slope, variance = slopes[side]
-        load_N = observations.wheel_loads_N[number]
+        slope, load_N = slopes.get(side, (0.0, 0))[0], observations.wheel_loads_N[number]
         return WheelLaw(
             reference_load_N=model.reference_load_N,
             radius_ref_m=radius_m,
             slope_m_per_N=getattr(model, f"slope_{side}_m_per_N") * grown + slope,
-            covariance=np.diag([fitted.covariance[number, number] * radius_m**2, variance]),
+            covariance=covariance[2 * number :, 2 * number :][:2, :2],
             dof=max(float(diagnosis.noise.dof), 1.0),
             residual_std_m=float(diagnosis.noise.scales.get("radius_scatter", 0.0)) * radius_m,
             load_min_N=float(np.nanmin(load_N)),
@@ -58,34 +65,39 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
             n_runs=len(observations),
         )
 
-    return from_law(
-        RadiusLaw(left=law(0, "left"), right=law(1, "right")),
-        replace(observations.vehicle, track_m=model.track_m * (1.0 + float(fitted.calibration[2]))),
+    left, right, track_m = law(0, "left"), law(1, "right"), model.track_m * (1.0 + float(fitted.calibration[2]))
+    file = from_law(
+        RadiusLaw(left=left, right=right),
+        replace(observations.vehicle, track_m=track_m),
         campaign.encoder,
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(*observations.wheel_loads_N),
         effects=[*given, *sections],
-        noise=PoseNoise(track_std_m=float(np.sqrt(fitted.covariance[2, 2])) * model.track_m),
+        noise=PoseNoise(track_std_m=float(np.sqrt(covariance[4, 4]))),
     )
+    values = (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
+    known = np.flatnonzero(np.diag(covariance))
+    names, spread = [JOINT[k] for k in known], covariance[np.ix_(known, known)]
+    together = joint_section(file.vehicle.drive, "rear", dict(zip(JOINT, values, strict=True)), names, spread)
+    return file.changed(joint_geometry=together)
 
 
 def _slopes_and_sections(
     fitted: Fitted, causes: Sequence[Cause]
-) -> tuple[dict[str, tuple[float, float]], list[EffectSection]]:
-    """Return slope and its variance, by side, that the causes add to the law; the other causes written down."""
+) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
+    """Return slope and its row of the covariance, by side, that the causes add; the other causes written down."""
     named = {cause.effect for cause in causes}
-    slopes = {"left": (0.0, 0.0), "right": (0.0, 0.0)}
+    slopes: dict[str, tuple[float, int]] = {}
     sections: list[EffectSection] = []
-    # the covariance begins with the four of the calibration
-    variances = iter(np.diag(fitted.covariance)[4:])
+    first = len(fitted.calibration)
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        squares = [float(next(variances)) for _ in theta]
         kind = effect_class(form.effect)
         if form.effect in named and kind is not None and kind.carries_law_slope:
             sides = [parameter.name.removeprefix("slope_") for parameter in form.parameters]
-            slopes |= dict(zip(sides, zip(map(float, theta), squares, strict=True), strict=True))
+            slopes |= {side: (float(size), first + k) for k, (side, size) in enumerate(zip(sides, theta, strict=True))}
         elif form.effect in named:
             sections.append(section_of(form, theta))
+        first += len(theta)
     for cause in causes:
         kind = effect_class(cause.effect)
         if kind is not None and kind.found_before_search:

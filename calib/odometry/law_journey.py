@@ -106,7 +106,9 @@ def law_journey(
     draws: int,
     rng: np.random.Generator,
 ) -> Journey:
-    """Simulate a journey under a law of wheels taken as independent, without and with the correction; see `Journey`.
+    """Simulate a journey under a law, without and with the correction; see `Journey`.
+
+    Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
 
     `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
     uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
@@ -114,28 +116,26 @@ def law_journey(
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
-    single = band == "prediction"
-    pairs = [(wheel, wheel.contrast(load)) for wheel, load in zip((law.left, law.right), loads_N, strict=True)]
-    dof = [float(wheel.dof_of(at, single_run=single)) for wheel, at in pairs]
-    mean = [float(wheel.radius_m(load)) for (wheel, _), load in zip(pairs, loads_N, strict=True)]
-    std = np.array([math.hypot(wheel.std_of(at), single * wheel.residual_std_m) for wheel, at in pairs])
-    # a radius whose standard uncertainty was itself estimated follows Student's t
-    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
-    radii = np.array(mean)[:, None] + std[:, None] * scale * rng.standard_normal((2, draws))
-    reference = [float(wheel.radius_m(load)) for (wheel, _), load in zip(pairs, reference_N, strict=True)]
+    wheels = (law.left, law.right)
+    mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
+    root, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
+    scattered = Axle(mean[0] + off[0], mean[1] + off[1], track_m + off[2])
     end = route.poses()[-1]
     distance, square, intervals = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, dict[str, Interval]]()
     for name, believed in (("without", reference), ("corrected", mean)):
         axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
-        errors = pose_errors(end_of_route(route, axle, Axle(radii[0], radii[1], track_m)), end)
+        errors = pose_errors(end_of_route(route, axle, scattered), end)
         centre = pose_errors(end_of_route(route, axle, real), end)
-        slopes = _end_jacobian(route, axle, real, float(end.theta_rad))
+        # shape (5, 2), of each wheel; (5, 1) of what was fitted together
+        slopes = _end_jacobian(route, axle, real, float(end.theta_rad)) @ root
+        if law.joint is not None:
+            slopes = np.linalg.norm(slopes, axis=1, keepdims=True)
         distance[name] = errors.distance_m
         # squared distance to the end, expected for a given scatter: at the fit's, and at each draw's
-        by_wheel = (slopes[3:] ** 2).sum(axis=0) * std**2
-        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(2), scale]) ** 2
+        by_wheel = (slopes[3:] ** 2).sum(axis=0)
+        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(len(dof)), scale]) ** 2
         intervals[name] = {}
-        for component, scales in zip(COMPONENTS, np.abs(slopes) * std, strict=True):
+        for component, scales in zip(COMPONENTS, np.abs(slopes), strict=True):
             value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
             intervals[name][component] = Interval.of(value, half_width(scales, dof), drawn)
     ratios = np.sqrt(square["without"] / square["corrected"])
@@ -161,10 +161,33 @@ def law_journey(
     )
 
 
+def _scatter(
+    law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
+    """Return a root of the covariance of radii and track, drawn scales of it with their degrees of freedom, and errors.
+
+    Root (3, k), scales (1 or 2, draws) and errors (3, draws): wheels fitted apart have a scale each, else there is one.
+    """
+    dof = [
+        float(w.dof_of(w.contrast(load), single_run=single))
+        for w, load in zip((law.left, law.right), loads_N, strict=True)
+    ]
+    spread = law.covariance_at(loads_N, single_run=single)
+    root = np.diag(np.sqrt(np.diag(spread)))[:, :2]
+    if law.joint is not None:
+        # one fit, one scale of its covariance
+        dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
+        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    # a radius whose standard uncertainty was itself estimated follows Student's t
+    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
+    off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
+    return root, scale, dof, off
+
+
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
     left, right, track = wheel_travel(route, believed, real)
     radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
-    by_radius = jacobian(steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2]]
+    by_radius = jacobian(steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2, 4]]
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
     return np.vstack([turned, by_radius[:2]])

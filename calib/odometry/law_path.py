@@ -119,8 +119,8 @@ class Driven:
     #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
     std: dict[str, FloatArray]
     half: dict[str, float]  #: half width of the 95 % interval of each of `COMPONENTS` at the end
-    #: shape (2,): part of each wheel's law in the mean square of the distance at the end, and the degrees of freedom
-    #: behind it
+    #: shape (2,), or (1,) of a joint fit: part of each wheel's law in the mean square of the distance at the end, and
+    #: the degrees of freedom behind it
     by_wheel_m2: FloatArray
     dof: FloatArray
 
@@ -245,7 +245,7 @@ def law_path(
         widths = _half_widths(by_wheel, {name: float(part[-1]) for name, part in std.items()})
         variance, dof = by_wheel[0][3:], by_wheel[1][3:]
         # of the larger of x and y
-        dofs = dof[np.argmax(variance, axis=0), [0, 1]]
+        dofs = dof[np.argmax(variance, axis=0), range(variance.shape[1])]
         errors = posing.pose_errors(poses, reference)
         driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
     interval = None if rng is None else _ratio_interval(driven[0], driven[1], draws, rng)
@@ -255,6 +255,8 @@ def law_path(
 def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return each wheel's part of the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
 
+    Of wheels and track fitted together, their parts are one, shapes (5, 1): apart they may exceed the whole.
+
     `slopes` (5, 5): change of these by the parameters; `spread`: covariance of these, of a single run.
     """
     variance, dof = [], []
@@ -262,6 +264,8 @@ def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[F
         contrast = slopes[:, part]
         variance.append(np.einsum("ni,ij,nj->n", contrast, spread[part, part], contrast))
         dof.append(wheel.dof_of(contrast, single_run=True))
+    if law.joint is not None:
+        variance, dof = [np.einsum("ni,ij,nj->n", slopes, spread, slopes)], [np.minimum(*dof)]
     return np.column_stack(variance), np.column_stack(dof)
 
 

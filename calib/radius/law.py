@@ -117,13 +117,15 @@ class WheelLaw:
 
 
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
-    """Return the 97.5 % quantile of a sum of two independent Student variates, each times its scale.
+    """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale.
 
     Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.
     """
     from scipy.optimize import brentq
-    from scipy.special import stdtr, stdtrit
+    from scipy.special import stdtr
 
+    if len(scales) == 1:
+        return float(scales[0] * stdtrit(dof[0], UPPER))
     large, small = (0, 1) if scales[0] >= scales[1] else (1, 0)
     if scales[large] <= 0.0:
         return 0.0
@@ -173,6 +175,14 @@ class RadiusLaw:
         if single_run:
             joint[[0, 2], [0, 2]] += np.square([self.left.residual_std_m, self.right.residual_std_m])
         return joint
+
+    def covariance_at(
+        self, loads_N: tuple[float, float], track_std_m: float = 0.0, *, single_run: bool = False
+    ) -> FloatArray:
+        """Return the covariance of radii at loads (left, right) and of the track, shape (3, 3); see `covariance`."""
+        at = np.zeros((3, len(JOINT)))
+        at[0, :2], at[1, 2:4], at[2, 4] = self.left.contrast(loads_N[0]), self.right.contrast(loads_N[1]), 1.0
+        return np.asarray(at @ self.covariance(track_std_m, single_run=single_run) @ at.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ import pytest
 from calib.cli.main import run
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.sections import EffectSection, Quantity
+from calib.io import write_bytes
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +94,38 @@ def test_export_keeps_effects_in_the_master_and_names_them_elsewhere(
         assert run(["export", str(warm), "--to", to]) == 0
         lines = [line for line in capsys.readouterr().out.splitlines() if "temperature_radius" in line]
         assert lines and all(line.startswith(mark) for line in lines)
+
+
+BESIDE = "fitted together with these effects"
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"), [("temperature_radius", True), ("lost_counts", True), ("reference_yaw", False)]
+)
+def test_radii_beside_an_effect_of_the_vehicle_are_said_to_be_so(
+    warm: Path, effect: str, said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By every format of a vehicle, on standard error and in the file; a fault of an instrument is none of its own."""
+    section = {"effect": effect, "parameters": {"size": {"value": 1e-3, "unit": "1"}}}
+    path = write_bytes(tmp_path / "model.json", load_coefficients(warm).changed(effects=[section]).to_bytes())
+    for to, in_file in (("ros2", said), ("c", said), ("csv", False)):
+        assert run(["export", str(path), "--to", to]) == 0
+        made = capsys.readouterr()
+        assert f"not in {to}: {effect}" in made.err
+        assert (BESIDE in made.err, BESIDE in made.out) == (said, in_file)
+
+
+def test_a_written_model_with_effects_says_what_its_radii_are_for_a_vehicle(
+    crossed: Path, warm: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An effect that the diagnosed model had stays in it: its radii change by a thousandth, 20 degrees above zero."""
+    alpha = {"alpha": {"value": 5e-5, "unit": "1/K"}}
+    section = {"effect": "temperature_radius", "settings": {"centre": 0.0}, "parameters": alpha}
+    path = write_bytes(tmp_path / "model.json", load_coefficients(warm).changed(effects=[section]).to_bytes())
+    run(["diagnose", str(crossed), "--model", str(path), "--apply", str(tmp_path / "again.json")])
+    said = capsys.readouterr().err
+    assert "not in a vehicle's runtime, ros2, c and csv: temperature_radius" in said
+    assert BESIDE in said
 
 
 def test_the_table_names_effects_in_a_column_that_is_there_only_with_effects(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.coefficients.file import load_coefficients
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.apply import applied_model
@@ -22,6 +23,7 @@ from calib.io import write_bytes
 from calib.plant.design import good_design
 from calib.plant.effects import find
 from calib.plant.make import make_campaign
+from calib.runtime import Coefficients
 from tests.gap.effects.making import Motion, Run, rich_runs
 from tests.gap.effects.making import campaign as campaign_of
 
@@ -110,6 +112,33 @@ def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> Non
     assert file.law.left.slope_m_per_N == pytest.approx(
         before.slope_left_m_per_N + slopes["slope_left"].value, rel=1e-2, abs=1e-12
     )
+
+
+def test_what_is_written_errs_together_as_it_was_fitted(tmp_path: Path) -> None:
+    """Ratio of the radii and track at 900 N: variance of the fit, by the file's law and by the vehicle's runtime."""
+    campaign, found = campaign_with("load_radius", seed=4), diagnosed("load_radius", 4)
+    path, fitted = write_bytes(tmp_path / "model.json", applied_model(found, campaign).to_bytes()), found.correction
+    file, model = load_coefficients(path), found.observations.model
+    above_N = 900.0 - model.reference_load_N
+    place = 4 + sum(len(theta) for theta in fitted.theta[: [form.effect for form in fitted.forms].index("load_radius")])
+    rates = np.zeros((3, len(fitted.covariance)))
+    rates[0, 0] = model.radius_left_m + model.slope_left_m_per_N * above_N
+    rates[1, 1] = model.radius_right_m + model.slope_right_m_per_N * above_N
+    rates[2, 2], rates[0, place], rates[1, place + 1] = model.track_m, above_N, above_N
+    of_fit = rates @ fitted.covariance @ rates.T
+    np.testing.assert_allclose(file.law.covariance_at((900.0, 900.0)), of_fit, rtol=1e-9, atol=1e-18)
+    own = Coefficients.read(path)
+    joint = np.zeros((5, 5))
+    for one, other, value in own.cross_covariance:
+        joint[one, other] = joint[other, one] = value
+    for first, wheel in ((0, own.left), (2, own.right)):
+        cross = wheel.covariance_m2_per_N
+        joint[first : first + 2, first : first + 2] = [
+            [wheel.variance_radius_ref_m2, cross],
+            [cross, wheel.variance_slope_m2_per_N2],
+        ]
+    joint[4, 4] = own.track_std_m**2
+    np.testing.assert_allclose(joint, file.law.joint, rtol=1e-9, atol=1e-30)
 
 
 def test_a_covariate_is_counted_from_the_mean_that_the_file_says() -> None:

@@ -190,3 +190,26 @@ def test_unknown_studies_and_empty_ones_are_refused() -> None:
         simulate("sideways", track_m=0.7, rng=np.random.default_rng(0))
     with pytest.raises(BadInputError, match="cases or a law"):
         simulate("custom", track_m=0.7, rng=np.random.default_rng(0))
+
+
+def test_radii_and_track_that_were_fitted_together_err_together() -> None:
+    """Closed loops tell ratios alone: table, path and draws have the joint covariance, with one Student's t."""
+    common = np.array([1.0, 0.0, 1.0, 0.0, 7.0]) * 1e-4
+    apart = np.diag([1e-10, 1e-20, 1e-10, 1e-20, 1e-9])
+    joint = np.outer(common, common) + apart
+    wheel = replace(law().left, covariance=joint[:2, :2], dof=7.0, residual_std_m=0.0)
+    given, at, route = RadiusLaw(wheel, wheel, joint), (300.0, 300.0), find_route("square_ccw")
+    rng = np.random.default_rng(2)
+    journey = law_journey(given, route, loads_N=at, reference_N=at, track_m=0.7, band="mean", draws=40_000, rng=rng)
+    path = law_path(AxleLaw(given, 0.7), route, loading=Loading.from_rows([(0.0, *at)]), reference_N=at)
+    assert journey.corrected_rms_m == pytest.approx(path.corrected.rms_m[-1], rel=1e-9)
+    for name, interval in journey.corrected.items():
+        half = float(student.ppf(0.975, 7.0) * path.corrected.std[name][-1])
+        assert path.corrected.half[name] == pytest.approx(half, rel=1e-9)
+        assert interval.linear[1] - interval.value == pytest.approx(half, rel=1e-9)
+        # 2.5 % quantiles of 40,000 draws: 2 % of the width at seven degrees of freedom, three of those
+        assert 0.5 * float(np.diff(interval.monte_carlo)[0]) == pytest.approx(half, rel=0.06), name
+    # b theta = S_r - S_l: a common scale of radii and track turns nothing, what each has of its own does
+    ways = [route.total_m - 0.7 * np.pi, route.total_m + 0.7 * np.pi, 2.0 * np.pi * 0.7]
+    turned = np.linalg.norm(np.array(ways) * [1e-5 / 0.1, 1e-5 / 0.1, 10.0**-4.5 / 0.7])
+    assert path.corrected.std["heading_rad"][-1] == pytest.approx(turned / 0.7, rel=1e-6)

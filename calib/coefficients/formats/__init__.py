@@ -31,6 +31,8 @@ FORMATS: Final = {
 }
 #: formats that state the track's uncertainty and the random walk
 WITH_NOISE: Final = frozenset({"json", "ros2", "c"})
+#: formats of a vehicle, which have no effects
+RADII_ONLY: Final = frozenset({"ros2", "c", "csv"})
 #: formats that change a copy of the user's model, and those that know two wheels on one axle alone
 PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
 AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
@@ -152,8 +154,10 @@ def ascii_line(text: str) -> str:
 
 def left_out_lines(file: CoefficientFile, what: str) -> list[str]:
     """Return what `what`, the file or header that is written, leaves out, and the findings that the user accepted."""
+    from calib.coefficients.file import fitted_beside
+
     lines = [f"NOT in this {what}: effect {ascii_line(part.effect)} of the simulator's model" for part in file.effects]
-    return [*lines, *assumed_note(file), *accepted_lines(file)]
+    return [*lines, *fitted_beside(file), *assumed_note(file), *accepted_lines(file)]
 
 
 def assumed_note(file: CoefficientFile) -> tuple[str, ...]:

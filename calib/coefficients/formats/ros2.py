@@ -116,10 +116,6 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     law, track = file.law, file.vehicle.track.value
     loads = within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
-    at_load = np.zeros((3, 5))
-    at_load[0, :2] = 1.0, loads[0] - law.left.reference_load_N
-    at_load[1, 2:4] = 1.0, loads[1] - law.right.reference_load_N
-    at_load[2, 4] = 1.0
     left, right = 1.0 / radius
     # change of path per metre, of heading per metre, and of heading per radian, by radii and track
     path = [0.5 * left, 0.5 * right]
@@ -127,7 +123,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
-    return _diagonals(file, rates, at_load @ law.covariance(file.vehicle.track_std.value) @ at_load.T, reading)
+    return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value), reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import calib.gap.effects as package
+from calib.coefficients.file import OF_INSTRUMENTS
 from calib.gap.effects.effect import Effect, Family, Form
 from calib.gap.effects.library import REGISTRY, every_effect, library
 from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
@@ -41,6 +42,12 @@ def rich() -> Observations:
     made = observations_of(with_outside_simulator(campaign(runs, model=SLOPED)))
     # a gyro measured the turns of every fourth
     return replace(made, by_gyro=np.arange(len(made)) % 4 == 0)
+
+
+def test_effects_on_instruments_are_known_by_their_ids() -> None:
+    """A coefficient file, which knows ids alone, says of all others that they act on the vehicle."""
+    ours = {name for name, kind in REGISTRY.items() if kind.family in (Family.INSTRUMENT, Family.REFERENCE)}
+    assert ours == {name for name in REGISTRY if name.startswith(OF_INSTRUMENTS)}
 
 
 def test_every_effect_class_is_registered() -> None:
