@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.read import GYRO_TURN
+from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
@@ -183,7 +183,8 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     """
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
-    found = [_piece(campaign, row, source, per_rev) for row in range(len(campaign.runs))]
+    in_map = poses_are_in_a_map(campaign)
+    found = [_piece(campaign, row, source, per_rev, in_map) for row in range(len(campaign.runs))]
     named = zip(campaign.runs.run_id.tolist(), found, strict=True)
     left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
     pieces = [piece for piece in found if not isinstance(piece, str)]
@@ -231,13 +232,13 @@ class _Run(NamedTuple):
     by_gyro: bool = False
 
 
-def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _Run | str:
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_map: bool) -> _Run | str:
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
     runs = campaign.runs
     end = np.array([runs.number(name)[row] for name in REFERENCE])
     if not all(name in log for name in names):
-        return _end_counts(campaign, row, source, per_rev, end)
+        return _end_counts(campaign, row, source, per_rev, np.full(3, np.nan) if in_map else end)
     steer = log.get("steer_rad") if source in STEERED else None
     if source in STEERED and steer is None:
         return "its log has no steer_rad"
@@ -254,7 +255,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray) -> _R
         return POSITION_ALONE
     followed = bool(np.isfinite(reference).all(axis=0).any())
     # of an end pose in a map only the log says where the run began
-    if np.isnan(end).all() or (followed and (np.isnan(end).any() or campaign.reference.frame == "map")):
+    if np.isnan(end).all() or (followed and (in_map or np.isnan(end).any())):
         end = _last_pose(reference)
     if np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
@@ -279,7 +280,7 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
     turned_rad = 2.0 * np.pi * np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]]) / per_rev
     if np.isnan(turned_rad).any():
         return "it has no log and no end counts"
-    if np.isnan(end).any() or campaign.reference.frame == "map":
+    if np.isnan(end).any():
         end = _straight_end(campaign, row, source, turned_rad)
     if np.isnan(end[0]):
         return "it has no log, and no end pose or distance_m of a straight run"
