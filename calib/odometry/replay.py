@@ -23,6 +23,7 @@ from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_lo
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 from calib.types import BoolArray, FloatArray, StrArray, in_frame, since_start, unwrapped
+from calib.vehicle import wheel_loads_N
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -217,16 +218,22 @@ def with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: those that the law is centred on."""
-    runs = campaign.runs
-    if any(np.isfinite(runs.number(name)).any() for name in ("load_left_N", "load_right_N")):
+    """Return the campaign with loads where no run has any: unladen, as a diagnosis takes it, if the law holds there.
+
+    Else those that the law is centred on.
+    """
+    runs, columns = campaign.runs, ("load_left_N", "load_right_N")
+    if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()
-    wheels = {"left": law.left, "right": law.right}
-    loads = {f"load_{side}_N": np.full(len(runs), wheel.reference_load_N) for side, wheel in wheels.items()}
+    unladen = wheel_loads_N(campaign.vehicle, 0.0, 0.0, 0.0)[1:]
+    centre = law.left.reference_load_N, law.right.reference_load_N
+    bare = bool(_in_range(law, *unladen))
+    loads = {name: np.full(len(runs), load) for name, load in zip(columns, unladen if bare else centre, strict=True)}
     campaign = replace(campaign, runs=replace(runs, numbers={**runs.numbers, **loads}))
     if without_rear_wheels(campaign):
         return campaign, ()
-    return campaign, ("no wheel load is given: all runs are taken at the load that the law is centred on",)
+    taken = "as unladen" if bare else "at the load that the law is centred on"
+    return campaign, (f"no wheel load is given: all runs are taken {taken}",)
 
 
 def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:

@@ -11,13 +11,14 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.tables import write_campaign
-from calib.coefficients.build import coefficients_of
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.build import Header, coefficients_of, from_law
+from calib.coefficients.file import CoefficientFile, believed_model
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.odometry.integrate import end_poses
 from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts
+from calib.radius.law import RadiusLaw, WheelLaw
 from tests.campaign.making import with_log_columns, with_numbers
 
 LADEN_N = (900.0, 400.0)
@@ -76,6 +77,22 @@ def test_a_load_out_of_range_on_the_way_takes_the_run_out(campaign: Campaign, co
     found = replay(with_log_columns(campaign, load_left_N=left), coefficients, rng=np.random.default_rng(0))
     assert found.in_range.tolist() == [True, False, True, True]
     assert found.runtime.faults == {"LOAD_OUT_OF_RANGE": 1}
+
+
+def test_runs_without_loads_are_unladen_as_a_diagnosis_takes_them(campaign: Campaign) -> None:
+    """A model corrected from runs without loads holds at the unladen load alone, not where its law is centred."""
+    unladen = campaign.vehicle.unladen_load_N
+    nan = np.full(4, np.nan)
+    bare = with_numbers(campaign, load_left_N=nan, load_right_N=nan, payload_kg=nan)
+    bare = replace(bare, logs=replace(bare.logs, columns={n: c for n, c in bare.logs.columns.items() if "load" not in n}))
+    wheel = WheelLaw(unladen + 50.0, 0.1, 1e-6, np.zeros((2, 2)), 9.0, 0.0, unladen, unladen, 4)
+    header = Header("bare", simulated=True, outside="clamp")
+    file = from_law(RadiusLaw(wheel, wheel), bare.vehicle, bare.encoder, header)
+    found = replay(bare, file, rng=np.random.default_rng(0))
+    by_diagnosis = observations_of(bare, believed_model(file, 300.0)).radius_left_m
+    np.testing.assert_allclose(found.load_left_N, unladen)
+    np.testing.assert_allclose(file.law.left.radius_m(found.load_left_N), by_diagnosis)
+    assert found.runtime.largest_difference_m < 1e-9
 
 
 def test_loads_in_logs_are_read_back(campaign: Campaign, tmp_path: Path) -> None:
