@@ -45,7 +45,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         grown = 1.0 + float(fitted.calibration[number])
         radius_m = getattr(model, f"radius_{side}_m") * grown
         slope, variance = slopes[side]
-        load_N = observations.wheel_loads_N[number]
+        load_N = observations.loads_N[number]
         return WheelLaw(
             reference_load_N=model.reference_load_N,
             radius_ref_m=radius_m,
@@ -63,7 +63,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         replace(observations.vehicle, track_m=model.track_m * (1.0 + float(fitted.calibration[2]))),
         campaign.encoder,
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
-        load_table=load_points(*observations.wheel_loads_N),
+        load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=float(np.sqrt(fitted.covariance[2, 2])) * model.track_m),
     )
