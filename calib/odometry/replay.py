@@ -116,7 +116,7 @@ def replay(
     reference = of_vehicle(reference, coefficients) if by_geometry else reference
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
-    in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
+    in_range = np.logical_and.reduceat(within_law(law, *carried) | by_geometry, logs.offsets[:-1])
     if not in_range.any():
         text = f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in"
         raise RefusedError(f"{text}; give coefficients that were measured under these loads")
@@ -196,7 +196,8 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
     return campaign.select(usable), left_out, notes
 
 
-def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+def within_law(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+    """Return whether both loads lie where the law was measured, or within a newton of it, shape (n,)."""
     loads = ((law.left, load_left_N), (law.right, load_right_N))
     inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
     return np.asarray(np.all(inside, axis=0))
@@ -227,7 +228,7 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
         return campaign, ()
     unladen = wheel_loads_N(campaign.vehicle, 0.0, 0.0, 0.0)[1:]
     centre = law.left.reference_load_N, law.right.reference_load_N
-    bare = bool(_in_range(law, *unladen))
+    bare = bool(within_law(law, *unladen))
     loads = {name: np.full(len(runs), load) for name, load in zip(columns, unladen if bare else centre, strict=True)}
     campaign = replace(campaign, runs=replace(runs, numbers={**runs.numbers, **loads}))
     if without_rear_wheels(campaign):

@@ -161,6 +161,8 @@ class LoadCreep(_OfLoad):
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
+        # nothing creeps before the load is there
+        t = np.maximum(t, 0.0)
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
         left = Parameter("creep_left", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
         parameters = (left, replace(left, name="creep_right"))
