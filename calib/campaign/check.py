@@ -97,6 +97,7 @@ def _model(campaign: Campaign) -> Iterator[Note]:
 #: column -> what a run can have, what lies behind another value; 1e-9: above zero
 _COLUMNS: Final[dict[str, tuple[Usual, str]]] = {
     "temperature_C": (Usual(-50.0, 60.0), "is it in Fahrenheit or kelvin?"),
+    "minutes_under_load": (Usual(0.0, math.inf), "count from when the payload was put on"),
     "speed_mps": (Usual(-20.0, 20.0), "is it in mm/s?"),
     "amplitude_m": (Usual(-5.0, 5.0), "is it in millimetres?"),
     "distance_m": (Usual(1e-9, math.inf), "check the sign, or flag the run as excluded"),

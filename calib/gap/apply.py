@@ -52,7 +52,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     def law(number: int, side: str) -> WheelLaw:
         grown = 1.0 + float(fitted.calibration[number])
         radius_m = getattr(model, f"radius_{side}_m") * grown
-        slope, load_N = slopes.get(side, (0.0, 0))[0], observations.wheel_loads_N[number]
+        slope, load_N = slopes.get(side, (0.0, 0))[0], observations.loads_N[number]
         return WheelLaw(
             reference_load_N=model.reference_load_N,
             radius_ref_m=radius_m,
@@ -71,7 +71,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         replace(observations.vehicle, track_m=track_m),
         campaign.encoder,
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
-        load_table=load_points(*observations.wheel_loads_N),
+        load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=float(np.sqrt(covariance[4, 4]))),
     )

@@ -24,6 +24,7 @@ from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_lo
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 from calib.types import BoolArray, FloatArray, StrArray, in_frame, since_start, unwrapped
+from calib.vehicle import wheel_loads_N
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -117,7 +118,7 @@ def replay(
     reference = Poses.from_stacked(poses_of_vehicle(read, coefficients.sensor(chosen.reference), in_map=False))
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
-    in_range = np.logical_and.reduceat(_in_range(law, *carried) | by_geometry, logs.offsets[:-1])
+    in_range = np.logical_and.reduceat(within_law(law, *carried) | by_geometry, logs.offsets[:-1])
     if not in_range.any():
         text = f"{campaign.name}: no run's wheel loads lie within the range that the law was measured in"
         raise RefusedError(f"{text}; give coefficients that were measured under these loads")
@@ -197,7 +198,8 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
     return campaign.select(usable), left_out, notes
 
 
-def _in_range(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+def within_law(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+    """Return whether both loads lie where the law was measured, or within a newton of it, shape (n,)."""
     loads = ((law.left, load_left_N), (law.right, load_right_N))
     inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
     return np.asarray(np.all(inside, axis=0))
@@ -223,16 +225,22 @@ def with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: those that the law is centred on."""
-    runs = campaign.runs
-    if any(np.isfinite(runs.number(name)).any() for name in ("load_left_N", "load_right_N")):
+    """Return the campaign with loads where no run has any: unladen, as a diagnosis takes it, if the law holds there.
+
+    Else those that the law is centred on.
+    """
+    runs, columns = campaign.runs, ("load_left_N", "load_right_N")
+    if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()
-    wheels = {"left": law.left, "right": law.right}
-    loads = {f"load_{side}_N": np.full(len(runs), wheel.reference_load_N) for side, wheel in wheels.items()}
+    unladen = wheel_loads_N(campaign.vehicle, 0.0, 0.0, 0.0)[1:]
+    centre = law.left.reference_load_N, law.right.reference_load_N
+    bare = bool(within_law(law, *unladen))
+    loads = {name: np.full(len(runs), load) for name, load in zip(columns, unladen if bare else centre, strict=True)}
     campaign = replace(campaign, runs=replace(runs, numbers={**runs.numbers, **loads}))
     if without_rear_wheels(campaign):
         return campaign, ()
-    return campaign, ("no wheel load is given: all runs are taken at the load that the law is centred on",)
+    taken = "as unladen" if bare else "at the load that the law is centred on"
+    return campaign, (f"no wheel load is given: all runs are taken {taken}",)
 
 
 def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:

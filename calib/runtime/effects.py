@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -188,7 +188,7 @@ def _load_curve(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _creep(effect: _Effect, step: _Step, change: _Change) -> None:
-    gone = math.exp(-step.run.minutes_under_load / effect.settings["tau_min"])
+    gone = math.exp(-max(step.run.minutes_under_load, 0.0) / effect.settings["tau_min"])
     zero = effect.settings.get("centre", 0.0)
     crept = 1.0 - gone if math.isfinite(gone) else 0.0
     change.left -= effect.size("creep_left") * (step.run.load_left_N - zero) * crept / step.radii_m[0]
@@ -321,8 +321,19 @@ class Effects:
             raise CoefficientError(f"{path}: effects: {type(error).__name__}: {error}") from error
 
     def begin(self, run: Run) -> None:
-        """Begin a run: its loads and surroundings hold until the next one."""
-        self._run = run
+        """Begin a run: its loads and surroundings hold until the next one.
+
+        Raises CoefficientError where a load is not finite, or outside the valid range and the file says refuse; a file
+        that says clamp takes the nearest valid load.
+        """
+        self._run, used = None, []
+        file = self.coefficients
+        for side, wheel, load_N in (("left", file.left, run.load_left_N), ("right", file.right, run.load_right_N)):
+            used.append(min(max(load_N, wheel.load_min_N), wheel.load_max_N))
+            if not math.isfinite(load_N) or (used[-1] != load_N and file.outside == "refuse"):
+                found = f"begin: found a {side} wheel load of {load_N:g} N"
+                raise CoefficientError(f"{found}; expected {wheel.load_min_N:g} to {wheel.load_max_N:g} N, as measured")
+        self._run = replace(run, load_left_N=used[0], load_right_N=used[1])
         self._phases = (run.phase_left_rad, run.phase_right_rad)
 
     def step(self, d_left_rad: float, d_right_rad: float, dt_s: float) -> Motion:

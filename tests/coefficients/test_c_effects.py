@@ -120,6 +120,21 @@ def test_what_is_not_known_has_no_effect(driven: tuple[Campaign, Observations], 
     assert row[0] == pytest.approx(0.1 * radius, rel=AGREES)
 
 
+def test_loads_outside_the_valid_range_are_taken_as_in_python(
+    driven: tuple[Campaign, Observations], tmp_path: Path
+) -> None:
+    """Clamped to 5000 N, or refused: the motion is NaN. A time before the load is none."""
+    made, s = driven
+    clamping, steps = coefficient_file(made, s, [sections_of("load_creep", s)[0]]), np.array([[0.1, 0.1, 0.02]])
+
+    def at(file: CoefficientFile, load_N: float, minutes: float = -30.0) -> np.ndarray:
+        return moved(file, Run(load_left_N=load_N, load_right_N=300.0, minutes_under_load=minutes), steps, tmp_path)[0]
+
+    np.testing.assert_array_equal(at(clamping, 9000.0), at(clamping, 5000.0, minutes=0.0))
+    assert np.isnan(at(clamping, math.nan)[0])
+    assert np.isnan(at(clamping.changed(outside="refuse"), 9000.0)[0])
+
+
 def test_effects_that_do_not_act_on_motion_are_named(
     driven: tuple[Campaign, Observations],
 ) -> None:

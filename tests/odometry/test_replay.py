@@ -14,17 +14,19 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.settings import Reference
 from calib.campaign.tables import write_campaign
-from calib.coefficients.build import coefficients_of
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.build import Header, coefficients_of, from_law
+from calib.coefficients.file import CoefficientFile, believed_model
 from calib.coefficients.sections import GeometrySection, Quantity
 from calib.errors import RefusedError
 from calib.gap.effects.applied import model_of
+from calib.gap.effects.load import LoadRadius
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.odometry.integrate import end_poses
 from calib.odometry.poses import Poses
 from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts
+from calib.radius.law import RadiusLaw, WheelLaw
 from tests.campaign.making import with_log_columns, with_numbers
 
 POSES = ("ref_x_m", "ref_y_m", "ref_theta_rad")
@@ -150,12 +152,45 @@ def test_what_calibration_moves_is_no_other_vehicle(campaign: Campaign, coeffici
     accepted.refuse_other_vehicle(replace(campaign, vehicle=replace(vehicle, wheel_radius_m=0.05)))
 
 
+def test_the_diagnosis_follows_the_load_that_the_log_says(campaign: Campaign, coefficients: CoefficientFile) -> None:
+    """By the model's slopes, or by a load effect of a model without: as replayed, of the mean load on the way."""
+    replayed = replay(campaign, coefficients, rng=np.random.default_rng(0), runtime_runs=1).ends["corrected"]
+    model = believed_model(coefficients, 300.0)
+    flat = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+    s = replace(observations_of(campaign, flat), applied=True)
+    slopes = (model.slope_left_m_per_N, model.slope_right_m_per_N)
+    by_effect = [p.scaled(c) for p, c in zip(LoadRadius().forms(s)[0].perturbations(predict(s)), slopes, strict=True)]
+    for path in (predict(observations_of(campaign, model)), predict(s, by_effect)):
+        # thinned to 400 steps: below a millimetre on 40 m
+        np.testing.assert_allclose(path.end[:, 0], replayed.x_m, rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(path.end[:, 1], replayed.y_m, rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(path.end[:, 2], replayed.theta_rad, rtol=0.0, atol=1e-4)
+    assert (np.abs(s.wheel_loads_N.T - (np.array(LADEN_N) + 300.0) / 2) < 5.0).all()
+
+
 def test_a_load_out_of_range_on_the_way_takes_the_run_out(campaign: Campaign, coefficients: CoefficientFile) -> None:
     left = campaign.logs.columns["load_left_N"].copy()
     left[np.flatnonzero(np.isfinite(left))[1]] = 3000.0
     found = replay(with_log_columns(campaign, load_left_N=left), coefficients, rng=np.random.default_rng(0))
     assert found.in_range.tolist() == [True, False, True, True]
     assert found.runtime.faults == {"LOAD_OUT_OF_RANGE": 1}
+
+
+def test_runs_without_loads_are_unladen_as_a_diagnosis_takes_them(campaign: Campaign) -> None:
+    """A model corrected from runs without loads holds at the unladen load alone, not where its law is centred."""
+    unladen = campaign.vehicle.unladen_load_N
+    nan = np.full(4, np.nan)
+    bare = with_numbers(campaign, load_left_N=nan, load_right_N=nan, payload_kg=nan)
+    columns = {name: column for name, column in bare.logs.columns.items() if "load" not in name}
+    bare = replace(bare, logs=replace(bare.logs, columns=columns))
+    wheel = WheelLaw(unladen + 50.0, 0.1, 1e-6, np.zeros((2, 2)), 9.0, 0.0, unladen, unladen, 4)
+    header = Header("bare", simulated=True, outside="clamp")
+    file = from_law(RadiusLaw(wheel, wheel), bare.vehicle, bare.encoder, header)
+    found = replay(bare, file, rng=np.random.default_rng(0))
+    by_diagnosis = observations_of(bare, believed_model(file, 300.0)).radius_left_m
+    np.testing.assert_allclose(found.load_left_N, unladen)
+    np.testing.assert_allclose(file.law.left.radius_m(found.load_left_N), by_diagnosis)
+    assert found.runtime.largest_difference_m < 1e-9
 
 
 def test_loads_in_logs_are_read_back(campaign: Campaign, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.library import every_effect
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import steps_of, total_perturbation
-from calib.runtime import CoefficientError, Effects
+from calib.runtime import CoefficientError, Effects, Run
 from calib.runtime.effects import _ACTS
 from tests.runtime.driving import coefficient_file, driven_runs, run_of, sections_of
 
@@ -71,6 +71,39 @@ def test_several_effects_act_together(driven: tuple[Campaign, Observations], tmp
         form = library[name].forms(s)[-1]
         sections.append(section_of(form, np.array([2.0 * p.typical for p in form.parameters])))
     _assert_agrees(made, s, sections, tmp_path)
+
+
+def test_loads_outside_the_valid_range_are_taken_as_the_odometer_takes_them(
+    driven: tuple[Campaign, Observations], tmp_path: Path
+) -> None:
+    """Clamped to the nearest valid load, 5000 N, law and effects alike, or refused; what is no number always is."""
+    made, s = driven
+    clamping = coefficient_file(made, s, [sections_of("load_creep", s)[0], sections_of("load_dependent_track", s)[0]])
+    effects, moved = {}, {}
+    for file in (clamping, clamping.changed(outside="refuse")):
+        path = tmp_path / f"{file.outside}.json"
+        path.write_bytes(file.to_bytes())
+        effects[file.outside] = Effects.from_file(path)
+    for load_N in (5000.0, 9000.0):
+        effects["clamp"].begin(Run(load_left_N=load_N, load_right_N=300.0, minutes_under_load=20.0))
+        moved[load_N] = effects["clamp"].step(0.1, 0.1, 0.02)
+    assert moved[5000.0] == moved[9000.0]
+    for outside, load_N in (("refuse", 9000.0), ("refuse", np.nan), ("clamp", np.nan), ("clamp", np.inf)):
+        with pytest.raises(CoefficientError, match=r"left wheel load of .*; expected 0 to 5000 N"):
+            effects[outside].begin(Run(load_left_N=load_N, load_right_N=300.0))
+        with pytest.raises(CoefficientError, match="expected begin"):
+            effects[outside].step(0.1, 0.1, 0.02)
+
+
+def test_nothing_creeps_before_the_load_is_put_on(driven: tuple[Campaign, Observations], tmp_path: Path) -> None:
+    made, s = driven
+    path = tmp_path / "c.json"
+    path.write_bytes(coefficient_file(made, s, [sections_of("load_creep", s)[0]]).to_bytes())
+    effects, moved = Effects.from_file(path), []
+    for minutes in (-30.0, 0.0):
+        effects.begin(Run(load_left_N=900.0, load_right_N=300.0, minutes_under_load=minutes))
+        moved.append(effects.step(0.1, 0.1, 0.02))
+    assert moved[0] == moved[1]
 
 
 def test_effects_that_do_not_act_on_motion_are_named(driven: tuple[Campaign, Observations], tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
+from calib.odometry.replay import within_law
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -51,6 +52,17 @@ def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
     from calib.coefficients.file import load_coefficients
 
     return replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
+
+
+def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, ...]:
+    """Return one sentence where loads lie outside the valid range of a coefficient file; nothing where none does."""
+    from calib.coefficients.file import load_coefficients
+
+    file = load_coefficients(path)
+    if within_law(file.law, *observations.loads_N).all():
+        return ()
+    does = "takes the nearest valid load" if file.outside == "clamp" else "refuses them"
+    return (f"wheel loads lie outside the valid range of the model: its law is extended to them, a vehicle {does}",)
 
 
 def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:

@@ -74,8 +74,10 @@ class _OfLoad(Effect):
 def _on_radii(
     observations: Observations, left_m: FloatArray, right_m: FloatArray, *, is_law: bool = False
 ) -> Perturbations:
-    """Return what changes of both radii (n_obs,) do, per unit each; `is_law`: of the slopes of a load law."""
-    left, right = left_m / observations.radius_left_m, right_m / observations.radius_right_m
+    """Return what changes of both radii, (n_obs,) or (n_steps,), do, per unit each; `is_law`: as slopes."""
+    loads_N = observations.loads_N
+    radii_m = observations.radii_m(loads_N if loads_N.shape[1] == len(left_m) else observations.wheel_loads_N)
+    left, right = np.stack([left_m, right_m]) / radii_m
     slopes = [np.tile(each, (len(observations), 1)) if is_law else None for each in np.eye(2)]
     return lambda _: [Perturbation(left=left, law_slopes=slopes[0]), Perturbation(right=right, law_slopes=slopes[1])]
 
@@ -94,7 +96,7 @@ class LoadRadius(_OfLoad):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the linear law, one slope a wheel; none where the loads do not vary."""
-        left, right = observations.wheel_loads_N
+        left, right = observations.loads_N
         if not loads_vary(observations):
             return []
         reference = observations.model.reference_load_N
@@ -118,7 +120,7 @@ class LoadRadiusNonlinear(_OfLoad):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
-        loads, reference = observations.wheel_loads_N, observations.model.reference_load_N
+        loads, reference = observations.loads_N, observations.model.reference_load_N
         if not loads_vary(observations):
             return []
         centre = Centre(reference if reference > 1.0 else max(1.0, float(np.mean(loads))))
@@ -159,6 +161,8 @@ class LoadCreep(_OfLoad):
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
+        # nothing creeps before the load is there
+        t = np.maximum(t, 0.0)
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
         left = Parameter("creep_left", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
         parameters = (left, replace(left, name="creep_right"))

@@ -82,7 +82,7 @@ class LoadDependentTrack(Effect):
         if not varies(axle, 10.0, observations) or not quantities.shows_curves(observations):
             return []
         believed_N = 2.0 * observations.model.reference_load_N
-        over = axle - believed_N
+        over = observations.loads_N.sum(axis=0) - believed_N
         # up to 1 % for 1000 N
         soft = quantities.softness(observations)
         parameter = Parameter("per_N", "1/N", typical=5e-6 * soft, largest=5e-5 * soft)

@@ -14,15 +14,16 @@ from numpy.typing import ArrayLike
 
 from calib.campaign.settings import OdometryModel
 from calib.gap.observations.observation import let_go
+from calib.odometry.routes import radii_of_model
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 
 class Channel(IntEnum):
-    """A channel; its value is its column in arrays of shape (n_obs, n_channels).
+    """A channel, by its column in arrays of shape (n_obs, n_channels).
 
-    Distance by rangefinder; along, left of and heading of the end pose; front wheel against rear, in way and turn.
+    Distance by rangefinder; along, left of and heading of the end pose; front against rear wheels, in way and turn.
     """
 
     DISTANCE = 0
@@ -66,7 +67,7 @@ STRAIGHT_RAD: Final = 0.35
 #: fields of `Observations` with a value for each step
 _OF_STEPS: Final = frozenset(
     {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
-    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m"}
+    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m", "carried_N"}
 )
 Value = TypeVar("Value")
 
@@ -104,8 +105,7 @@ class Observations:
     #: time_s, duration_s: shape (n_steps,): time since the run's start at the end of each step, and its duration
     time_s: FloatArray
     duration_s: FloatArray
-    #: front_roll_rad, steer_rad, steer_change_rad: shape (n_steps,): front wheel's rotation, mean steering angle and
-    #: its change; NaN where not logged
+    #: front wheel's rotation, mean steering angle and its change in each step, shape (n_steps,); NaN where not logged
     front_roll_rad: FloatArray
     steer_rad: FloatArray
     steer_change_rad: FloatArray
@@ -117,13 +117,12 @@ class Observations:
     usable: BoolArray  #: shape (n_obs, 6): channels that an observation has
     numbers: Mapping[str, FloatArray]  #: shape (n_obs,): covariates of each observation
     labels: Mapping[str, StrArray]  #: shape (n_obs,): ``run_id``, ``session``, ``kind``, ``direction``
-    #: shape (n_units,): number that replicates (route, direction, loads, speed) share, by what was driven, not by
-    #: labels
+    #: shape (n_units,): replicates (same route, direction, loads, speed, as driven, not as labelled) share a number
     condition: IntArray
-    #: shape (n_units,): that replicates of one session, warmth, dwell and further columns share
+    #: shape (n_units,): replicates that were also driven in the same session, warmth, dwell and further columns
     cell: IntArray
-    kind: IntArray  #: shape (n_obs,): of route and direction
-    #: shape (n_obs,): 1 where the laser's distance is along the start heading, 0 where the length of the line
+    kind: IntArray  #: shape (n_obs,): units of the same route and direction
+    #: shape (n_obs,): 1 where the laser's distance is the projection on the start heading, 0 where the line's length
     axis: FloatArray
     #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_obs,): stated standard uncertainty
     sigma_distance_m: FloatArray
@@ -138,17 +137,18 @@ class Observations:
     window: IntArray
     #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
-    common_frame: bool  #: whether places on the floor mean the same in all
-    guided: BoolArray  #: shape (n_obs,): heading by guidance, not measured
-    by_gyro: BoolArray  #: shape (n_obs,): turn measured by a gyro
-    sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor
-    sigmas_assumed: bool = False  #: whether a program filled in an unstated uncertainty
-    notes: tuple[str, ...] = ()  #: what was omitted or assumed
-    #: whether the front wheel alone, or rear axle's way and steering, drive the odometry, represented by the two wheels
+    common_frame: bool  #: whether places on the floor mean the same in all observations
+    guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
+    by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured
+    sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle
+    sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
+    notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
+    #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry: two wheels represent it
     by_front: bool = False
-    by_shaft: bool = False  #: whether that is the rear axle's way, under the front wheel's name
-    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left
-    #: whether the parameters of a user's simulator replace the free recalibration
+    by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
+    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
+    carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs say that they change
+    #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
     calibration_held: bool = False
     #: whether to look up effects of the model that act where nothing varies, too
     applied: bool = False
@@ -252,32 +252,40 @@ class Observations:
 
     @property
     def wheel_loads_N(self) -> FloatArray:
-        """Load of left and right wheel, shape (2, n_obs); NaN if unknown."""
+        """Load of the left and of the right wheel, the mean over its way, shape (2, n_obs); NaN where not known."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
 
     @property
-    def _over_N(self) -> FloatArray:
-        return np.asarray(np.nan_to_num(self.wheel_loads_N - self.model.reference_load_N))
+    def loads_N(self) -> FloatArray:
+        """Loads (2, n_steps) where they change on the way, else `wheel_loads_N`."""
+        return self.wheel_loads_N if self.carried_N is None else self.carried_N.T
+
+    def radii_m(self, loads_N: FloatArray) -> FloatArray:
+        """Return the radii that the model believes under loads of the left and the right wheel, each shape (2, n)."""
+        return np.stack(radii_of_model(self.model, *np.nan_to_num(loads_N, nan=self.model.reference_load_N)))
 
     @cached_property
     def radius_left_m(self) -> FloatArray:
-        """The model's left radius in each observation, shape (n_obs,)."""
-        return np.asarray(self.model.radius_left_m + self.model.slope_left_m_per_N * self._over_N[0])
+        """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
+        return np.asarray(self.radii_m(self.wheel_loads_N)[0])
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
-        """The model's right radius in each observation, shape (n_obs,)."""
-        return np.asarray(self.model.radius_right_m + self.model.slope_right_m_per_N * self._over_N[1])
+        """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
+        return np.asarray(self.radii_m(self.wheel_loads_N)[1])
+
+    def _wide(self, radii_m: FloatArray) -> FloatArray:
+        return np.asarray(radii_m[self.unit] if self.carried_N is None else radii_m)
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
         """Left wheel's travel of each step by the model, shape (n_steps,)."""
-        return self.roll_left_rad * self.radius_left_m[self.unit]
+        return self.roll_left_rad * self._wide(self.radii_m(self.loads_N)[0])
 
     @_KeptIfFew
     def travel_right_m(self) -> FloatArray:
         """Right wheel's travel of each step by the model, shape (n_steps,)."""
-        return self.roll_right_rad * self.radius_right_m[self.unit]
+        return self.roll_right_rad * self._wide(self.radii_m(self.loads_N)[1])
 
     @_KeptIfFew
     def path_m(self) -> FloatArray:

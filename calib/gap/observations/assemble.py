@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_by_counts, were_guided
 from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
@@ -37,6 +38,8 @@ PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
 MOST_SPREADS: Final = 20.0
 #: share that is a few
 MOST_ODD: Final = 0.2
+#: loads that differ by less are one: the last bits of a mean
+SAME_N: Final = 1e-6
 #: runs named in a remark
 MOST_LISTED: Final = 5
 _LABELS = ("run_id", "session", "kind", "direction")
@@ -49,8 +52,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
     travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
     steps = WheelTravel(starts, *travel, model.track_m, _of_steps(units, "time_s"), _each(units, "from_log"))
-    front, turned = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad")
-    steer = _of_steps(units, "steer_rad", _middles)
+    front, steer = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad", _middles)
     path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
     guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
@@ -58,7 +60,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     # a front wheel that drives the odometry is not compared with it
     usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
-    numbers = _numbers(campaign, index, path, remarks)
+    numbers, carried_N = _numbers(campaign, units, steps, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
     return Observations(
@@ -73,8 +75,9 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         duration_s=steps.duration_s,
         front_roll_rad=front,
         steer_rad=steer,
-        steer_change_rad=turned,
+        steer_change_rad=_of_steps(units, "steer_rad"),
         from_log=steps.logged,
+        carried_N=carried_N,
         run=index,
         window=_each(units, "window"),
         start_pose=_each(units, "start_pose"),
@@ -218,9 +221,12 @@ def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[st
     return np.where(known, simulated, np.nan)
 
 
-def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: list[str]) -> dict[str, FloatArray]:
+def _numbers(
+    campaign: Campaign, units: Sequence[Observation], steps: WheelTravel, remarks: list[str]
+) -> tuple[dict[str, FloatArray], FloatArray | None]:
     left, right, known = filled_loads(campaign)
-    if not known:
+    index, path = _each(units, "run"), steps.total(steps.path_m)
+    if not known and "load_left_N" not in campaign.logs.columns:
         remarks.append("no payload or wheel load is given: every run is taken as unladen")
     runs = campaign.runs
     numbers = {name: runs.number(name)[index] for name in runs.numbers}
@@ -229,7 +235,21 @@ def _numbers(campaign: Campaign, index: IntArray, path: FloatArray, remarks: lis
             numbers[name] = _filled(name, numbers[name], runs.label("session")[index], runs.run_id[index], remarks)
     numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
     numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
-    return numbers
+    return numbers, _carried_N(units, steps, numbers)
+
+
+def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[str, FloatArray]) -> FloatArray | None:
+    """Return the wheel loads of the steps (n_steps, 2), None where none changes; `numbers` get the means by way."""
+    if all(u.load_left_N is None and u.load_right_N is None for u in units):
+        return None
+    found, unit, changes = [], np.repeat(np.arange(len(units)), np.diff(steps.starts)), False
+    for name, way in zip(WHEEL_LOADS, (np.abs(steps.left_m), np.abs(steps.right_m)), strict=True):
+        logged, whole = _of_steps(units, name, _ends), steps.total(way)
+        found.append(np.where(np.isnan(logged), numbers[name][unit], logged))
+        mean = steps.total(way * found[-1]) / np.where(whole > 0.0, whole, 1.0)
+        numbers[name] = np.where((whole > 0.0) & np.isfinite(steps.total(logged)), mean, numbers[name])
+        changes |= bool((np.abs(found[-1] - numbers[name][unit]) > SAME_N).any())
+    return np.stack(found, axis=1) if changes else None
 
 
 def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:

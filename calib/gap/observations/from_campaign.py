@@ -11,14 +11,15 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
-from calib.campaign.settings import OdometryModel, Reference
+from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
 from calib.campaign.wheels import on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
-from calib.gap.observations.assemble import assemble
+from calib.gap.observations.assemble import assemble, filled_loads
 from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
 from calib.odometry.poses import poses_of_vehicle
+from calib.odometry.routes import loads_in_steps
 from calib.types import FloatArray, IntArray
 
 #: fewer runs are cut into windows
@@ -136,6 +137,14 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         # wheels that represent others have no load of their own
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
+    logs, loads = campaign.logs, dict(zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True))
+    carried = {
+        name: loads_in_steps(load, logs.columns[name], logs.offsets)
+        for name, load in loads.items()
+        if name in logs.columns
+    }
+    if carried:
+        campaign = replace(campaign, logs=replace(logs, columns={**logs.columns, **carried}))
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
     return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
 

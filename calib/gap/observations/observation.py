@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
-from calib.campaign.settings import Encoder, OdometryModel
+from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray, in_frame
@@ -71,6 +71,9 @@ class Observation:
     front_rad: FloatArray | None = None
     steer_rad: FloatArray | None = None
     aside_m: FloatArray | None = None  #: shape (n_steps + 1,): mecanum wheels' roll to the left
+    #: load_left_N, load_right_N: shape (n_steps + 1,): mean wheel loads by the log in the step that ends at each
+    load_left_N: FloatArray | None = None
+    load_right_N: FloatArray | None = None
     from_log: bool = True  #: false where made up from totals
     #: measured, simulated: shape (4,): distance, x, y and heading at the end in the start frame, else NaN
     measured: FloatArray = field(default_factory=lambda: _nan(4))
@@ -91,7 +94,7 @@ class Observation:
 
 
 #: fields of `Observation` with a value for each sample
-ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad", "aside_m")
+ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad", "aside_m", *WHEEL_LOADS)
 
 
 def log_rows(log: Mapping[str, FloatArray]) -> IntArray:
@@ -121,6 +124,7 @@ def observation_from_log(
     index = thinned(rows)
     counted = "counts_front" if "counts_front" in log else WHEEL_COLUMNS["shaft"][0]
     front, steer, aside = (log[name][index] if name in log else None for name in (counted, "steer_rad", ASIDE))
+    loads = [_means(log[name], index) if name in log else None for name in WHEEL_LOADS]
     return Observation(
         run=run,
         window=0,
@@ -130,7 +134,14 @@ def observation_from_log(
         front_rad=None if front is None or np.isnan(front).any() else front / per_rad.front,
         steer_rad=None if steer is None or np.isnan(steer).any() else steer,
         aside_m=aside,
+        load_left_N=loads[0],
+        load_right_N=loads[1],
     )
+
+
+def _means(samples: FloatArray, index: IntArray) -> FloatArray:
+    """Return the means of samples (n,) from behind each picked one to the next, at the next, shape (n_picked,)."""
+    return np.append(samples[index[0]], np.diff(np.cumsum(samples)[index]) / np.diff(index))
 
 
 def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> Observation | None:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from calib.coefficients.build import Header, from_law
 from calib.coefficients.sections import Quantity
-from calib.gap.effects.applied import applied_perturbations, section_of, with_effects
+from calib.gap.effects.applied import applied_perturbations, beyond_law, section_of, with_effects
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.library import every_effect
 from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
-from tests.gap.effects.making import STRAIGHT, Run, situation
+from calib.io import write_bytes
+from calib.radius.law import RadiusLaw, WheelLaw
+from tests.gap.effects.making import STRAIGHT, Run, campaign, situation
 
 #: rounding of a few sums and products
 ROUNDING = 1e-12
@@ -138,6 +144,22 @@ def test_a_curved_law_keeps_the_load_at_which_it_is_nought() -> None:
     load = there.number("load_left_N")
     wanted = reference * ((load / reference) ** 2 - 1.0) / 2.0 / there.radius_left_m
     np.testing.assert_allclose(left, wanted, rtol=1e-12, atol=ROUNDING)
+
+
+def test_loads_outside_the_valid_range_of_a_model_are_said(tmp_path: Path) -> None:
+    wheel = WheelLaw(300.0, 0.1, 1e-6, np.zeros((2, 2)), 9.0, 0.0, 280.0, 320.0, 4)
+    made = campaign([Run(STRAIGHT), Run(STRAIGHT)])
+    file = from_law(RadiusLaw(wheel, wheel), made.vehicle, made.encoder, Header("m", simulated=True, outside="refuse"))
+    path = write_bytes(tmp_path / "m.json", file.to_bytes())
+    s = observations_of(made)
+    inside, beyond = (
+        beyond_law(path, replace(s, numbers={**s.numbers, "load_left_N": np.full(len(s), load)}))
+        for load in (320.0, 400.0)
+    )
+    assert inside == ()
+    assert beyond == (
+        "wheel loads lie outside the valid range of the model: its law is extended to them, a vehicle refuses them",
+    )
 
 
 def test_on_the_same_campaign_a_form_written_down_is_the_form() -> None:
