@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from calib.cli import terminal
 from calib.cli.terminal import Place, Text, Texts, arg, opt
@@ -85,11 +85,15 @@ def run(
     terminal.emit_json(document)
     applied = "" if apply is None else _apply(diagnosis, read, effects, apply)
     step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
-    odd = runs_of_broken_counters(read) if step in {"diagnose", "diagnose unknown", "diagnose wrong"} else ()
+    odd = runs_of_broken_counters(read) if step in _UNSETTLED else ()
     terminal.then(
         "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
     )
     return 0 if applied is not None and diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+
+
+#: steps that broken counters may be the cause of
+_UNSETTLED: Final = frozenset({"diagnose", "diagnose unknown", "diagnose wrong", "plan nothing"})
 
 
 def _apply(
@@ -248,6 +252,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
+    from calib.reporting.present import without_runs
     from calib.reporting.topics.diagnosis import runs_and_promises
 
     with terminal.progress("planning") as tick:
@@ -256,7 +261,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
         plan = proposed(read, among=offered, most=most, seed=seed, progress=tick)
     terminal.say(f"{plan.diagnosis.campaign}: {plan.diagnosis.sentence}")
     terminal.show(runs_and_promises(plan))
-    terminal.then("plan" if plan.runs else "plan nothing", c=campaign)
+    terminal.then("plan" if plan.runs else without_runs(plan.diagnosis), c=campaign)
     terminal.emit_json(plan.to_dict())
 
 

@@ -170,4 +170,16 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
     kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if wrong else kind
     step = f"diagnose {kind}"
-    return step if step in catalogue()["next"] else "diagnose"
+    if step in catalogue()["next"]:
+        return step
+    # runs to drive next are sought for confounded causes alone
+    return without_runs(diagnosis) if diagnosis.groups and not (diagnosis.next_runs or simulator) else "diagnose"
+
+
+def without_runs(diagnosis: Diagnosis) -> str:
+    """Return the step where no run tells the causes apart: of two instruments a third length tells which is wrong."""
+    from calib.gap.effects.reference import RangefinderScale, ReferenceScale
+
+    instruments = {RangefinderScale.id, ReferenceScale.id}
+    both = any(instruments.issubset(group.effects) for group in diagnosis.groups)
+    return "plan instruments" if both else "plan nothing"

@@ -18,7 +18,7 @@ from calib.reporting.content import compose
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import blocks_html, to_pdf
 from calib.reporting.source import Source
-from calib.reporting.topics.diagnosis import diagnosis_content, verdict_notice
+from calib.reporting.topics.diagnosis import diagnosis_content, next_runs_table, verdict_notice
 from calib.reporting.topics.fit import diagnosis_section
 from tests.reporting.making import findings, with_findings
 
@@ -42,7 +42,7 @@ def test_the_page_shows_verdict_map_ranking_aliases_closure_and_next_runs(source
     tables = {block.columns[0].title: block for block in made.blocks if isinstance(block, Table)}
     sizes = next(block for block in made.blocks if isinstance(block, Table) and block.columns[1].title == "Parameter")
     assert sizes.rows[0] == ("track_width", "relative", "", "0.003020", "0.002930", "0.003110")
-    assert tables["Run"].rows[0][0] == "1. square ccw"
+    assert tables["Run"].rows[0][0] == "1. square ccw, payload at 0, 0 m"
     assert tables["Run"].rows[0][-1] == "tells the two apart"
     text = str([block.to_dict() for block in made.blocks])
     for phrase in ("track_width, curve_scrub", "61 %", "'61.0'", "4.10", "99 %", "m/s²", "suspect latency",
@@ -100,3 +100,19 @@ def test_a_title_and_its_sentence_say_a_thing_once() -> None:
     assert notice.title == "These runs cannot show whether there is a gap (undecided)"
     assert notice.text == "Their noise level rests on nothing."
     assert verdict_notice(Diagnosis(VerdictKind.EXPLAINED, "The gap is small.")).text == "The gap is small."
+
+
+def test_runs_that_differ_in_the_place_of_the_payload_alone_differ_on_a_terminal() -> None:
+    """At 80 columns, where a column of its own has no room."""
+    left = PlannedRun("figure8", payload_kg=100.0, payload_x_m=0.3, payload_y_m=0.15, why="w" * 40)
+    runs = [replace(left, payload_y_m=-0.15), left]
+    text = to_text([next_runs_table([run.to_dict() for run in runs])])
+    assert "at 0.3, -0.15 m" in " ".join(text.split()) and "at 0.3, 0.15 m" in " ".join(text.split())
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_form_that_is_more_probable_than_the_cause_says_so() -> None:
+    cause = Cause("curve_scrub", "scrubbing", "", 0.12, 1.0, 20.0, {}, forms_open=("load_dependent_track", "wear"))
+    found = Diagnosis(VerdictKind.EXPLAINED, "", (cause,), probabilities={"load_dependent_track": 0.64})
+    said = " ".join(to_text(diagnosis_content(found)).split())
+    assert "do not determine the form; load_dependent_track (64 %), wear fit equally well" in said

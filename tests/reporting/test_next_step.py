@@ -11,7 +11,9 @@ import pytest
 
 from calib.cli.export import _next_step
 from calib.cli.main import run
-from calib.reporting.present import after_geometry, next_step
+from calib.gap.decision.diagnosis import Diagnosis, Group, VerdictKind
+from calib.gap.plan.planned_runs import PlannedRun
+from calib.reporting.present import after_diagnosis, after_geometry, next_step
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources
@@ -145,3 +147,19 @@ def test_a_folder_with_blanks_can_be_copied_out_of_the_quotes() -> None:
 def test_every_name_is_quoted_for_a_shell(word: str) -> None:
     line = next_step("check wrong", c=word).removeprefix("Next: correct what is wrong above, then '").removesuffix("'.")
     assert shlex.split(line) == ["calib", "check", word]
+
+
+@pytest.mark.parametrize(
+    ("group", "runs", "step"),
+    [
+        (("unequal_radii", "lost_counts"), (PlannedRun("corridor"),), "diagnose"),
+        (("unequal_radii", "lost_counts"), (), "plan nothing"),
+        (("rangefinder_scale", "reference_scale"), (), "plan instruments"),
+    ],
+)
+def test_a_diagnosis_promises_no_runs_where_the_plan_has_none(
+    group: tuple[str, ...], runs: tuple[PlannedRun, ...], step: str
+) -> None:
+    """What no run tells apart, a length by other means may: of two instruments one is wrong."""
+    found = Diagnosis(VerdictKind.AMBIGUOUS, "", groups=(Group(group),), next_runs=runs)
+    assert after_diagnosis(found) == step

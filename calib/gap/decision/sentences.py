@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
-from calib.gap.decision.kind import CERTAIN_PROBABILITY, ON_FLOOR, fails
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
 from calib.gap.decision.trials import reach_of_noise
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
@@ -95,7 +95,12 @@ def _but_single_runs(diagnosis: Diagnosis) -> str:
 def _nearest(diagnosis: Diagnosis) -> str:
     probable = [name for name, p in diagnosis.probabilities.items() if p >= EVEN_PROBABILITY and name != "unknown"]
     names = joined((_named(name, diagnosis) for name in probable), "and")
-    left = "more than half of the gap remains" if diagnosis.noise_level.supported else "not certain to close half of it"
+    low, high = diagnosis.closure.ci95 or (0.0, 1.0)
+    left = "not certain to close half of the gap"
+    if diagnosis.noise_level.supported and high < HALF_CLOSURE:
+        left = "more than half of the gap remains"
+    elif diagnosis.noise_level.supported and low >= HALF_CLOSURE:
+        left = f"closes {100 * low:.0f} to {100 * high:.0f} % of the gap on held-out runs, but is not certain"
     return f" Closest: {names}; {left}." if probable else ""
 
 

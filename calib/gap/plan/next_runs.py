@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -60,10 +60,11 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    The runs are one session that begins with a repeat of an unladen corridor run; of a route not yet repeated,
-    `REPEATS` times each. Each greedy step takes the run after which the nearest confounded effects are furthest apart;
-    without any, the run after which most effects of the library are detected and separated. What the law of the load
-    lacks comes first, and a length beside a reference that alone measures any.
+    The runs are driven in one session that begins with a repeat of an unladen corridor run, those at another
+    temperature in one of their own, and those of a route that was not repeated so far `REPEATS` times. Each greedy
+    step takes the run after which the two nearest confounded effects are furthest apart; where none are confounded, the
+    run after which most effects of the library are detected and separated. What the law of the load lacks comes after
+    the former and before the latter; first comes a length beside a reference that alone measures any.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
     effects, the named one first; `fitted`: gives sizes, typical for others; `model`: the simulator's, by default the
@@ -99,30 +100,36 @@ def next_runs(
     task = _Task(signatures, ties)
     chosen: list[PlannedRun] = []
     taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
-    first = [(n, _OF_LAW) for n in _of_law(driven, candidates)]
+    # what 'calib fit' lacks follows the runs that tell confounded effects
+    law = _of_law(driven, candidates)
+    first, law = ([], law) if task.pairs else ([(n, _OF_LAW) for n in law[:1]], [])
     for number, why in [*first, *((n, _OF_SCALE) for n, run in enumerate(candidates) if taped and run.tape)][:most]:
         base = base + grams.pop(number, 0.0)
         chosen.append(replace(candidates[number], why=why))
-    while len(chosen) < most and grams and not task.done(before := task.distances(base)):
-        numbers, after = list(grams), dict[int, FloatArray]()
-        for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
-            after |= zip(some, task.distances(base + np.stack([grams[number] for number in some])), strict=True)
+    while len(chosen) < most - bool(law and most > 1) and grams and not task.done(before := task.distances(base)):
+        after = task.distances_with(base, grams)
         best = max(after, key=lambda number: (task.score(after[number]), -number))
         if not (task.score(after[best]) > task.score(before) and task.gains(before, after[best])):
             break
         base = base + grams.pop(best)
-        nearest = float(after[best].min()) if task.pairs else None
+        law, nearest = [] if best in law else law, float(after[best].min()) if task.pairs else None
         chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
     before, then = task.distances(alone), task.distances(base)
     if not chosen and not task.done(before) and task.gains(before, then):
         chosen.append(replace(reference, why=task.why(before, then)))
-    chosen = [replace(run, why=f"{run.why}{_BY_TAPE * (run.tape and measured.distance)}") for run in chosen]
-    return [replace(run, size=planned_runs.size_of(route_of(run.kind, _corridor_m(driven)))) for run in chosen]
+    chosen += [replace(candidates[n], why=_OF_LAW) for n in law[: min(1, most - len(chosen))]]
+    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in chosen]
 
 
-_OF_LAW: Final = "a second load on another day: 'calib fit' needs two sessions that have two loads or more"
+def _stated(run: PlannedRun, corridor_m: float, *, by_laser: bool) -> PlannedRun:
+    aside = _BY_TAPE * (run.tape and by_laser) + _OTHER_DAY * (run.session in planned_runs.OTHER_DAYS)
+    return replace(run, why=run.why + aside, size=planned_runs.size_of(route_of(run.kind, corridor_m)))
+
+
+_OF_LAW: Final = "for 'calib fit' alone, a second load on another day: it needs two sessions of two loads or more"
 _OF_SCALE: Final = "a length by tape or laser (distance_m) tells radii and track from the scale of the reference"
 _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
+_OTHER_DAY: Final = "; in a session of its own, on a day when the hall has that temperature"
 
 
 def _candidates(driven: Campaign, measured: Measured, ties: Sequence[Sequence[str]]) -> list[PlannedRun]:
@@ -141,7 +148,7 @@ def _corridor_run(driven: Campaign) -> PlannedRun:
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
-    """Return the corridor run of the largest payload where only one session has several loads.
+    """Return the laden corridor runs, the largest payload first, where one session alone has several loads.
 
     The next session, begun unladen, then has two.
     """
@@ -149,7 +156,7 @@ def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
     if not measured or len(sessions_of_loads(driven)) != 1:
         return []
     laden = [number for number, run in enumerate(candidates) if run.kind == "corridor" and run.payload_kg > 0.0]
-    return [max(laden, key=lambda number: (candidates[number].payload_kg, -number))] if laden else []
+    return sorted(laden, key=lambda number: -candidates[number].payload_kg)
 
 
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
@@ -180,6 +187,13 @@ class _Task:
             row = {truth: index for index, truth in enumerate(self.truths)}
             return np.stack([distance[..., row[a], b] for a, b in self.pairs], axis=-1)
         return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
+
+    def distances_with(self, gram: FloatArray, added: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
+        """Return `distances` with each of the scalar products that may be added."""
+        numbers, after = list(added), dict[int, FloatArray]()
+        for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
+            after |= zip(some, self.distances(gram + np.stack([added[number] for number in some])), strict=True)
+        return after
 
     def done(self, distances: FloatArray) -> bool:
         return bool((distances >= ENOUGH_SD).all())
@@ -213,8 +227,11 @@ def _measured(campaign: Campaign) -> Measured:
     front = logs.columns.get("counts_front")
     # a floor mark measures a closed loop
     open_path = runs.label("loop") != CLOSED
-    poses, by_laser = ("ref_x_m", "ref_theta_rad"), np.isfinite(runs.number("distance_m"))
-    position, heading = (bool((np.isfinite(runs.number(p)) & open_path).any() or p in logs.columns) for p in poses)
+    by_laser, turned = np.isfinite(runs.number("distance_m")), np.isfinite(runs.number("ref_theta_rad"))
+    # a place without a heading beside a laser's distance is a tape's
+    placed = np.isfinite(runs.number("ref_x_m")) & (turned | ~by_laser)
+    position = bool((placed & open_path).any()) or "ref_x_m" in logs.columns
+    heading = bool((turned & open_path).any()) or "ref_theta_rad" in logs.columns
     beside = "ref_x_m" in logs.columns or not by_laser.any()
     return Measured(
         distance=bool(by_laser.any() or "range_m" in logs.columns),
@@ -223,7 +240,7 @@ def _measured(campaign: Campaign) -> Measured:
         front=front is not None and bool(np.isfinite(front).any()),
         log=bool(logs.present.any()),
         gyro=bool(np.isfinite(runs.number(GYRO_TURN)).any()),
-        beside=beside or bool(np.isfinite(runs.number("ref_x_m")[by_laser]).any()),
+        beside=beside or bool(placed[by_laser].any()),
     )
 
 

@@ -36,7 +36,9 @@ DEFAULT_CORRIDOR_M: Final = 20.0
 ACCELERATION_MPS2: Final = 0.5
 #: of vehicles' logs
 LOG_PERIOD_S: Final = 0.1
-#: of a run, as in the run table
+#: no hall changes so far within a session (K)
+OTHER_DAYS: Final = {"next_cold": -10.0, "next_warm": 10.0}
+#: conditions of a run, as the run table names them
 CONDITIONS: Final = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
 #: routes beside those of `calib simulate`, each with its mirror image
 LEFT_ROUTES: Final = {
@@ -120,7 +122,7 @@ def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = 
     candidates += [replace(out, stops=4), replace(out, speed_mps=0.7, read_rolling=True)]
     candidates += [replace(out, kind=kind) for kind in ("corridor_short", "corridor_b")]
     if np.isfinite(usual_C):
-        candidates += [replace(out, temperature_C=usual_C + step) for step in (-10.0, 10.0)]
+        candidates += [replace(out, temperature_C=usual_C + k, session=day) for day, k in OTHER_DAYS.items()]
     return candidates
 
 

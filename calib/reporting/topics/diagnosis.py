@@ -206,7 +206,7 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
         return Text("No run of the list would separate more effects than the runs driven.")
     return table(
         "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
-        ("<Run", "Payload (kg)", "~at x, y (m)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
+        ("<Run", "Payload (kg)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
         [_row(number, run) for number, run in enumerate(runs, start=1)],
     )
 
@@ -234,13 +234,14 @@ _REMARKS: Final = {
 
 def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     extra = [words.format(run[key]) for key, words in _REMARKS.items() if run.get(key)]
+    if run.get("payload_kg"):
+        extra.append(f"payload at {run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g} m".replace("-", "−"))
     what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
 
     def shown(key: str) -> str:
         return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING
 
-    place = f"{run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g}" if run.get("payload_kg") else MISSING
-    numbers = (shown("payload_kg"), place, shown("speed_mps"), shown("temperature_C"), shown("minutes_under_load"))
+    numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C"), shown("minutes_under_load"))
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 
 

@@ -176,9 +176,11 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
     if rows:
         columns = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
         blocks.append(table("Sizes of the causes with 95 % intervals.", columns, rows))
+    known = {name: f"{name} ({100 * p:.0f} %)" for name, p in verdict.probabilities.items()}
     remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
     remarks += [
-        f"{cause.effect}: these runs do not determine the form; {', '.join(cause.forms_open)} fit equally well"
+        f"{cause.effect}: these runs do not determine the form; "
+        f"{', '.join(known.get(name, name) for name in cause.forms_open)} fit equally well"
         for cause in verdict.causes
         if cause.forms_open
     ]

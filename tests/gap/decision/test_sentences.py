@@ -82,11 +82,15 @@ def test_probable_effects_that_leave_most_of_the_gap_are_the_closest() -> None:
     unknown = Diagnosis(
         VerdictKind.UNKNOWN,
         "",
-        closure=Closure(channels=(DISTANCE,)),
+        closure=Closure(0.09, 0.08, 0.002, 0.2, (0.0, 0.4), channels=(DISTANCE,)),
         probabilities={"unknown": 0.99, "track_width": 0.9, "floor_zone": 0.6, "wear": 0.2},
     )
     closest = sentence(unknown).partition(" Closest: ")[2]
     assert "(track_width) and " in closest and "(floor_zone); more than half of the gap remains." in closest
+    # what remains is said as the closure has it
+    for ci95, said in (((0.85, 1.0), "closes 85 to 100 % of the gap on held-out runs"), ((0.2, 0.9), "not certain to")):
+        text = sentence(replace(unknown, closure=replace(unknown.closure, ci95=ci95)))
+        assert said in text and "remains" not in text
 
 
 @pytest.mark.parametrize(("probability", "doubted"), [(0.44, True), (0.5, False), (0.99, False), (None, False)])

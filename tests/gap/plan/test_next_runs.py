@@ -21,7 +21,14 @@ from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
 from calib.gap.plan.next_runs import next_runs, read_plan, with_next
-from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive, joined
+from calib.gap.plan.planned_runs import (
+    Measured,
+    PlannedRun,
+    default_candidates,
+    drive,
+    joined,
+    usual_temperature_C,
+)
 from calib.gap.predict import predict, residuals
 from calib.plant.design import poor_design
 from calib.plant.make import make_campaign
@@ -238,7 +245,7 @@ def test_a_light_robot_is_offered_a_light_payload() -> None:
     assert max(abs(run.payload_x_m) for run in offered) < 0.2
 
 
-def test_a_law_of_one_day_gets_a_second_load_on_another_day_first() -> None:
+def test_a_law_of_one_day_gets_a_second_load_on_another_day() -> None:
     """So that with the unladen repeat two sessions have two loads; of the sample, where all sessions have, nothing."""
     crossed = calib.read(ROOT / "sample_runs" / "corridor_crossed").included()
     day = crossed.select(crossed.runs.label("session") == "s1")
@@ -247,6 +254,25 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day_first() -> None:
     assert "another day" in first.why
     assert len(sessions_of_loads(with_next(day, [first]))) == 2
     assert not any("another day" in each.why for each in calib.plan(crossed, most=2).runs)
+    # what tells confounded effects apart comes before it
+    s, noise = noise_of(day)
+    lanes = [PlannedRun("corridor_short"), PlannedRun("corridor", payload_kg=200.0, payload_x_m=0.3)]
+    ties = [("rangefinder_scale", "rangefinder_offset")]
+    told, law = next_runs(day, library(s), noise, ties, candidates=lanes)
+    assert "tells rangefinder_scale" in told.why and "another day" in law.why
+
+
+def test_another_hall_temperature_is_a_session_of_its_own() -> None:
+    """No hall changes by 10 K within a session: a step of the session may do what the temperature does."""
+    driven = base()
+    usual_C = usual_temperature_C(driven)
+    offered = default_candidates(driven)
+    others = {run.session for run in offered if run.temperature_C != usual_C}
+    assert np.isfinite(usual_C) and len(others) == 2 and "next" not in others
+    s, noise = noise_of(driven)
+    warm = [run for run in offered if run.temperature_C > usual_C]
+    (run,) = next_runs(driven, library(s), noise, [("temperature_radius", "wear")], candidates=warm)
+    assert "a session of its own" in run.why
 
 
 def test_where_the_repeat_alone_tells_it_is_what_is_proposed() -> None:

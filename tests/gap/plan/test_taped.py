@@ -10,6 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.plan.next_runs import _measured
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, route_of, size_of
 from tests.gap.effects.making import SQUARE, STRAIGHT, Motion, Run, campaign
 
@@ -67,3 +68,14 @@ def test_beside_a_laser_a_tape_gives_the_place_of_the_end() -> None:
 )
 def test_a_route_is_stated_in_metres(kind: str, words: str) -> None:
     assert size_of(route_of(kind, 25.0)) == words
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_tape_beside_a_laser_makes_no_lab_with_a_tracker(turned: bool) -> None:
+    """It measures the place of an end, no heading: open routes have no reference but by a tracker."""
+    made = by_laser(taped=3)
+    taped = np.isfinite(made.runs.number("distance_m")) & np.isfinite(made.runs.number("ref_x_m"))
+    seen = {name: np.where(taped, made.runs.number(name), np.nan) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")}
+    seen["ref_theta_rad"] *= 1.0 if turned else np.nan
+    found = _measured(replace(made, runs=replace(made.runs, numbers=dict(made.runs.numbers) | seen)))
+    assert (found.distance, found.position, found.heading, found.beside) == (True, turned, turned, turned)
