@@ -205,17 +205,17 @@ def from_geometry(
     vehicle = campaign.vehicle
     law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
     track, track_std, assumed = _track(geometry, campaign)
-    wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     runs = campaign.included().runs
     file = from_law(
         law,
-        replace(vehicle, track_m=track, wheelbase_m=wheelbase),
+        vehicle,
         campaign.encoder,
         Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
         noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"], assumed),
     )
-    file = file.changed(joint_geometry=_section(geometry))
+    wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
+    file = file.calibrated(track=track, wheelbase=wheelbase).changed(joint_geometry=_section(geometry))
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,13 +59,13 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
 
     return from_law(
         RadiusLaw(left=law(0, "left"), right=law(1, "right")),
-        replace(observations.vehicle, track_m=model.track_m * (1.0 + float(fitted.calibration[2]))),
+        observations.vehicle,
         campaign.encoder,
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(*observations.wheel_loads_N),
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=float(np.sqrt(fitted.covariance[2, 2])) * model.track_m),
-    )
+    ).calibrated(track=model.track_m * (1.0 + float(fitted.calibration[2])))
 
 
 def _slopes_and_sections(

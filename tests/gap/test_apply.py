@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.coefficients.file import load_coefficients
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.apply import applied_model
@@ -66,6 +67,8 @@ def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, see
     model, sections = model_of(path, campaign)
     again = diagnose_in_full(campaign, model=model, applied=sections, plan=False)
     assert again.kind is VerdictKind.NO_GAP
+    # wheel loads, which the law was fitted with, follow the vehicle and no calibrated track
+    assert load_coefficients(path).loaded == campaign.vehicle
 
 
 def test_a_zone_of_the_floor_is_named_and_no_part_of_a_recommended_fix() -> None:
