@@ -29,7 +29,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.applied` take back. The
     diagnosed model's own (`given`) are kept.
     """
-    fitted = diagnosis.correction
+    fitted = diagnosis.correction.at_end()
     if not diagnosis.causes:
         why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
         raise RefusedError(
