@@ -193,8 +193,9 @@ def study(
     if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
         raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
-    vehicle = Vehicle() if source is None else source.vehicle
-    track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(seed)
+    if source is not None:
+        track = source.track_m
+    track_m, rng = Vehicle().track_m if track is None else track, np.random.default_rng(seed)
     with terminal.waiting("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)

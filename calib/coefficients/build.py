@@ -206,11 +206,10 @@ def from_geometry(
     vehicle = campaign.vehicle
     law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
     track, track_std, assumed = _track(geometry, campaign)
-    wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     runs = campaign.included().runs
     file = from_law(
         law,
-        replace(vehicle, track_m=track, wheelbase_m=wheelbase),
+        vehicle,
         campaign.encoder,
         Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
@@ -218,7 +217,8 @@ def from_geometry(
     )
     names = [estimate.name for estimate in geometry.estimates]
     together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
-    file = file.changed(joint_geometry=together)
+    wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
+    file = file.calibrated(track=track, wheelbase=wheelbase).changed(joint_geometry=together)
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 

@@ -33,7 +33,7 @@ FORMAT: Final = "calib-coefficients/1"
 Outside = Literal["refuse", "clamp"]
 
 #: defaults, not written
-USUAL_VEHICLE: Final = {"drive": "tricycle", "front_wheel_radius": None}
+USUAL_VEHICLE: Final = {"drive": "tricycle"} | dict.fromkeys(("front_wheel_radius", "load_track", "load_wheelbase"))
 
 #: a coefficient file has some 10 kB
 FILE_LIMIT_BYTES: Final = 16 << 20
@@ -81,7 +81,7 @@ class CoefficientFile(Section):
             raise ValueError("load_table: two lines have the same name")
         return self
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the document as plain Python values, in the order of the file."""
         document = self.model_dump(mode="json")
         for name in ("joint_geometry", "assumed", "accepted_implausible"):
@@ -103,6 +103,14 @@ class CoefficientFile(Section):
     def changed(self, **changes: Any) -> CoefficientFile:
         """Return the file with `changes` (models or plain values) replaced and a new checksum."""
         return sealed(**{**self.to_dict(), **changes})
+
+    def calibrated(self, **lengths_m: float) -> CoefficientFile:
+        """Return the file with the odometry's `track` and `wheelbase`; the wheel loads keep to the vehicle's own."""
+        vehicle = self.to_dict()["vehicle"]
+        for name, length_m in lengths_m.items():
+            if length_m != vehicle[name]["value"]:
+                vehicle |= {f"load_{name}": vehicle[name], name: {"value": length_m, "unit": "m"}}
+        return self.changed(vehicle=vehicle)
 
     def accepted(self, reason: str, findings: Sequence[str]) -> CoefficientFile:
         """Return the file with the findings beyond the bounds that the user accepts; the file itself without any."""
@@ -177,6 +185,12 @@ class CoefficientFile(Section):
             drive=self.vehicle.drive if self.joint_geometry is None else self.joint_geometry.drive,
             half_length_plus_half_width_m=self.together.get("half_length_plus_half_width_m"),
         )
+
+    @property
+    def loaded(self) -> Vehicle:
+        """The vehicle with the lengths by which its wheel loads are computed: those that the law was fitted with."""
+        lengths = self.vehicle.si("load_track", "load_wheelbase").items()
+        return replace(self.geometry, **{name.removeprefix("load_"): m for name, m in lengths if m is not None})
 
     def radius_m(self, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the effective radii (left, right) for loads of any shape, obeying the file outside the valid range.

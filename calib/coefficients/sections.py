@@ -173,7 +173,8 @@ class WheelsSection(Section):
 class VehicleSection(Section):
     """Geometry and mass, enough for the vehicle to compute its wheel loads from a payload (Eqs 1-2).
 
-    `drive` and `front_wheel_radius` are in the file only where they differ from those of a tricycle.
+    `drive` and `front_wheel_radius` are in the file only where they differ from those of a tricycle; `load_track` and
+    `load_wheelbase`, by which the wheel loads are computed, where the odometry's were calibrated.
     """
 
     track: PositiveLength
@@ -188,6 +189,8 @@ class VehicleSection(Section):
     gravity: quantities.GravityAcceleration
     drive: Drive = "tricycle"
     front_wheel_radius: PositiveLength | None = None
+    load_track: PositiveLength | None = None
+    load_wheelbase: PositiveLength | None = None
 
 
 class EncoderSection(Section):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +29,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.applied` take back. The
     diagnosed model's own (`given`) are kept.
     """
-    fitted = diagnosis.correction
+    fitted = diagnosis.correction.at_end()
     if not diagnosis.causes:
         why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
         raise RefusedError(
@@ -68,13 +67,13 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     left, right, track_m = law(0, "left"), law(1, "right"), model.track_m * (1.0 + float(fitted.calibration[2]))
     file = from_law(
         RadiusLaw(left=left, right=right),
-        replace(observations.vehicle, track_m=track_m),
+        observations.vehicle,
         campaign.encoder,
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=float(np.sqrt(covariance[4, 4]))),
-    )
+    ).calibrated(track=track_m)
     values = (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
     known = np.flatnonzero(np.diag(covariance))
     names, spread = [JOINT[k] for k in known], covariance[np.ix_(known, known)]

@@ -19,7 +19,7 @@ from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evid
 from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.kind import fails, open_questions
 from calib.gap.decision.trials import trials
-from calib.gap.effects.applied import beyond_law, model_of, with_effects, with_sensor_of
+from calib.gap.effects.applied import ELSEWHERE, beyond_law, model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
 from calib.gap.effects.library import library
@@ -193,7 +193,8 @@ def diagnosed(
         progress=progress,
     )
     beyond = () if model is None else beyond_law(model, found.observations)
-    return replace(found, notes=(*found.notes, *beyond)), tuple(effects)
+    found = replace(found, notes=(*found.notes, *beyond))
+    return found, tuple(effect for effect in effects if not effect.form.endswith(ELSEWHERE))
 
 
 @dataclass(frozen=True, slots=True)

@@ -204,7 +204,7 @@ def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
         else:
             from calib.coefficients.build import coefficients_of
 
-            vehicle = coefficients_of(source).file.geometry
+            vehicle = coefficients_of(source).file.loaded
     given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
     for name, value in given.items():
         if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):

@@ -81,7 +81,7 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
     walk = RandomWalk(noise.along.value, noise.heading.value, noise.count_std.value, *per_rev)
     notes = (*source.notes, *effects_left_out(file, "not simulated"))
     track_m = file.geometry.track_m if track_m is None else track_m
-    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.geometry, notes)
+    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.loaded, notes)
 
 
 def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:

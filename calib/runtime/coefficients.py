@@ -73,6 +73,8 @@ class Coefficients:
     mass_kg: float
     cog_x_m: float
     cog_y_m: float
+    load_track_m: float
+    load_wheelbase_m: float
     max_wheel_load_N: float
     gravity_mps2: float
     wrap_bits: int | None
@@ -128,6 +130,8 @@ class Coefficients:
             left, right = (_number(point, f"load_{side}", "N", at, low=0.0) for side in ("left", "right"))
             table[str(point.get("name"))] = (left, right)
         vehicle, noise, limits = (_part(document, key) for key in ("vehicle", "noise", "limits"))
+        # by which the wheel loads are computed: the odometry's unless these were calibrated
+        own = {f"load_{name}": vehicle.get(name) for name in ("track", "wheelbase")} | vehicle
         coefficients = cls(
             name=str(document.get("name", "")),
             simulated=document.get("simulated") is not False,
@@ -141,6 +145,8 @@ class Coefficients:
             mass_kg=_number(vehicle, "mass", "kg", "vehicle", above=0.0),
             cog_x_m=_number(vehicle, "cog_x", "m", "vehicle"),
             cog_y_m=_number(vehicle, "cog_y", "m", "vehicle"),
+            load_track_m=_number(own, "load_track", "m", "vehicle", above=0.0),
+            load_wheelbase_m=_number(own, "load_wheelbase", "m", "vehicle", above=0.0),
             max_wheel_load_N=_number(vehicle, "max_wheel_load", "N", "vehicle", low=0.0),
             gravity_mps2=_number(vehicle, "gravity", "m/s^2", "vehicle", above=0.0),
             wrap_bits=None if wrap is None else _bits(encoder),
@@ -169,8 +175,8 @@ class Coefficients:
             Its centre of mass, ahead of the rear axle and left of the centre line.
         """
         total = self.mass_kg + payload_kg
-        ahead = (self.mass_kg * self.cog_x_m + payload_kg * payload_x_m) / self.wheelbase_m
-        aside = (self.mass_kg * self.cog_y_m + payload_kg * payload_y_m) / self.track_m
+        ahead = (self.mass_kg * self.cog_x_m + payload_kg * payload_x_m) / self.load_wheelbase_m
+        aside = (self.mass_kg * self.cog_y_m + payload_kg * payload_y_m) / self.load_track_m
         left = self.gravity_mps2 * (0.5 * (total - ahead) + aside)
         right = self.gravity_mps2 * (0.5 * (total - ahead) - aside)
         return left, right, self.gravity_mps2 * ahead

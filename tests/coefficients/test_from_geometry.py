@@ -15,6 +15,8 @@ from calib.coefficients.formats import LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
+from calib.runtime.coefficients import Coefficients
+from calib.vehicle import wheel_loads_N
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
 
@@ -56,6 +58,19 @@ def test_it_reads_back_as_it_was_written(made: Campaign, geometry: Geometry, tmp
     path = tmp_path / "coefficients.json"
     path.write_bytes(file.to_bytes())
     assert load_coefficients(path) == file
+
+
+def test_a_payload_gives_the_wheel_loads_of_the_campaign_whatever_track_was_calibrated(
+    made: Campaign, geometry: Geometry
+) -> None:
+    """The law was fitted with loads by the vehicle's own lengths; a calibrated track is the odometry's alone."""
+    file, payload = from_geometry(geometry, made), (2.0, 0.05, -0.03)
+    assert file.geometry.track_m != made.vehicle.track_m
+    front, left, right = wheel_loads_N(made.vehicle, *payload)
+    on_vehicle = Coefficients.parse(file.to_bytes().decode())
+    assert on_vehicle.wheel_loads_N(*payload) == pytest.approx((float(left), float(right), float(front)), rel=1e-12)
+    assert wheel_loads_N(file.loaded, *payload) == (front, left, right)
+    assert f"CALIB_LOAD_TRACK_M {made.vehicle.track_m!r}\n" in export(file, "c")[0].data.decode()
 
 
 def test_a_file_without_a_joint_geometry_is_as_it_was(file: CoefficientFile) -> None:

@@ -17,6 +17,7 @@ from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
+from calib.gap.effects.quantities import numbered_sessions
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
@@ -68,6 +69,8 @@ def test_with_the_effect_added_there_is_no_gap_on_the_same_runs(effect: str, see
     model, sections = model_of(path, campaign)
     again = diagnose_in_full(campaign, model=model, applied=sections, plan=False)
     assert again.kind is VerdictKind.NO_GAP
+    # wheel loads, which the law was fitted with, follow the vehicle and no calibrated track
+    assert load_coefficients(path).loaded == campaign.vehicle
 
 
 def test_a_zone_of_the_floor_is_named_and_no_part_of_a_recommended_fix() -> None:
@@ -100,6 +103,28 @@ def test_what_is_written_of_the_calibration_and_is_no_cause_is_stated_with_its_s
     size = found.fix.moves["radius_scale"]
     assert written == pytest.approx((size.value, size.value), rel=1e-6)
     assert size.ci95[0] < size.value < size.ci95[1]
+
+
+def test_wear_is_written_from_the_end_of_the_campaign_and_acts_on_its_runs_alone(tmp_path: Path) -> None:
+    """The next campaign begins with the radii of the last session, and counts its sessions anew."""
+    campaign = replace(campaign_with("wear", times=6.0), hashes={"campaign.toml": "a" * 64, "runs.csv": "b" * 64})
+    found = diagnose_in_full(campaign, plan=False)
+    (form,), (rates,) = found.correction.forms, found.correction.theta
+    file = applied_model(found, campaign)
+    worn = observations_of(campaign).number("travelled_km") if form.label == "per km" else None
+    last = float(max(numbered_sessions(observations_of(campaign))[0]) if worn is None else worn.max())
+    assert form.effect == "wear" and form.centre is not None and file.effects[0].settings["centre"] == last
+    grown = found.correction.calibration[:2] + rates * (last - form.centre.mean)
+    radii_m = [campaign.model.radius_left_m, campaign.model.radius_right_m] * (1.0 + grown)
+    assert [file.law.left.radius_ref_m, file.law.right.radius_ref_m] == pytest.approx(radii_m, rel=1e-12)
+    path = write_bytes(tmp_path / "model.json", file.to_bytes())
+    model, sections = model_of(path, campaign)
+    s, notes = with_effects(observations_of(campaign, model), sections)
+    moved = (residuals(predict(s), predict(s)) - found.correction.left) / found.noise.floor
+    assert notes == () and np.abs(moved[:, :4]).max() < 0.01
+    later = replace(campaign, hashes={"campaign.toml": "a" * 64, "runs.csv": "c" * 64})
+    _, notes = with_effects(observations_of(later, model), model_of(path, later)[1])
+    assert len(notes) == 1 and "of other runs" in notes[0]
 
 
 def test_a_load_effect_goes_into_the_law_and_nowhere_else(tmp_path: Path) -> None:

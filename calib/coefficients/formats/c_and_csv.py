@@ -85,6 +85,7 @@ def coefficients_header(file: CoefficientFile, options: ExportOptions) -> tuple[
         wheels=[(side, wheel, fixed_point(wheel, side)) for side, wheel in file.wheels],
         numbers={
             **file.vehicle.si(*GEOMETRY),
+            **{f"load_{name}": getattr(file.loaded, name) for name in ("track_m", "wheelbase_m")},
             **file.encoder.si("counts_per_rev_left", "counts_per_rev_right"),
             **file.noise.si("count_std", "along", "heading"),
             **file.limits.si("max_step", "max_gap"),

@@ -213,8 +213,8 @@ static inline calib_status calib_set_payload(calib_odometer *o, double kg, doubl
         return calib_refuse_load_(o, CALIB_BAD_ARGUMENT);
     }
     total = CALIB_MASS_KG + kg;
-    ahead = (CALIB_MASS_KG * CALIB_COG_X_M + kg * x_m) / CALIB_WHEELBASE_M;
-    aside = (CALIB_MASS_KG * CALIB_COG_Y_M + kg * y_m) / CALIB_TRACK_M;
+    ahead = (CALIB_MASS_KG * CALIB_COG_X_M + kg * x_m) / CALIB_LOAD_WHEELBASE_M;
+    aside = (CALIB_MASS_KG * CALIB_COG_Y_M + kg * y_m) / CALIB_LOAD_TRACK_M;
     left = CALIB_GRAVITY_MPS2 * (0.5 * (total - ahead) + aside);
     right = CALIB_GRAVITY_MPS2 * (0.5 * (total - ahead) - aside);
     front = CALIB_GRAVITY_MPS2 * ahead;

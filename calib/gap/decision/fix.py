@@ -16,6 +16,7 @@ from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
+from calib.gap.effects.turning import LoadDependentTrack
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
@@ -23,9 +24,14 @@ PLAN: str = "'calib plan' names the runs that tell"
 #: and a reference's scale without another measure of length
 TAPE: Final = "the length of one run by tape or laser (distance_m) tells"
 REPEAT: str = "drive one route several times under the same conditions"
-#: family of a cause -> that of causes which may have gone together with it
-PARTING: Final = {Family.DRIFT: Family.DRIFT, Family.DIRECTION: Family.SPEED}
-#: least probability of all causes of a fix: a wrong one costs 1.5 times one withheld
+#: family of a cause -> those of causes that follow something else, which may have gone together with it
+PARTING: Final = {
+    Family.DRIFT: (Family.DRIFT, Family.LOAD, Family.SPEED),
+    Family.DIRECTION: (Family.SPEED,),
+    Family.LOAD: (Family.TURNING,),
+    Family.TURNING: (Family.LOAD,),
+}
+#: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
 FIX_PROBABILITY: Final = 0.6
 #: and of a cause beside the largest: without it the fix loses little, with a wrong one its trust. Of 17 fixes whose
 #: causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with one cause
@@ -237,9 +243,13 @@ def alternatives(evidence: Evidence, found: Finding) -> set[str]:
 
 
 def parting(group: Sequence[str]) -> list[str]:
-    """Return the first effect of a group and those that follow something else, one with it on these runs alone."""
-    families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
-    found = [name for name, family in zip(group[1:], families[1:], strict=True) if family is PARTING.get(families[0])]
+    """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
+    kinds = map(effect_class, group)
+    # a track that follows the load acts in turns, yet keeps to the load where turns change
+    families = [Family.LOAD if kind is LoadDependentTrack else kind.family if kind else Family.OWN for kind in kinds]
+    found = [
+        name for name, family in zip(group[1:], families[1:], strict=True) if family in PARTING.get(families[0], ())
+    ]
     return [group[0], *found] if found else []
 
 

@@ -160,7 +160,7 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
     """Return what the fix changes of radii and track unnamed, by effect; nothing without a cause."""
     from scipy.special import stdtrit
 
-    fitted = fix.fitted or evidence.fitted
+    fitted = (fix.fitted or evidence.fitted).at_end()
     to_sizes = np.linalg.inv(DIRECTIONS[:, :3].T)
     values = to_sizes @ fitted.calibration[:3]
     free = np.flatnonzero(np.abs(values) > ROUNDING)

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import SETTINGS
 from calib.campaign.settings import OdometryModel
 from calib.gap.effects.effect import Centre, Form
 from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
 from calib.gap.effects.library import every_effect
+from calib.gap.effects.radii import Wear
 from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 #: settings of where a covariate's effect is zero
 CENTRE: Final = "centre"
 SPREAD: Final = "spread"
+#: ends the form of what counts through another campaign
+ELSEWHERE: Final = " of other runs"
 #: parameter of a geometry: by how much the reference reads late
 DELAY: Final = "delay_s"
 
@@ -35,13 +39,20 @@ DELAY: Final = "delay_s"
 def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
     """Return what a coefficient file believes: the odometry's model, and the effects to add to it.
 
-    The law is centred on the reference load of the campaign's model.
+    The law is centred on the reference load of the campaign's model. Kilometres and sessions are counted in the
+    campaign that was diagnosed: wear acts on its runs alone.
     """
     from calib.coefficients.file import believed_model, load_coefficients
 
     file = load_coefficients(path)
     file.refuse_other_vehicle(campaign)
-    return believed_model(file, campaign.model.reference_load_N), (*file.effects, *_delay_of(file))
+    known = {one.sha256 for one in file.inputs}
+    same = all(digest in known for name, digest in campaign.hashes.items() if name != SETTINGS)
+    effects = [
+        one if same or one.effect != Wear.id else one.model_copy(update={"form": one.form + ELSEWHERE})
+        for one in file.effects
+    ]
+    return believed_model(file, campaign.model.reference_load_N), (*effects, *_delay_of(file))
 
 
 def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:

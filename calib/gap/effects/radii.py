@@ -147,8 +147,8 @@ class Wear(Effect):
             grows = centre.deviations(driven)
             return lambda _: [Perturbation(left=grows), Perturbation(right=grows)]
 
-        centre = Centre.of(driven)
-        return Form(self.id, f"per {per}", parameters, about(centre), tries=tries, centre=centre, about=about)
+        centre, end = Centre.of(driven), Centre(float(np.nanmax(driven)))
+        return Form(self.id, f"per {per}", parameters, about(centre), tries=tries, centre=centre, end=end, about=about)
 
 
 class SessionStep(Effect):

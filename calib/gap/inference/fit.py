@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
@@ -42,6 +42,21 @@ class Fitted:
     path: Path
     chi_square: float  #: whitened sum of squares of the residual
     left: FloatArray  #: shape (n_units, 6): residuals, not whitened
+
+    def at_end(self) -> Fitted:
+        """Return the fit as a file holds it: what counts on is zero at the campaign's end, with the radii there."""
+        place, turned = 4, np.eye(len(self.covariance))
+        for form in self.forms:
+            if form.end is not None and form.centre is not None:
+                turned[[0, 1], [place, place + 1]] = form.end.mean - form.centre.mean
+            place += len(form.parameters)
+        calibration = turned[:4] @ np.concatenate([self.calibration, *self.theta])
+        forms = tuple(form.centred_at(form.end) for form in self.forms)
+        # relative to the radii there
+        ended = [(size, form.end is not None) for form, size in zip(forms, self.theta, strict=True)]
+        theta = (size / (1.0 + calibration[:2]) if end else size for size, end in ended)
+        covariance = turned @ self.covariance @ turned.T
+        return replace(self, forms=forms, theta=tuple(theta), calibration=calibration, covariance=covariance)
 
     @property
     def parameters(self) -> FloatArray:
