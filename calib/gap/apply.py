@@ -29,14 +29,13 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.applied` take back. The
     diagnosed model's own (`given`) are kept.
     """
-    fitted = diagnosis.correction.at_end()
     if not diagnosis.causes:
         why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
         raise RefusedError(
             f"{diagnosis.campaign}: {why}, so there is no effect to add to the model; "
             "drive the runs that 'calib plan' names, or leave the model as it is"
         )
-    observations = diagnosis.observations
+    fitted, observations = diagnosis.correction.at_end(), diagnosis.observations
     model = observations.model
     slopes, sections = _slopes_and_sections(fitted, diagnosis.corrected_causes)
     # change of `JOINT` by what was fitted: the calibration's four first
