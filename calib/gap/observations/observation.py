@@ -71,7 +71,7 @@ class Observation:
     front_rad: FloatArray | None = None
     steer_rad: FloatArray | None = None
     aside_m: FloatArray | None = None  #: shape (n_steps + 1,): what mecanum wheels rolled to the left
-    #: load_left_N, load_right_N: shape (n_steps + 1,): mean wheel loads by the log in the step that ends at each
+    #: load_left_N, load_right_N: shape (n_steps + 1,): mean wheel loads in the step that ends at each sample
     load_left_N: FloatArray | None = None
     load_right_N: FloatArray | None = None
     from_log: bool = True  #: false where the steps were made up from the totals
@@ -142,7 +142,7 @@ def observation_from_log(
 
 
 def _means(samples: FloatArray, index: IntArray) -> FloatArray:
-    """Return the means of samples (n,) from behind each picked one to the next, at the next, shape (n_picked,)."""
+    """Return the means of samples (n,) between the picked ones, each at the later, shape (n_picked,)."""
     return np.append(samples[index[0]], np.diff(np.cumsum(samples)[index]) / np.diff(index))
 
 
