@@ -225,10 +225,7 @@ def with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: unladen, as a diagnosis takes it, if the law holds there.
-
-    Else those that the law is centred on.
-    """
+    """Return the campaign with loads where no run has any: unladen, or where the law is centred if it excludes that."""
     runs, columns = campaign.runs, ("load_left_N", "load_right_N")
     if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()

@@ -323,17 +323,16 @@ class Effects:
     def begin(self, run: Run) -> None:
         """Begin a run: its loads and surroundings hold until the next one.
 
-        Raises CoefficientError where a load is not finite, or outside the valid range and the file says refuse; a file
-        that says clamp takes the nearest valid load.
+        Raises CoefficientError where a load is not finite, or not valid and the file does not say clamp.
         """
-        self._run, used = None, []
-        file = self.coefficients
-        for side, wheel, load_N in (("left", file.left, run.load_left_N), ("right", file.right, run.load_right_N)):
-            used.append(min(max(load_N, wheel.load_min_N), wheel.load_max_N))
-            if not math.isfinite(load_N) or (used[-1] != load_N and file.outside == "refuse"):
-                found = f"begin: found a {side} wheel load of {load_N:g} N"
-                raise CoefficientError(f"{found}; expected {wheel.load_min_N:g} to {wheel.load_max_N:g} N, as measured")
-        self._run = replace(run, load_left_N=used[0], load_right_N=used[1])
+        self._run, file = None, self.coefficients
+        loads = {}
+        for name, wheel in (("load_left_N", file.left), ("load_right_N", file.right)):
+            load_N, low, high = getattr(run, name), wheel.load_min_N, wheel.load_max_N
+            loads[name] = min(max(load_N, low), high)
+            if not math.isfinite(load_N) or (loads[name] != load_N and file.outside == "refuse"):
+                raise CoefficientError(f"begin: {name}: found {load_N:g}; expected {low:g} to {high:g} N")
+        self._run = replace(run, **loads)
         self._phases = (run.phase_left_rad, run.phase_right_rad)
 
     def step(self, d_left_rad: float, d_right_rad: float, dt_s: float) -> Motion:

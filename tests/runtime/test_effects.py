@@ -89,7 +89,7 @@ def test_loads_outside_the_valid_range_are_taken_as_the_odometer_takes_them(
         moved[load_N] = effects["clamp"].step(0.1, 0.1, 0.02)
     assert moved[5000.0] == moved[9000.0]
     for outside, load_N in (("refuse", 9000.0), ("refuse", np.nan), ("clamp", np.nan), ("clamp", np.inf)):
-        with pytest.raises(CoefficientError, match=r"left wheel load of .*; expected 0 to 5000 N"):
+        with pytest.raises(CoefficientError, match=r"load_left_N: .*; expected 0 to 5000 N"):
             effects[outside].begin(Run(load_left_N=load_N, load_right_N=300.0))
         with pytest.raises(CoefficientError, match="expected begin"):
             effects[outside].step(0.1, 0.1, 0.02)

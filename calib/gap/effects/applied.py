@@ -66,14 +66,14 @@ def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
 
 
 def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, ...]:
-    """Return one sentence where loads lie outside the valid range of a coefficient file; nothing where none does."""
+    """Return one sentence where loads lie outside the valid range of a coefficient file."""
     from calib.coefficients.file import load_coefficients
 
     file = load_coefficients(path)
     if within_law(file.law, *observations.loads_N).all():
         return ()
-    does = "takes the nearest valid load" if file.outside == "clamp" else "refuses them"
-    return (f"wheel loads lie outside the valid range of the model: its law is extended to them, a vehicle {does}",)
+    said = "wheel loads lie outside the valid range of the model: its law is extended to them"
+    return (f"{said} (on a vehicle: {file.outside})",)
 
 
 def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:

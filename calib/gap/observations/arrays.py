@@ -48,8 +48,7 @@ N_CHANNELS: Final = len(Channel)
 #: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: steps worked on at a time: forty arrays of half a megabyte mostly stay in the processor's cache, and memory does not
-#: grow with the campaign
+#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache
 STEPS_AT_ONCE: Final = 2**16
 #: so many steps keep what follows from counts: ten values each
 KEPT_STEPS: Final = 2**20
@@ -147,7 +146,7 @@ class Observations:
     by_front: bool = False
     by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
     aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
-    carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs say that they change
+    carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs have them
     #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
     calibration_held: bool = False
     #: whether to look up effects of the model that act where nothing varies, too
@@ -257,11 +256,11 @@ class Observations:
 
     @property
     def loads_N(self) -> FloatArray:
-        """Loads (2, n_steps) where they change on the way, else `wheel_loads_N`."""
+        """Wheel loads, shape (2, n_steps), where logs have them, else `wheel_loads_N`."""
         return self.wheel_loads_N if self.carried_N is None else self.carried_N.T
 
     def radii_m(self, loads_N: FloatArray) -> FloatArray:
-        """Return the radii that the model believes under loads of the left and the right wheel, each shape (2, n)."""
+        """Return the radii that the model believes under loads of both wheels, each shape (2, n)."""
         return np.stack(radii_of_model(self.model, *np.nan_to_num(loads_N, nan=self.model.reference_load_N)))
 
     @cached_property

@@ -38,8 +38,6 @@ PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
 MOST_SPREADS: Final = 20.0
 #: share that is a few
 MOST_ODD: Final = 0.2
-#: loads that differ by less are one: the last bits of a mean
-SAME_N: Final = 1e-6
 #: runs named in a remark
 MOST_LISTED: Final = 5
 _LABELS = ("run_id", "session", "kind", "direction")
@@ -239,17 +237,16 @@ def _numbers(
 
 
 def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[str, FloatArray]) -> FloatArray | None:
-    """Return the wheel loads of the steps (n_steps, 2), None where none changes; `numbers` get the means by way."""
+    """Return the wheel loads of the steps (n_steps, 2), None without logs of them; `numbers` get means by way."""
     if all(u.load_left_N is None and u.load_right_N is None for u in units):
         return None
-    found, unit, changes = [], np.repeat(np.arange(len(units)), np.diff(steps.starts)), False
-    for name, way in zip(WHEEL_LOADS, (np.abs(steps.left_m), np.abs(steps.right_m)), strict=True):
-        logged, whole = _of_steps(units, name, _ends), steps.total(way)
-        found.append(np.where(np.isnan(logged), numbers[name][unit], logged))
-        mean = steps.total(way * found[-1]) / np.where(whole > 0.0, whole, 1.0)
-        numbers[name] = np.where((whole > 0.0) & np.isfinite(steps.total(logged)), mean, numbers[name])
-        changes |= bool((np.abs(found[-1] - numbers[name][unit]) > SAME_N).any())
-    return np.stack(found, axis=1) if changes else None
+    found = []
+    for name, way_m in zip(WHEEL_LOADS, (steps.left_m, steps.right_m), strict=True):
+        # a vehicle that stands has its mean in time
+        logged, weight = _of_steps(units, name, _ends), np.maximum(np.abs(way_m), 1e-12)
+        found.append(np.where(np.isnan(logged), np.repeat(numbers[name], np.diff(steps.starts)), logged))
+        numbers[name] = steps.total(weight * found[-1]) / steps.total(weight)
+    return np.stack(found, axis=1)
 
 
 def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:

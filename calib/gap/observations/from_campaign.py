@@ -137,14 +137,12 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         # wheels that represent others have no load of their own
         model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
-    logs, loads = campaign.logs, dict(zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True))
-    carried = {
-        name: loads_in_steps(load, logs.columns[name], logs.offsets)
-        for name, load in loads.items()
-        if name in logs.columns
-    }
-    if carried:
-        campaign = replace(campaign, logs=replace(logs, columns={**logs.columns, **carried}))
+    logs = campaign.logs
+    for name, load in zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True):
+        if name in logs.columns:
+            carried = loads_in_steps(load, logs.columns[name], logs.offsets)
+            logs = replace(logs, columns={**logs.columns, name: carried})
+    campaign = replace(campaign, logs=logs)
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
     return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
 

@@ -140,7 +140,7 @@ def observation_from_log(
 
 
 def _means(samples: FloatArray, index: IntArray) -> FloatArray:
-    """Return the means of samples (n,) from behind each picked one to the next, at the next, shape (n_picked,)."""
+    """Return the means of samples (n,) between the picked ones, each at the later, shape (n_picked,)."""
     return np.append(samples[index[0]], np.diff(np.cumsum(samples)[index]) / np.diff(index))
 
 

@@ -158,7 +158,7 @@ def test_loads_outside_the_valid_range_of_a_model_are_said(tmp_path: Path) -> No
     )
     assert inside == ()
     assert beyond == (
-        "wheel loads lie outside the valid range of the model: its law is extended to them, a vehicle refuses them",
+        "wheel loads lie outside the valid range of the model: its law is extended to them (on a vehicle: refuse)",
     )
 
 
