@@ -188,7 +188,7 @@ class CoefficientFile(Section):
 
     @property
     def loaded(self) -> Vehicle:
-        """The vehicle with the lengths by which its wheel loads are computed: those that the law was fitted with."""
+        """The vehicle with the lengths by which its wheel loads are computed."""
         lengths = self.vehicle.si("load_track", "load_wheelbase").items()
         return replace(self.geometry, **{name.removeprefix("load_"): m for name, m in lengths if m is not None})
 

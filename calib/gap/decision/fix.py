@@ -245,7 +245,7 @@ def alternatives(evidence: Evidence, found: Finding) -> set[str]:
 def parting(group: Sequence[str]) -> list[str]:
     """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
     kinds = map(effect_class, group)
-    # a track that follows the load acts in turns, yet keeps to the load where turns change
+    # it acts in turns, and follows the load
     families = [Family.LOAD if kind is LoadDependentTrack else kind.family if kind else Family.OWN for kind in kinds]
     found = [
         name for name, family in zip(group[1:], families[1:], strict=True) if family in PARTING.get(families[0], ())

@@ -39,8 +39,7 @@ DELAY: Final = "delay_s"
 def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
     """Return what a coefficient file believes: the odometry's model, and the effects to add to it.
 
-    The law is centred on the reference load of the campaign's model. Kilometres and sessions are counted in the
-    campaign that was diagnosed: wear acts on its runs alone.
+    The law is centred on the reference load of the campaign's model. Wear counts in the campaign that was diagnosed.
     """
     from calib.coefficients.file import believed_model, load_coefficients
 

@@ -119,8 +119,7 @@ class Form:
     by_parts: bool = False
     #: effects without one of which it does nothing, by id; empty where it acts by itself
     acts_through: tuple[str, ...] = ()
-    #: where a file writes it zero, for what counts on through the campaign: the next one begins at its end
-    end: Centre | None = None
+    end: Centre | None = None  #: where a file writes it zero, for what counts on through the campaign
 
     def centred_at(self, centre: Centre | None) -> Form:
         """Return the form with the effect zero at a centre, itself where it has none or none is given."""
