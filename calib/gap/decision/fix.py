@@ -16,7 +16,6 @@ from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
-from calib.gap.effects.turning import LoadDependentTrack
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: what settles most doubts
@@ -28,8 +27,6 @@ REPEAT: str = "drive one route several times under the same conditions"
 PARTING: Final = {
     Family.DRIFT: (Family.DRIFT, Family.LOAD, Family.SPEED),
     Family.DIRECTION: (Family.SPEED,),
-    Family.LOAD: (Family.TURNING,),
-    Family.TURNING: (Family.LOAD,),
 }
 #: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
 FIX_PROBABILITY: Final = 0.6
@@ -244,9 +241,7 @@ def alternatives(evidence: Evidence, found: Finding) -> set[str]:
 
 def parting(group: Sequence[str]) -> list[str]:
     """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
-    kinds = map(effect_class, group)
-    # it acts in turns, and follows the load
-    families = [Family.LOAD if kind is LoadDependentTrack else kind.family if kind else Family.OWN for kind in kinds]
+    families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
     found = [
         name for name, family in zip(group[1:], families[1:], strict=True) if family in PARTING.get(families[0], ())
     ]
