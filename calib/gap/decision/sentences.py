@@ -146,7 +146,8 @@ def _advised(diagnosis: Diagnosis) -> str:
     if diagnosis.recommended and diagnosis.fix.corrects is not None:
         part = joined((cause.effect for cause in diagnosis.corrected_causes), "and")
         left = "".join(f" {_capital(text)}." for text in diagnosis.fix.leaves)
-        return f"Recommended: the correction of {part} alone, which {holds} on held-out runs.{left}"
+        only = "" if _moves(diagnosis) else " alone"
+        return f"Recommended: the correction of {part}{only}, which {holds} on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
         groups = joined((joined(group.effects, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
