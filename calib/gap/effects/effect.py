@@ -240,11 +240,15 @@ class Proportional(Effect):
 
     parameter: ClassVar[Parameter]
     acts_on: ClassVar[str] = "both"  #: see `acting_on`
-    varies_by: ClassVar[float] = 0.0  #: no form where the quantity varies by no more than this
+    varies_by: ClassVar[float] = 0.0  #: what varies by no more than this is one value
 
     @abstractmethod
     def quantity(self, observations: Observations) -> FloatArray:
         """Return the quantity, shape (n_obs,); NaN where it is not known."""
+
+    def same_within(self, values: FloatArray) -> float:  # noqa: ARG002
+        """Return by how much values (n_obs,) of the quantity may differ and be one: no form where all are."""
+        return self.varies_by
 
     def centre(self, values: FloatArray) -> Centre:
         """Return where the effect is zero, for the values (n_obs,) of its quantity."""
@@ -253,7 +257,7 @@ class Proportional(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the quantity is not known everywhere or does not vary."""
         values = self.quantity(observations)
-        return [self.form(values, self.acts_on)] if varies(values, self.varies_by, observations) else []
+        return [self.form(values, self.acts_on)] if varies(values, self.same_within(values), observations) else []
 
     def form(self, values: FloatArray, acts_on: str, parameter: Parameter | None = None, label: str = "") -> Form:
         """Return a form by which the values (n_obs,) act on something, about their centre."""

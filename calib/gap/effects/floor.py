@@ -350,9 +350,7 @@ class FloorSlope(Effect):
         radii = Parameter("radii", "1", typical=2e-4, largest=2e-3)
         pull = Parameter("pull", "rad/m", typical=2e-4, largest=5e-3)
         drift = Parameter("drift", "1", typical=1e-3, largest=2e-2)
-        sided = observations.applied or bool(
-            (np.abs(across) > 0.02).any() or (observations.total(way * np.abs(np.sin(heading))) > 0.2).any()
-        )
+        sided = observations.applied or bool((observations.total(way * np.abs(np.sin(heading))) > 0.02 * length).any())
 
         def radii_by(share: FloatArray, _way: FloatArray) -> Perturbation:
             return on_both(share)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
-from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, softness
+from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, same_load_N, softness
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
@@ -47,7 +47,7 @@ def _shown_by(path: Path, others: BoolArray) -> FloatArray:
 
     def slope(rolled: FloatArray, load: FloatArray) -> float:
         good = others & np.isfinite(rolled) & np.isfinite(load)
-        if good.sum() < 2 or np.ptp(load[good]) <= 20.0:
+        if good.sum() < 2 or np.ptp(load[good]) <= 4.0 * same_load_N(path.s):
             return 0.0
         over = load[good] - load[good].mean()
         return float(over @ rolled[good] / (over @ over))
@@ -172,8 +172,9 @@ class LoadCreep(_OfLoad):
         creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
         if loads_vary(observations):
             creeps.append(("load above the unladen", None, Centre(unladen)))
-            before = np.stack([_load_before_N(now[0], now[1], unladen), _load_before_N(now[1], now[0], unladen)])
-            if (np.ptp(before, axis=1) > 5.0).any():
+            same_N = same_load_N(observations)
+            before = np.stack([_load_before_N(each, unladen, same_N) for each in (now, now[::-1])])
+            if (np.ptp(before, axis=1) > same_N).any():
                 creeps.append(("change of load", before, Centre(unladen)))
 
         def form(name: str, before: FloatArray | None, centre: Centre | None, tau: float) -> Form:
@@ -191,11 +192,11 @@ class LoadCreep(_OfLoad):
         return [form(*creep, tau) for creep in creeps for tau in CREEP_TIMES_MIN]
 
 
-def _load_before_N(load: FloatArray, other: FloatArray, first: float) -> FloatArray:
-    """Return the wheel's load before the present payload, shape (n_obs,), in the order driven."""
-    new = np.concatenate(([True], (np.abs(np.diff(load)) > 5.0) | (np.abs(np.diff(other)) > 5.0)))
+def _load_before_N(loads: FloatArray, first: float, same_N: float) -> FloatArray:
+    """Return the first wheel's load before the present payload, (n_obs,); `loads`: (2, n_obs), in the order driven."""
+    new = np.append(True, (np.abs(np.diff(loads)) > same_N).any(axis=0))
     block = np.cumsum(new) - 1
-    of_block = load[new]
+    of_block = loads[0, new]
     return np.asarray(np.concatenate(([first], of_block[:-1]))[block])
 
 

@@ -40,12 +40,24 @@ def wheel_size(observations: Observations) -> float:
 
 def loads_vary(observations: Observations) -> bool:
     """Return whether the load of either wheel is known and differs between observations."""
-    return any(varies(load, SAME_LOAD_N, observations) for load in observations.wheel_loads_N)
+    return any(varies(load, same_load_N(observations), observations) for load in observations.wheel_loads_N)
+
+
+def same_load_N(observations: Observations) -> float:
+    """Return the difference within which loads of a wheel are one load; not above 5 N, less on a light vehicle."""
+    return SAME_LOAD_N / softness(observations)
+
+
+def same_speed_mps(speed_mps: FloatArray) -> float:
+    """Return the difference within which speeds (n_obs,) are one speed."""
+    return SAME_SPEED_SHARE * float(np.mean(speed_mps))
 
 
 #: slower than this counts as standing still
 MOVING_MPS = 0.05
-#: loads that differ by less are one load
+#: share of the mean within which speeds are one: a drive keeps a set speed to some per cent
+SAME_SPEED_SHARE = 0.05
+#: loads under `PAPER_LOAD_N` that differ by less are one load
 SAME_LOAD_N = 5.0
 #: fewer runs under one load are no stretch of their own
 MIN_RUNS_PER_LOAD = 3
@@ -67,7 +79,7 @@ def sessions(observations: Observations) -> StrArray:
     if np.any(session != session[:1]):
         return session
     steps = np.abs(np.diff(observations.wheel_loads_N, axis=1)).max(axis=0, initial=0.0)
-    changes = np.flatnonzero(steps > SAME_LOAD_N) + 1
+    changes = np.flatnonzero(steps > same_load_N(observations)) + 1
     lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
     if not len(changes) or lengths.min() < MIN_RUNS_PER_LOAD:
         return session

@@ -18,7 +18,7 @@ from calib.gap.effects.effect import (
     always,
     varies,
 )
-from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, session_steps
+from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, same_speed_mps, session_steps
 from calib.gap.effects.steering import angle_error, has_front
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import Perturbation
@@ -205,7 +205,10 @@ class SpeedRadius(Proportional):
     needs = "two speeds"
     separates = "one route at several speeds, read after the stop"
     parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
-    varies_by = 0.02
+
+    def same_within(self, values: FloatArray) -> float:
+        """Return the share of the mean speed within which speeds are one."""
+        return same_speed_mps(values)
 
     def quantity(self, observations: Observations) -> FloatArray:
         """Return the driven speed in m/s."""
@@ -219,7 +222,7 @@ class AnySpeed(SpeedRadius):
         """Return the line, and a step of both radii from each speed driven to the others; none at one speed."""
         line, speed = super().forms(observations), self.quantity(observations)
         order = np.argsort(speed)
-        beyond = np.diff(speed[order]) > self.varies_by
+        beyond = np.diff(speed[order]) > self.same_within(speed)
         if not line or not beyond.any():
             return line
         number = np.zeros(len(speed))

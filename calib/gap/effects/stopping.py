@@ -43,7 +43,8 @@ class BrakingSkid(Effect):
         per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
         squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
         laws = [("the same at each stop", per_stop, 0), ("~ v^2", squared, 2)]
-        speeds_differ = varies(quantities.driven_speed_mps(observations), 0.02, observations)
+        speed = quantities.driven_speed_mps(observations)
+        speeds_differ = varies(speed, quantities.same_speed_mps(speed), observations)
         turns = observations.applied or bends.max() > LEAST_BEND_PER_TRACK / observations.model.track_m
 
         def slides(path: Path, power: int) -> list[Perturbation]:

@@ -79,7 +79,9 @@ class LoadDependentTrack(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form; none where the loads do not vary or nothing turns."""
         axle = observations.wheel_loads_N.sum(axis=0)
-        if not varies(axle, 10.0, observations) or not quantities.shows_curves(observations):
+        if not varies(axle, 2.0 * quantities.same_load_N(observations), observations) or not quantities.shows_curves(
+            observations
+        ):
             return []
         believed_N = 2.0 * observations.model.reference_load_N
         over = observations.loads_N.sum(axis=0) - believed_N

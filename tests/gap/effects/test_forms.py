@@ -23,6 +23,8 @@ from tests.gap.effects.making import (
     ROUTE,
     SQUARE,
     STRAIGHT,
+    TRACK_M,
+    WHEELBASE_M,
     Motion,
     Run,
     campaign,
@@ -295,3 +297,20 @@ def test_plausible_sizes_follow_the_vehicle() -> None:
         ratio = largest(effect, 0.2, 0.7) / largest(effect, 1.0, 100.0)
         # per metre of radius, as many times more as its wheel carries less than 300 N
         assert ratio == pytest.approx(0.2 * 300.0 / own_N, rel=1e-9)
+
+
+@pytest.mark.parametrize("scale", [0.02, 1.0, 20.0])
+def test_what_follows_speed_or_load_is_sought_on_slow_and_light_vehicles_alike(scale: float) -> None:
+    """Two speeds are two, and two loads, by their shares; a speed kept to some per cent is one."""
+    vehicle = Vehicle(TRACK_M, WHEELBASE_M, mass_kg=60.0 * scale)
+
+    def made(speed_mps: float, added_N: float) -> Observations:
+        own_N, lab = 100.0 * scale, Run(ROUTE, 0.5 * scale, stops=True)
+        first = replace(lab, load_left_N=own_N, load_right_N=own_N)
+        second = replace(first, speed_mps=speed_mps * scale, load_left_N=own_N + added_N * scale)
+        return observations_of(campaign([first, second] * 8, vehicle=vehicle))
+
+    two, one = made(0.7, 20.0), made(0.51, 0.0)
+    assert [len(offered(two, effect)) for effect in ("speed_radius", "braking_skid")] == [1, 2]
+    assert [len(offered(one, effect)) for effect in ("speed_radius", "braking_skid")] == [0, 1]
+    assert offered(two, "load_radius") and offered(two, "load_dependent_track") and not offered(one, "load_radius")
