@@ -194,6 +194,14 @@ def _cause(
     )
 
 
+def jointly_zero(values: FloatArray, covariance: FloatArray, dof: float) -> bool:
+    """Return whether the 95 % region of sizes (k,) of a covariance (k, k) holds zero."""
+    from scipy.special import fdtri
+
+    square = float(values @ np.linalg.solve(covariance, values))
+    return square <= len(values) * float(fdtri(len(values), max(dof, 3.0), 0.95))
+
+
 def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
     """Return a blunder corrected before the search as a cause: certain, the whole gap."""
     return Cause(

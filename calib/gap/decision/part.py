@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.gap.decision import confounding
 from calib.gap.decision import fix as rule
-from calib.gap.decision.causes import Finding
+from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.kind import CERTAIN_PROBABILITY
@@ -115,12 +115,31 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
-    left = rule.remaining(improvement, found.unexplained, f"the rest is what {beside} would take")
+    # what would move by nothing beyond noise takes no part of the gap
+    left = (
+        rule.remaining(improvement, found.unexplained, f"the rest is what {beside} would take")
+        if unnamed or not _others_at_zero(evidence, names)
+        else ()
+    )
     why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+
+
+def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
+    """Return whether what a fix of named effects leaves of radii and track as they are is zero in the fit of all."""
+    values, covariance = _relative(evidence.fitted)
+    moved = _moved_by(evidence, names)
+    held = [k for k, name in enumerate(NAMES) if name not in moved]
+    return jointly_zero(values[held], covariance[np.ix_(held, held)], evidence.noise.dof)
+
+
+def _relative(fitted: Fitted) -> tuple[FloatArray, FloatArray]:
+    """Return the size of each calibration parameter, shape (3,), and their covariance, (3, 3)."""
+    to_sizes = np.linalg.inv(DIRECTIONS[:, :3].T)
+    return to_sizes @ fitted.calibration[:3], to_sizes @ fitted.covariance[:3, :3] @ to_sizes.T
 
 
 def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
@@ -129,9 +148,12 @@ def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
     """Return the calibration's named directions and those of another zero of named effects, (k, 4)."""
-    named = evidence.effects.keys() & names
-    moved = {*names, *(shift for name in named for shift in evidence.effects[name].shifts)}
+    moved = _moved_by(evidence, names)
     return DIRECTIONS[[name in moved for name in NAMES]]
+
+
+def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
+    return {*names, *(shift for name in evidence.effects.keys() & names for shift in evidence.effects[name].shifts)}
 
 
 def _tried(
@@ -160,14 +182,12 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
     """Return what the fix changes of radii and track unnamed, by effect; nothing without a cause."""
     from scipy.special import stdtrit
 
-    fitted = (fix.fitted or evidence.fitted).at_end()
-    to_sizes = np.linalg.inv(DIRECTIONS[:, :3].T)
-    values = to_sizes @ fitted.calibration[:3]
+    values, covariance = _relative((fix.fitted or evidence.fitted).at_end())
     free = np.flatnonzero(np.abs(values) > ROUNDING)
     if not causes or not len(free):
         return {}
     # what the fit held is known
-    inverse = np.linalg.inv(to_sizes @ fitted.covariance[:3, :3] @ to_sizes.T)
+    inverse = np.linalg.inv(covariance)
     sd = np.sqrt(np.diag(np.linalg.inv(inverse[np.ix_(free, free)])))
     half = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975)) * sd
     named = {cause.effect for cause in causes}

@@ -12,6 +12,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
+from calib.gap.decision import part
 from calib.gap.decision.causes import Finding, SizeDifference, negligible
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
@@ -187,6 +188,25 @@ def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_deliver
     assert diagnosis.evidence is not None
     fix = sure_part(diagnosis.evidence, Finding([arm], {arm.effect: arm.probability}), kept_back)
     assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
+
+
+@pytest.mark.parametrize("off", [0.0, 5e-3], ids=["at zero", "off"])
+def test_radii_and_track_that_move_by_nothing_beyond_noise_keep_no_fix_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, off: float
+) -> None:
+    """A part of the gap that is left without them is theirs only where they are not zero."""
+    campaign = read_campaign(
+        workshop.write(tmp_path / "c", "mixed", {"reference_lever_arm": 5e-2}, np.random.default_rng(4))
+    )
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    evidence = diagnosis.evidence
+    assert evidence is not None and diagnosis.recommended
+    fitted = replace(evidence.fitted, calibration=evidence.fitted.calibration + off * np.array([1.0, 1.0, 0.0, 0.0]))
+    evidence = replace(evidence, search=replace(evidence.search, fitted=fitted))
+    monkeypatch.setattr(part.rule, "remaining", lambda *_: iter(["a part is left"]))
+    (arm,) = diagnosis.causes
+    whole = Fix(recommended=True)
+    assert part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), whole).recommended is (off == 0.0)
 
 
 def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
