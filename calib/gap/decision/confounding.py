@@ -274,7 +274,8 @@ def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     least = _refitted(evidence, fitted.forms, ())[0] + window
     families = {name: effect.family for name, effect in evidence.effects.items()}
     for cause in causes:
-        larger = [other for other in causes if other.share > cause.share]
+        # an error of a form shows less than the form
+        larger = [other for other in causes if other.share > cause.share and other.signal > cause.signal]
         offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
         second = [
             form

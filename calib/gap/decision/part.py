@@ -153,7 +153,7 @@ def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
 
 
 def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
-    return {*names, *(shift for name in evidence.effects.keys() & names for shift in evidence.effects[name].shifts)}
+    return {*names, *(shift for name in evidence.effects.keys() & names for shift in evidence.effects[name].own_shifts)}
 
 
 def _tried(

@@ -134,7 +134,7 @@ def _moves(diagnosis: Diagnosis) -> str:
         if low[0] == high[0]:
             moved[name] = f"{HIDES_IN[name]} by {value} % ({low} to {high} %)"
     kinds = ((cause.effect, effect_class(cause.effect)) for cause in diagnosis.causes)
-    like = joined((name for name, kind in kinds if kind is not None and moved.keys() & kind.shifts), "or")
+    like = joined((name for name, kind in kinds if kind and not kind.zero_known and moved.keys() & kind.shifts), "or")
     why = f": these runs do not tell that from another zero point of {like}" if like else ""
     return f" The fix changes {joined(moved.values(), 'and')}, too{why}." if moved else ""
 

@@ -34,6 +34,7 @@ class BrakingSkid(Effect):
     needs = "stops"
     separates = "runs of one length with more and fewer stops"
     shifts = ("radius_scale",)
+    zero_known = True
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""

@@ -151,6 +151,10 @@ def test_what_the_fix_changes_of_the_calibration_beyond_chance_is_said_with_its_
         "another zero point of load_dependent_track."
     )
     assert "The fix changes" not in advice(known)
+    slide = diagnosis("explained", ("braking_skid", 0.96), recommended=True)
+    moves = {"radius_scale": Quantity(2.1e-3, (1.6e-3, 2.6e-3), "1")}
+    # without a stop it is nothing: it has no other zero point
+    assert advice(replace(slide, fix=replace(slide.fix, moves=moves))).endswith("(+0.16 to +0.26 %), too.")
 
 
 def test_without_a_cause_there_is_nothing_to_recommend() -> None:
