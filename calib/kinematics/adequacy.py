@@ -111,12 +111,14 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
         reason = f"{what}: replicates scatter by {1e3 * found.noise:.3g} {unit}, {share}"
         return WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
     useless = found.held_out > USELESS_SHARE * found.before
-    if min(found.noise, found.before) > unusual and useless:
+    small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
+    worst = max(found.after, found.held_out)
+    # a calibrated vehicle leaves nothing to explain: what is left is noise, and a small share of its way
+    unexplained = useless and worst > min(small, WRONG_SHARE * travelled)
+    if min(found.noise, found.before) > unusual and unexplained:
         scatter = f"stretches of the same wheel motion scatter by {1e3 * found.noise:.3g} {unit}"
         reason = f"{what}: nothing of {before} is explained, and {scatter}"
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
-    small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
-    worst = max(found.after, found.held_out)
     stays = worst > small or found.held_out > WORTH_SHARE * found.before
     if found.apart and stays and worst <= WRONG_SHARE * travelled:
         return DOUBTFUL, (

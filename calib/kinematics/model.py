@@ -14,6 +14,8 @@ from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
 LEVELS: Final = (1.0, 0.5, 0.25)
+#: a late reference of a vehicle that starts with its counts moves by less of its speed
+ON_THE_MOVE: Final = 0.75
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +165,8 @@ def _at_times(
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """Return poses `delay_s` before both ends, their derivatives, and the ends' new numbers.
 
-    The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated.
+    The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated. Before
+    a run's first count the vehicle moved as after it where a late reference saw it move; else it stood there.
     """
     used, inverse = np.unique([segments.first, segments.last], return_inverse=True)
     run = recording.run[used]
@@ -179,8 +182,13 @@ def _at_times(
     weights = _between(t_s[near], wanted)
     parts = (path.pose[..., near], path.by_parameter[..., near])
     pose, by_parameter = (np.einsum("...in,in->...n", part, weights) for part in parts)
-    by_delay = -_velocity(path.pose, t_s, at, low, high)
-    return pose, np.concatenate([by_parameter, by_delay[None]]), *inverse.reshape(2, -1)
+    velocity, of_velocity, seen = (
+        _velocity(part, t_s, at, low, high) for part in (path.pose, path.by_parameter, recording.reference)
+    )
+    moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
+    before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
+    by_parameter = np.concatenate([by_parameter + before_s * of_velocity, -velocity[None]])
+    return pose + before_s * velocity, by_parameter, *inverse.reshape(2, -1)
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
@@ -202,7 +210,7 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
     """Return the velocity over two samples either side: counters move in whole counts."""
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
-    return np.asarray((pose[:, after] - pose[:, before]) / np.where(span > 0.0, span, np.inf))
+    return np.asarray((pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf))
 
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from calib.gap.plan.planned_runs import joined
 from calib.kinematics.adequacy import GeometryVerdict
@@ -117,6 +118,22 @@ def test_a_clock_at_another_rate_is_named_and_the_radii_corrected(rate: float) -
         per_cent, _, sense = text.partition("runs ")[2].partition(" % ")
         assert float(per_cent) == pytest.approx(100.0 * abs(rate), rel=0.1)
         assert sense.startswith("fast" if rate > 0.0 else "slow")
+
+
+def test_recordings_that_begin_on_the_move_hold_a_late_reference() -> None:
+    """The pose at the first count is late, too: of the motion before it, and not of a vehicle that stood."""
+    truth, rng = Truth(delay_s=0.15), np.random.default_rng(3)
+    routes = [("route", [(way + 2.0, turn + sense) for way, turn in ROUTE]) for sense in (1.0, -1.0) * 8]
+    made = campaigns.campaign(routes, truth, rng, along=True, duration_s=20.0)
+    t_s = made.logs.columns["t_s"]
+    keep = t_s >= 4.0
+    columns = {name: column[keep] for name, column in made.logs.columns.items()}
+    per_run = np.add.reduceat(keep, made.logs.offsets[:-1], dtype=np.int64)
+    logs = Logs(np.concatenate(([0], np.cumsum(per_run))), columns | {"t_s": columns["t_s"] - 4.0})
+    found = estimate_geometry(replace(made, logs=logs), using="windows")
+    for name in ("radius_left_m", "radius_right_m", "track_m", "delay_s"):
+        assert abs(found[name].value - getattr(truth, name)) < 2.0 * found[name].half_width
+    assert found.passed
 
 
 def of_both_lengths(delays_s: tuple[float, float], rate: float, rate_Hz: float = 20.0) -> Geometry:
