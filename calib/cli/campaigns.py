@@ -144,8 +144,8 @@ def run(
     """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
 
     The result folder holds what was read, the result as JSON, PDF and HTML page, and, for a fit, vehicles.csv and
-    figures. Only files that are new or have changed are read again; an interrupted run goes on where it was. Exit
-    status 1: a vehicle failed.
+    figures. Only files that are new or have changed are read again; an interrupted run goes on where it was, a
+    complete one with --force. Exit status 1: a vehicle failed.
 
     Example: calib fleet run vehicles --into fleet --workers 2
     """
@@ -156,7 +156,9 @@ def run(
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content
 
-    issued = issue_date(date)
+    issued, stem = issue_date(date), "fleet" if what == "fit" else what
+    names = [f"{stem}.json", f"{stem}.pdf", f"{stem}.html", *(["vehicles.csv"] if what == "fit" else [])]
+    terminal.refuse_outputs(*(into / name for name in names))
     terminal.keep(f"what was read so far, in {into}; the same command goes on")
     with terminal.progress("fleet") as tick:
         fleet = (
@@ -165,7 +167,8 @@ def run(
             else survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
         )
         document = fleet.to_dict()
-        written = write_fleet(fleet, into, Heads(folder.resolve().name, issued, any_simulated(folder)))
+        heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+        written = write_fleet(fleet, into, heads, force=terminal.forced())
     terminal.answer(document, fleet_content(fleet))
     terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]

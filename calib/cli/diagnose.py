@@ -25,7 +25,7 @@ Workers = Annotated[int, opt("N", "Runs of the simulator at once.", "--workers",
 
 def run(
     campaign: terminal.CampaignOrRecording,
-    model: Annotated[Place, opt("FILE", "Coefficient file that the simulator believes.")] = None,
+    model: Annotated[Place, opt("FILE", "Coefficients that the simulator believes, or a result of geometry.")] = None,
     exclude: Annotated[Texts, opt("EFFECT", "Leave an effect out of the library; again for more.")] = None,
     seed: terminal.Seed = 0,
     apply: Annotated[Place, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")] = None,

@@ -43,7 +43,7 @@ Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
 
 def export(
     source: Annotated[
-        Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit, its fit.json, or coefficients.json.")
+        Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit or geometry, its JSON, or coefficients.json.")
     ],
     to: Annotated[str, opt("FORMAT", f"{', '.join(KNOWN)}; json is the master.")],
     output: Output = None,

@@ -92,8 +92,8 @@ def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[B
 
 USING = {"end-poses": "end_poses", "windows": "windows"}
 LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
-#: the result, and the picture, in their folders
-RESULT_FILE, PICTURE = "geometry.json", "geometry_paths"
+#: of the figures' folder
+PICTURE = "geometry_paths"
 
 
 def geometry(
@@ -109,25 +109,28 @@ def geometry(
 ) -> int:
     """Estimate radii, track and the reference's sensor together, with intervals.
 
-    From end poses (any routes; squares both ways by UMBmark too) or by windows along the way. The coefficient file is
-    what export, diagnose --model and simulate take. The result is judged by what it leaves on held-out runs beside the
-    noise. Status 1, and no coefficient file without a reason, where it is doubtful or wrong.
+    From end poses (any routes; squares both ways by UMBmark too) or by windows along the way. The result's folder and
+    the coefficient file are what export, diagnose --model and simulate take. The result is judged by what it leaves on
+    held-out runs beside the noise. Status 1, and no coefficients without a reason, where it is doubtful or wrong.
 
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
     from calib.campaign.read import read_or_ingest
+    from calib.coefficients.build import from_geometry, geometry_document
+    from calib.coefficients.file import GEOMETRY_FILE
     from calib.kinematics.estimate import estimate_geometry
     from calib.reporting.present import after_geometry
     from calib.reporting.topics.geometry import geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
-    result = into / RESULT_FILE if into is not None else None
+    result = into / GEOMETRY_FILE if into is not None else None
     terminal.refuse_outputs(output, result, *terminal.figure_files(figures, [PICTURE]))
     with terminal.progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
     terminal.show(geometry_content(estimated))
-    document = estimated.to_dict()
+    accept = accept_implausible.strip()
+    document = geometry_document(estimated, read, accept)
     terminal.save(result, document)
     if figures is not None:
         from calib.kinematics.traces import traces_of
@@ -137,9 +140,7 @@ def geometry(
         terminal.draw(lambda: {PICTURE: draw_paths(paths, simulated=estimated.simulated)}, figures)
     terminal.emit_json(document)
     if output is not None:
-        from calib.coefficients.build import from_geometry
-
-        terminal.save(output, from_geometry(estimated, read, accept=accept_implausible.strip()).to_bytes())
+        terminal.save(output, from_geometry(estimated, read, accept=accept).to_bytes())
     terminal.then(after_geometry(estimated, output), c=campaign, file=output or "")
     return 0 if estimated.passed else 1
 

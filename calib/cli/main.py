@@ -57,7 +57,7 @@ def failed(error: Exception, given: list[str]) -> int:
 
 def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
     if isinstance(error, ImplausibleError):
-        return f"{error} ('calib export' and 'calib report' take --accept-implausible REASON)", EXIT_FAILED
+        return f"{error} ('calib geometry', 'export' and 'report' take --accept-implausible REASON)", EXIT_FAILED
     if isinstance(error, CalibError):
         name = command_called(with_default(given))
         message = as_typed(str(error), options_of(name) if name else ())

@@ -18,11 +18,12 @@ from calib import __version__
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
+from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import FORMAT, CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
-from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError, refuse_other_than_date
+from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
 from calib.types import FloatArray
@@ -145,7 +146,7 @@ def from_law(
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(
-        format=FORMAT,
+        format=kept.FORMAT,
         calib_version=__version__,
         name=header.name,
         created=header.created,
@@ -222,6 +223,15 @@ def from_geometry(
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 
+def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") -> dict[str, Any]:
+    """Return what ``calib geometry --json`` writes: `from_geometry` is its section, null where it is refused."""
+    try:
+        section = from_geometry(geometry, campaign, accept=accept).to_dict()
+    except CalibError:
+        section = None
+    return {"format": kept.GEOMETRY_FORMAT, **geometry.to_dict(), "coefficients": section}
+
+
 def joint_section(
     drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
 ) -> GeometrySection:
@@ -287,7 +297,7 @@ class Source:
 def coefficients_of(
     path: Path | str, *, outside: str | None = None, created: str | None = None, accept: str = ""
 ) -> Source:
-    """Return the coefficients of a campaign (fitted now), a result folder or its ``fit.json``, or a coefficient file.
+    """Return the coefficients of a campaign (fitted now), a result of fit or geometry, or a coefficient file.
 
     A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
 
@@ -304,7 +314,7 @@ def coefficients_of(
     if not path.exists():
         expected = "a campaign folder, a result folder of calib fit, or a coefficient file"
         raise BadFileError(path, "nothing", expected, "give the path of one")
-    if path.is_file() and (path.suffix != ".json" or _is_coefficients(path)):
+    if (path.is_file() and (path.suffix != ".json" or _is_coefficients(path))) or _is_geometry(path):
         file = load_coefficients(path)
         return Source(file.changed(**changes) if changes else file)
     if is_result(path):
@@ -339,7 +349,11 @@ def _is_coefficients(path: Path) -> bool:
         document = json.loads(path.read_bytes().decode("utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(document, dict) and document.get("format") == FORMAT
+    return isinstance(document, dict) and document.get("format") in (kept.FORMAT, kept.GEOMETRY_FORMAT)
+
+
+def _is_geometry(path: Path) -> bool:
+    return (path / kept.GEOMETRY_FILE).is_file() and not (is_result(path) or (path / "campaign.toml").is_file())
 
 
 def export(

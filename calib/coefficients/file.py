@@ -20,7 +20,7 @@ from calib.coefficients import sections
 from calib.coefficients.quantities import Section, first_fault, validated
 from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
 from calib.documents import checksum, to_json
-from calib.errors import BadFileError, BadInputError, RefusedError
+from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
 
 FORMAT: Final = "calib-coefficients/1"
+#: what ``calib geometry --into`` and ``--json`` write, with the coefficient file as a section
+GEOMETRY_FORMAT: Final = "calib-geometry/1"
+GEOMETRY_FILE: Final = "geometry.json"
 
 Outside = Literal["refuse", "clamp"]
 
@@ -204,8 +207,12 @@ class CoefficientFile(Section):
 
 
 def load_coefficients(path: Path | str) -> CoefficientFile:
-    """Read a coefficient file and verify its schema and checksum; raises BadFileError."""
+    """Read a coefficient file, or that of a geometry's result, and verify its schema and checksum.
+
+    Raises BadFileError; ImplausibleError where the geometry is doubtful or wrong and was not accepted.
+    """
     path = Path(path)
+    path = path / GEOMETRY_FILE if path.is_dir() else path
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
             raise _bad(path, f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")
@@ -214,6 +221,10 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
         raise BadFileError(path, error.strerror or "no file", "a coefficient file", "give the path of one") from error
     except (ValueError, RecursionError) as error:
         raise _bad(path, f"no JSON ({error})", "the JSON that calib export writes") from error
+    if isinstance(document, dict) and document.get("format") == GEOMETRY_FORMAT:
+        if document.get("coefficients") is None and document.get("why"):
+            raise ImplausibleError(f"{path}, geometry {document.get('verdict')}", document["why"])
+        document = document.get("coefficients")
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         format_found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise _bad(path, f"format {format_found!r}", repr(FORMAT), column="format")

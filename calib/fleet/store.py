@@ -232,12 +232,18 @@ def _read(path: Path) -> dict[str, Kept]:
     if path.exists() and not path.is_file():
         raise BadInputError(f"{path}: found no regular file; expected one, or none; take it away")
     kept: dict[str, Kept] = {}
+    # an interruption cuts the last line; a file of whole lines without a seal is the user's own
+    whole = sealed = False
     # bytes that are no UTF-8 break their line's seal alone
     with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="surrogateescape") as stream:
         for line in stream:
+            whole, sealed = whole or line.endswith("\n"), sealed or f'"{SEAL}"' in line
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 values = Kept("", "", line).values()
                 kept[values["name"]] = Kept(values["name"], values["key"], line)
+    if whole and not sealed:
+        found = f"{path}: found no record of calib; expected those of an earlier run, or no file"
+        raise BadInputError(f"{found}; choose another folder, or move the file away")
     return kept
 
 

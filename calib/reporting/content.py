@@ -205,7 +205,7 @@ def report_without_law(
     if geometry is not None:
         kind, title = "GR", "Geometry of a vehicle: radii, track and sensor"
         content["geometry"] = geometry.to_dict()
-        estimates = to_json(content["geometry"]).encode()
+        estimates = None if coefficients is None else to_json(content["geometry"]).encode()
         files = {"geometry.json": (estimates, "Estimates, covariance and verdict"), **files}
     content["gap"] = None if diagnosis is None else verdict_document(diagnosis)
     if diagnosis is not None:
@@ -215,7 +215,9 @@ def report_without_law(
     reason = Notice("note", "These runs give no radius law", capital(prose(why.rstrip("."))) + ".")
     found = [] if diagnosis is None else [page_one_notice(diagnosis)]
     # a diagnosis alone begins with its verdict
-    result = [Section("Result", (*found, reason))] if geometry is None else geometry_sections(geometry, found)
+    result = [Section("Result", (*found, reason))]
+    if geometry is not None:
+        result = geometry_sections(geometry, found, withheld=coefficients is None)
     sections = (
         *result,
         *([] if diagnosis is None else [gap_section(diagnosis)]),

@@ -276,8 +276,8 @@ class Heads:
     simulated: bool
 
 
-def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads) -> list[Path]:
-    """Write the result of a task over a fleet, all of it or none, in place of an earlier one, with its pages."""
+def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads, *, force: bool = False) -> list[Path]:
+    """Write the result of a task over a fleet, all of it or none, with its pages; `force`: in place of others."""
     from calib.fleet.run import Fleet
     from calib.reporting.figures.challenge import fleet_figures
     from calib.reporting.topics.fleet import fleet_content
@@ -305,7 +305,7 @@ def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads) -> list[Path]:
         for name, draw in fleet_figures(fleet).items():
             files |= {f"{name}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
     return write_files(
-        into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=True
+        into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=force
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from calib.campaign.tables import write_campaign
 from calib.cli.main import run
+from calib.coefficients.file import load_coefficients
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
 
@@ -56,6 +57,26 @@ def test_its_coefficients_are_taken_by_export_diagnose_and_simulate(
     assert replayed["runtime"]["largest_difference_m"] < 1e-9 and "no wheel load" in " ".join(replayed["notes"])
 
 
+def test_a_result_is_taken_whole_by_the_commands_that_take_coefficients(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its folder, geometry.json and what ``--json`` writes are each as good as the coefficient file."""
+    files = [tmp_path / name for name in ("c.json", "j.json")]
+    written = ["--output", str(files[0]), "--json", str(files[1]), "--into", str(tmp_path / "g")]
+    assert run(["geometry", str(folder), *written]) == 0
+    exported = []
+    for source in (*files, tmp_path / "g", tmp_path / "g" / "geometry.json"):
+        assert load_coefficients(source) == load_coefficients(files[0])
+        capsys.readouterr()
+        assert run(["export", str(source), "--to", "json"]) == 0
+        exported.append(capsys.readouterr().out)
+    assert len(set(exported)) == 1
+    assert run(["simulate", "replay", str(folder), "--model", str(tmp_path / "g")]) == 0
+    capsys.readouterr()
+    run(["diagnose", str(folder), "--model", str(tmp_path / "g"), "--json", "-"])
+    assert json.loads(capsys.readouterr().out)["judged_against"] == "g"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [(["--using", "window"], "end-poses, windows"), (["--kind", "rhombus"], "square_cw")],
@@ -71,8 +92,16 @@ def test_a_wrong_choice_is_one_line_that_names_the_right_ones(
 def test_half_a_track_is_status_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
     write_campaign(wrong, tmp_path / "c")
-    assert run(["geometry", str(tmp_path / "c")]) == 1
+    assert run(["geometry", str(tmp_path / "c"), "--into", str(tmp_path / "g")]) == 1
     assert "twice the track" in " ".join(capsys.readouterr().out.split())
+    # its numbers go on only where the geometry was accepted with a reason
+    capsys.readouterr()
+    assert run(["export", str(tmp_path / "g"), "--to", "json"]) == 1
+    told = capsys.readouterr()
+    assert not told.out and "twice the track" in told.err and "--accept-implausible" in told.err
+    reason = ["--accept-implausible", "measured twice", "--into", str(tmp_path / "g"), "--force"]
+    assert run(["geometry", str(tmp_path / "c"), *reason]) == 1
+    assert load_coefficients(tmp_path / "g").accepted_implausible is not None
 
 
 def test_a_recording_with_a_mapping_gives_the_geometry_of_its_campaign(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.cli.main import run
 from calib.errors import BadInputError
 from calib.fleet import store
 from calib.fleet.run import fit_fleet, survey_fleet
@@ -106,6 +107,19 @@ def test_kept_lines_that_are_none_are_read_anew(fleet: Path, tmp_path: Path) -> 
     again = fit_fleet(fleet, tmp_path / "out")
     assert (again.n_read, again.n_kept) == (0, 2)
     assert again.to_dict() == right
+
+
+def test_files_of_the_user_are_not_overwritten(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their own table and lines under the name of the store are kept; an earlier result goes with --force alone."""
+    own, command = tmp_path / "own", ["fleet", "run", str(fleet), "--into", str(tmp_path / "own")]
+    own.mkdir()
+    for name in ("vehicles.csv", SUMS):
+        (own / name).write_text("id,hall\nv1,A\n")
+        assert run([*command, *(["--force"] if name == SUMS else [])]) == 2
+        assert (own / name).read_text() == "id,hall\nv1,A\n"
+        assert name in capsys.readouterr().err
+        (own / name).unlink()
+    assert [run(command), run(command), run([*command, "--force"])] == [0, 2, 0]
 
 
 def test_a_store_that_is_a_pipe_is_refused_and_never_waited_for(fleet: Path, tmp_path: Path) -> None:

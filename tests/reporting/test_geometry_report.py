@@ -122,6 +122,12 @@ def test_a_doubtful_geometry_has_no_coefficients_without_a_reason(
     columns = {**along.logs.columns, "ref_x_m": along.logs.columns["ref_x_m"] + moved * along.logs.columns["ref_y_m"]}
     spoilt = replace(along, logs=replace(along.logs, columns=columns))
     folder = write_campaign(spoilt, tmp_path / "c")
-    assert calib(["report", str(folder), "--into", str(tmp_path / "r.pdf"), "--json", "-"]) == 1
-    document = json.loads(capsys.readouterr().out)
-    assert [one["name"] for one in document["attachments"]] == ["geometry.json"]
+    for reason in ([], ["--accept-implausible", "a trial"]):
+        pages = ["--into", str(tmp_path / "r.pdf"), "--html", str(tmp_path / "r.html"), "--force"]
+        assert calib(["report", str(folder), *pages, *reason, "--json", "-"]) == 1
+        document = json.loads(capsys.readouterr().out)
+        attached = [one["name"] for one in document["attachments"]]
+        assert attached == (["geometry.json", "coefficients.json"] if reason else [])
+        # nor does a table give the numbers
+        page = (tmp_path / "r.html").read_text(encoding="utf-8")
+        assert ("95 % interval" in page, "are not to be used" in page) == (bool(reason), not reason)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
-from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
 
 _ROUTE: Final = (
@@ -119,8 +119,8 @@ def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
 LEVELS: Final = {GeometryVerdict.CALIBRATED: "good", GeometryVerdict.DOUBTFUL: "note", GeometryVerdict.WRONG: "bad"}
 
 
-def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Section]:
-    """Return result, residuals and correlations; `found`: notices of a diagnosis."""
+def geometry_sections(geometry: Geometry, found: Sequence[Notice], *, withheld: bool = False) -> list[Section]:
+    """Return result, residuals and correlations; `found`: notices of a diagnosis; `withheld`: without the estimates."""
     verdict = geometry.verdict
     first, *further = verdict_sentences(geometry)
     result = (
@@ -128,8 +128,8 @@ def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Secti
         *items(map(prose, further)),
         *found,
         Facts(_estimated_from(geometry)),
-        parameter_table(geometry),
-        *items(map(prose, geometry_remarks(geometry))),
+        *([Text(paragraph("geometry_withheld"))] if withheld else [parameter_table(geometry)]),
+        *items(map(prose, geometry.notes if withheld else geometry_remarks(geometry))),
     )
     left = (
         Text("Residuals are measured less predicted: along and across the path, and in heading.", small=True),
@@ -138,7 +138,7 @@ def geometry_sections(geometry: Geometry, found: Sequence[Notice]) -> list[Secti
         *route_tables(geometry),
     )
     sections = [Section("Result", result), Section("Residuals", left)]
-    if len(geometry.estimates) > 1:
+    if len(geometry.estimates) > 1 and not withheld:
         sections.append(Section("Correlation of the parameters", _correlation(geometry)))
     return sections
 
