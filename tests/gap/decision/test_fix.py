@@ -112,6 +112,16 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     assert len(found) == against
 
 
+@pytest.mark.parametrize(("effect", "low", "against"), [("wear", 0.4, 1), ("wear", 0.8, 0), ("unequal_radii", 0.4, 0)])
+def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
+    effect: str, low: float, against: int
+) -> None:
+    """What imitates a cause leaves a part of the gap; radii and track have a bound of their own."""
+    odd = replace(cause(effect), plausible=False, remark="2.7 times what is physically plausible")
+    why = reasons(Finding([odd], {effect: 0.96}), replace(CLOSES, closed_ci95=(low, 1.2)))
+    assert sum("2.7 times" in text and "40 to 120 %" in text for text in why) == against
+
+
 def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:
     """A tape and a tracking system that agree are not both wrong by one share: the wheels that disagree are."""
     both = [cause("reference_scale"), cause("rangefinder_scale")]
