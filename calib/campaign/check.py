@@ -228,14 +228,17 @@ def _together(notes: Iterable[Note]) -> list[Note]:
     return merged
 
 
-def notes_for_results(campaign: Campaign) -> tuple[str, ...]:
-    """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none."""
+def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
+    """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none.
+
+    `of_loads`: with what is said of payloads and wheel loads.
+    """
     kept = campaign.included()
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
     of_checks = (check(kept) for check in (*checks, settings.odd_lengths))
     said = []
     for several in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
-        notes = _together(several)
+        notes = _together(note for note in several if of_loads or "load" not in note.code)
         said += [note.sentence for note in notes[:_MOST_LISTED]]
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")

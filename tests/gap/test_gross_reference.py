@@ -111,3 +111,14 @@ def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_ro
     cause = diagnose_in_full(both, plan=False).causes[0]
     assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
     assert "y to the left" in cause.remark
+
+
+def test_missing_loads_are_not_to_be_corrected_before_what_takes_runs_so_far_off(project_root: Path) -> None:
+    """No load makes runs end off by a share of their length that wheels cannot: here each has another run's end."""
+    poses = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+    yard = struck(project_root, lambda columns: {name: np.roll(columns[name], 3) for name in poses}, every=10)
+    some = np.where(np.arange(len(yard.runs)) < 3, 500.0, np.nan)
+    numbers = yard.runs.numbers | {"payload_kg": some * np.nan, "load_left_N": some, "load_right_N": some}
+    verdict = diagnose_in_full(replace(yard, runs=replace(yard.runs, numbers=numbers)), plan=False)
+    assert "of their length" in verdict.sentence and any("no wheel load" in note for note in verdict.notes)
+    assert "no wheel load" not in verdict.sentence

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -174,6 +175,7 @@ def _cause(
         interval = (value - coverage * sd, value + coverage * sd)
         quantities[parameter.name] = Quantity(value, interval, parameter.unit, parameter.shift)
         times = max(times, (abs(value) - 2 * sd) / parameter.largest)
+    means = _means(form, sized.theta, covariance, coverage)
     remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}" if times > 1.0 else ""
     unknown = undetermined(form.parameters, sized.theta, coverage * spread)
     if unknown:
@@ -185,13 +187,25 @@ def _cause(
         probability=probability,
         share=0.0,
         signal=sized.signal,
-        parameters=quantities,
-        plausible=times <= 1.0 and len(unknown) < len(form.parameters),
+        parameters=quantities | means,
+        plausible=times <= 1.0 and bool(means or len(unknown) < len(form.parameters)),
         remark=remark,
         undetermined=unknown,
         settings=form.settings,
         family=effect.family.value,
     )
+
+
+def _means(form: Form, theta: FloatArray, covariance: FloatArray, coverage: float) -> dict[str, Quantity]:
+    """Return the mean of both wheels' parameters where runs tell only of it that it is not zero, by name."""
+    means = {}
+    for (a, left), (b, right) in combinations(enumerate(form.parameters), 2):
+        pair = covariance[np.ix_([a, b], [a, b])]
+        mean, half = float(0.5 * (theta[a] + theta[b])), 0.5 * coverage * float(np.sqrt(max(pair.sum(), 0.0)))
+        alone = bool((np.abs(theta[[a, b]]) > coverage * np.sqrt(np.diag(pair))).any())
+        if left.name.replace("left", "right") == right.name and not alone and abs(mean) > half:
+            means[left.name.replace("left", "mean")] = Quantity(mean, (mean - half, mean + half), left.unit)
+    return means
 
 
 def jointly_zero(values: FloatArray, covariance: FloatArray, dof: float) -> bool:

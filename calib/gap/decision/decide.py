@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.check import implausible
+from calib.campaign.check import implausible, notes_for_results
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
@@ -116,7 +116,8 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
 
 def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
     wrong = tuple(note.sentence for note in implausible(situation.campaign))
-    return wrong or (situation.notes[:MOST_SAID] if off else ())
+    # no load makes a run end off by so much of its length
+    return wrong or (notes_for_results(situation.campaign, of_loads=False)[:MOST_SAID] if off else ())
 
 
 def stands_off(evidence: Evidence) -> bool:

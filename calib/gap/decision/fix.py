@@ -66,7 +66,11 @@ def reasons(found: Finding, improvement: Improvement | None, trials: Sequence[Tr
     `improvement`: on held-out runs; `trials`: on each value of what varies, held out.
     """
     single = (text for cause in found.causes for text in doubts(cause, found))
-    helpful = [*unhelpful(improvement), *remaining(improvement, found.unexplained)]
+    helpful = [
+        *unhelpful(improvement),
+        *remaining(improvement, found.unexplained),
+        *oversized(found.causes, improvement),
+    ]
     measured = without_length(cause.effect for cause in found.causes)
     return [*_doubtful(found), *helpful, *single, *measured, *harm(trials)]
 
@@ -163,6 +167,23 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
             f"on held-out runs the error goes from {_errors(improvement)}, an improvement of {low:+.2g} to "
             f"{high:+.2g}: not shown to help; repeat the routes with the largest gap"
         )
+
+
+def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:
+    """Yield causes beyond what is plausible that are not shown to close the gap: what imitates leaves a part of it.
+
+    Radii and track have a bound of their own, `beyond_vehicles`.
+    """
+    if improvement is None or improvement.closed_ci95[0] > ADEQUATE_CLOSURE:
+        return
+    low, high = (100 * share for share in improvement.closed_ci95)
+    for cause in causes:
+        kind = effect_class(cause.effect)
+        if not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
+            yield (
+                f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
+                f"% of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain; {PLAN}"
+            )
 
 
 #: what a fix leaves

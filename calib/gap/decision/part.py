@@ -62,7 +62,8 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
         # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
-        why = [*rule.unhelpful(improvement), *worse, *left, *odds, *rule.harm(tried), *beyond]
+        helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]
+        why = [*helpful, *worse, *left, *odds, *rule.harm(tried), *beyond]
         if not why:
             break
     if why and steps:

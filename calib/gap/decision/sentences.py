@@ -236,7 +236,7 @@ def _place(line: PlaceResult) -> str:
     if line.place is None:
         return {"turns": "in turns", "stops": "at stops"}.get(line.where, "along the route")
     low, high = line.place
-    return f"between {low:.1f} and {high:.1f} m ({line.coordinate}, {line.route})"
+    return f"between {low:.1f} and {high:.1f} m ({', '.join(filter(None, (line.coordinate, line.route)))})"
 
 
 def _channels(diagnosis: Diagnosis) -> str:

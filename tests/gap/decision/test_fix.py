@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from calib.gap.decision.causes import Finding, SizeDifference
+from calib.gap.decision.causes import Finding, SizeDifference, _means
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import alternatives, elsewhere, harmed, reasons
+from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, reasons
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.trials import Trial
+from calib.gap.effects.effect import Form, Parameter, always
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.radii import NAMES
 from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
@@ -112,6 +114,16 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     assert len(found) == against
 
 
+@pytest.mark.parametrize(("effect", "low", "against"), [("wear", 0.4, 1), ("wear", 0.8, 0), ("unequal_radii", 0.4, 0)])
+def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
+    effect: str, low: float, against: int
+) -> None:
+    """What imitates a cause leaves a part of the gap; radii and track have a bound of their own."""
+    odd = replace(cause(effect), plausible=False, remark="2.7 times what is physically plausible")
+    why = reasons(Finding([odd], {effect: 0.96}), replace(CLOSES, closed_ci95=(low, 1.2)))
+    assert sum("2.7 times" in text and "40 to 120 %" in text for text in why) == against
+
+
 def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:
     """A tape and a tracking system that agree are not both wrong by one share: the wheels that disagree are."""
     both = [cause("reference_scale"), cause("rangefinder_scale")]
@@ -153,3 +165,21 @@ def test_an_alternative_that_holds_nowhere_else_counts_where_it_is_probable_or_o
     evidence = SimpleNamespace(search=search, named=("steering_scale",), effects={})
     instead = alternatives(evidence, Finding((), {}, unexplained, differing, TIED))  # type: ignore[arg-type]
     assert bool(elsewhere(["steering_scale"], instead)) is counted
+
+
+def test_a_law_whose_mean_slope_alone_is_determined_is_sized_by_that() -> None:
+    """Straight runs tell the mean of both wheels' slopes, 2e-6 +- 2.5e-7, and nothing of their difference."""
+    left = Parameter("slope_left", "m/N", typical=1e-6, largest=6e-6)
+    law = Form("load_radius", "", (left, replace(left, name="slope_right")), always())
+
+    def sized(mean: float) -> tuple[dict[str, Quantity], Cause]:
+        one = np.ones((2, 2))
+        covariance = 1.25e-7**2 * one + 2e-5**2 * (2.0 * np.eye(2) - one)
+        means = _means(law, np.full(2, mean), covariance, 2.0)
+        wheels = {one.name: Quantity(mean, (mean - 4e-5, mean + 4e-5), "m/N") for one in law.parameters}
+        return means, replace(cause("load_radius"), parameters=wheels | means)
+
+    means, named = sized(2e-6)
+    assert means["slope_mean"].ci95 == pytest.approx((1.75e-6, 2.25e-6)) and not holds_zero(named)
+    means, named = sized(2e-7)
+    assert means == {} and holds_zero(named)

@@ -9,7 +9,7 @@ import pytest
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
-from calib.gap.localise.result import ChannelGap, GapLocation, RunDeviation
+from calib.gap.localise.result import ChannelGap, GapLocation, PlaceResult, RunDeviation
 from calib.gap.observations.arrays import Channel
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
@@ -155,6 +155,14 @@ def test_what_the_fix_changes_of_the_calibration_beyond_chance_is_said_with_its_
     moves = {"radius_scale": Quantity(2.1e-3, (1.6e-3, 2.6e-3), "1")}
     # without a stop it is nothing: it has no other zero point
     assert advice(replace(slide, fix=replace(slide.fix, moves=moves))).endswith("(+0.16 to +0.26 %), too.")
+
+
+@pytest.mark.parametrize(("route", "said"), [("corridor", "(x on the floor, corridor)"), ("", "(x on the floor)")])
+def test_a_place_is_said_with_its_route_where_routes_have_names(route: str, said: str) -> None:
+    zone = PlaceResult("zone", Channel.ALONG, 0.01, (0.008, 0.012), "m", 1e-4, 12)
+    zone = replace(zone, route=route, coordinate="x on the floor", place=(6.0, 8.0))
+    where = GapLocation((), (), (), places=(zone,))
+    assert f"between 6.0 and 8.0 m {said}" in sentence(Diagnosis(VerdictKind.UNKNOWN, "", where=where))
 
 
 def test_without_a_cause_there_is_nothing_to_recommend() -> None:
