@@ -104,6 +104,8 @@ class FileContents:
     #: of the same columns, this one among them; empty where alone
     alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
     runs_in_columns: bool = field(default=False, metadata={"json": False})
+    #: files of names like its own that were not looked into
+    unread: int = field(default=0, metadata={"json": False})
 
     def alike(self, other: FileContents) -> bool:
         """Return whether both have the same columns."""
@@ -243,7 +245,9 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
 def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]:
     """Return remarks on files with the same columns, the first of them in particular."""
     file = group[0]
-    title = file.name if len(group) == 1 else f"{file.name} .. {Path(group[-1].name).name}, {len(group)} files alike"
+    n_files = len(group) + sum(member.unread for member in group)
+    alike = f"{n_files} files" + (f", {len(group)} of them read," if n_files > len(group) else "") + " alike"
+    title = file.name if n_files == 1 else f"{file.name} .. {Path(group[-1].name).name}, {alike}"
     what = "the run table" if is_run_table else "a recording" if file.recording else "a log"
     rows = [member.n_rows for member in group]
     count = f"{min(rows)}" if min(rows) == max(rows) else f"{min(rows)} to {max(rows)}"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
-from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -108,8 +107,10 @@ def describe(sources: Sequence[Path]) -> Description:
     kinds = grouped(paths, lambda path: re.sub(r"\d+", "#", str(path)))
     if len(kinds) > _ALL_READ:
         kinds = grouped(paths, lambda path: f"{path.parent}/*{path.suffix.lower()}")
-    chosen = (members if len(members) <= _ALL_READ else [members[0], members[-1]] for members in kinds.values())
-    files = [file_contents(path) for path in chain.from_iterable(chosen)]
+    files: list[FileContents] = []
+    for members in kinds.values():
+        read = members if len(members) <= _ALL_READ else [members[0], members[-1]]
+        files += [replace(file_contents(read[0]), unread=len(members) - len(read)), *map(file_contents, read[1:])]
     if not any(file.n_rows for file in files):
         expected = "a row a run, or a row a sample"
         raise BadInputError(f"{files[0].name}: found a header and no rows; expected {expected}; export it again")

@@ -144,8 +144,10 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
     known = list(names)
     for name, line in lines.items():
         for column in (source for source in line.sources if source not in known):
-            found = f"no column {column!r}, only {', '.join(known)[:300]}"
+            found = f"no column {column!r}, " + (f"only {', '.join(known)[:300]}" if known else "nor any of the others")
             remedy = f"correct log.{name} in {mapping.shown}; 'calib ingest --describe' lists the columns"
+            if not known:
+                remedy = f"if it is no log, name the logs alone ({Path(shown).parent}/run*.csv); else {remedy}"
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
 

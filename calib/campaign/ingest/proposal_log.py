@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -229,13 +230,18 @@ def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
     return max(abs(front.low - rear.low), abs(front.high - rear.high)) <= _COUPLED * span
 
 
+def _turns(column: ColumnContents) -> bool:
+    return column.whole or (column.high or 0.0) - (column.low or 0.0) > 2.0 * math.pi
+
+
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
     """Find two counters in place, by overflows or whole steps; return what to check."""
     rising = [column for column in columns if column.does == RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
         "rises in whole numbers": [column for column in rising if column.whole and not column.even],
-        "rises": rising if all(UNNAMED.fullmatch(column.name) for column in columns) else [],
+        # what stays within a turn is a heading, or steers
+        "rises": [c for c in rising if _turns(c)] if all(UNNAMED.fullmatch(column.name) for column in columns) else [],
     }
     what, counters = next(((what, found) for what, found in kinds.items() if found), ("", []))
     if len(counters) != 2:

@@ -269,3 +269,29 @@ def test_a_header_without_rows_is_said_to_have_none(tmp_path: Path) -> None:
     _log(tmp_path / "other.csv", {**_drive(np.zeros(50)), "T": np.zeros(50)})
     said = re.sub(r"\n#\s+", " ", describe([tmp_path]).to_toml())
     assert "empty.csv: a log, 0 rows: a header alone" in said
+
+
+def test_of_many_files_alike_it_says_how_many_were_read(tmp_path: Path) -> None:
+    for number in range(42):
+        _log(tmp_path / f"run_{number:02}.csv", {"t_s": np.arange(5) * 0.1, "counts_left": np.arange(5)})
+    text = describe([tmp_path]).to_toml().replace("\n#   ", " ")
+    assert "42 files, 2 of them read, alike: a log, 5 rows" in text
+
+
+def test_angles_within_a_turn_are_no_counters(tmp_path: Path) -> None:
+    """Without names a heading that rises and an angle that steers look alike: wheels roll on."""
+    rows = np.column_stack([np.arange(60) * 0.05, np.linspace(0.0, 12.5, 60), np.linspace(-0.9, 0.6, 60)])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", fmt="%.5f")
+    text = describe([tmp_path]).to_toml()
+    assert not re.search(r"^counts_", text, re.MULTILINE)
+
+
+def test_a_file_without_any_column_of_the_mapping_is_told_from_the_logs(tmp_path: Path) -> None:
+    """What lies beside logs is not taken for one with a wrong name: which file, and what to write."""
+    (tmp_path / "a").mkdir()
+    _log(tmp_path / "a" / "run_1.csv", {"zeit": np.arange(9) * 0.1, "counts_left": np.arange(9)})
+    (tmp_path / "a" / "about.csv").write_text("type,diff\nngear,43.7\nencRes,64\n")
+    mapping = tmp_path / "m.toml"
+    mapping.write_text('[log]\nt_s = {column = "zeit", unit = "s"}\n')
+    with pytest.raises(CalibError, match=r"about.csv.*nor any of the others.*name the logs alone \(.*/run\*\.csv\)"):
+        ingest([tmp_path / "a"], tmp_path / "c", mapping=mapping)
