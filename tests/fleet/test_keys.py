@@ -110,7 +110,7 @@ def test_kept_lines_that_are_none_are_read_anew(fleet: Path, tmp_path: Path) -> 
 
 
 def test_files_of_the_user_are_not_overwritten(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Their own table and lines under the name of the store are kept; an earlier result is replaced with --force alone."""
+    """Their own table and lines under the name of the store are kept; --force alone replaces an earlier result."""
     own, command = tmp_path / "own", ["fleet", "run", str(fleet), "--into", str(tmp_path / "own")]
     own.mkdir()
     for name in ("vehicles.csv", SUMS):
