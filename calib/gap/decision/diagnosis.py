@@ -391,6 +391,6 @@ class Plan(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values: what ``calib plan --json`` prints."""
         document = self.diagnosis.to_dict()
-        kept = {key: document[key] for key in ("verdict", "indistinguishable")}
+        kept = {key: document[key] for key in ("verdict", "simulated", "indistinguishable")}
         geometry = {"now": self.now and self.now.to_dict(), "then": self.then and self.then.to_dict()}
         return {**kept, "next_runs": plain(self.runs), "geometry": geometry}
