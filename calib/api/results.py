@@ -190,12 +190,14 @@ def geometry(
     RefusedError
         Where no run has both wheels and a reference.
     """
+    from calib.campaign.check import assumed_notes
     from calib.kinematics.estimate import estimate_geometry
     from calib.kinematics.traces import traces_of
 
     campaign = opened(campaign)
     estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)
-    return replace(estimated, paths=traces_of(campaign, estimated))
+    notes = (*estimated.notes, *assumed_notes(campaign))
+    return replace(estimated, notes=notes, paths=traces_of(campaign, estimated))
 
 
 @checked

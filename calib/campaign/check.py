@@ -211,7 +211,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
-    {"assumed_values", "missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}
+    {"missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}
 )
 #: findings of one check that a result lists
 _MOST_LISTED: Final = 3
@@ -243,6 +243,11 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")
     return tuple(dict.fromkeys(said))
+
+
+def assumed_notes(campaign: Campaign) -> tuple[str, ...]:
+    """Return what nobody stated and results rest on, as one sentence; nothing where all is stated."""
+    return tuple(note.sentence for note in design.assumed_values(campaign))
 
 
 def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:

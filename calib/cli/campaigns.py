@@ -151,7 +151,6 @@ def run(
     """
     refuse_workers(workers)
     from calib.fleet.run import fit_fleet, survey_fleet
-    from calib.fleet.store import any_simulated
     from calib.reporting.pages import Heads, write_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content
@@ -167,7 +166,7 @@ def run(
             else survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
         )
         document = fleet.to_dict()
-        heads = Heads(folder.resolve().name, issued, any_simulated(folder))
+        heads = Heads(folder.resolve().name, issued, fleet.simulated)
         written = write_fleet(fleet, into, heads, force=terminal.forced())
     terminal.answer(document, fleet_content(fleet))
     terminal.wrote(written)

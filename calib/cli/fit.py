@@ -115,6 +115,9 @@ def geometry(
 
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
+    from dataclasses import replace
+
+    from calib.campaign.check import assumed_notes
     from calib.campaign.read import read_or_ingest
     from calib.coefficients.build import from_geometry, geometry_document
     from calib.coefficients.file import GEOMETRY_FILE
@@ -128,6 +131,7 @@ def geometry(
     with terminal.progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
+        estimated = replace(estimated, notes=(*estimated.notes, *assumed_notes(read)))
     terminal.show(geometry_content(estimated))
     accept = accept_implausible.strip()
     document = geometry_document(estimated, read, accept)

@@ -19,7 +19,7 @@ from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet import comparison
 from calib.fleet.comparison import Labels, Quantities, VehicleResult, quantities_of
-from calib.fleet.store import SUMS, Kept, Keys, Member, Part, labels_of, members_of, one_line, renewed
+from calib.fleet.store import SUMS, Kept, Keys, Member, Part, any_simulated, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
 from calib.fleet.workers import engine
 from calib.radius.effective import effective_radii
@@ -111,6 +111,8 @@ class Fleet:
     view: FleetView
     n_read: int
     n_kept: int
+    #: a program made the data of a vehicle
+    simulated: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
@@ -120,7 +122,8 @@ class Fleet:
             | {"outlier": record.vehicle in outliers, "why": record.why or outliers.get(record.vehicle, "")}
             for record in self.records
         ]
-        return {"format": "calib-fleet/1", "vehicles": vehicles, "fleet": plain(self.view)}
+        head = {"format": "calib-fleet/1", "simulated": self.simulated}
+        return {**head, "vehicles": vehicles, "fleet": plain(self.view)}
 
 
 def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
@@ -138,7 +141,8 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
         # a record takes a fraction of the time of reading a file
         records = {record.vehicle: record for record in opened.run(records_of, vehicles, record_given_up)}
     by_id = tuple(records[member.vehicle] for member in members)
-    return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, len(parts) - n_new)
+    view = view_of(by_id, labels_of(folder, members))
+    return Fleet(by_id, view, n_new, len(parts) - n_new, any_simulated(folder))
 
 
 #: a vehicle whose radius changed by this share is due for recalibration: that of the deviation check of a single radius
@@ -226,6 +230,7 @@ class Survey:
     n_done: int
     n_kept: int
     quantities: Quantities | None = None
+    simulated: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
@@ -233,7 +238,8 @@ class Survey:
         failed = sum(record.status == "failed" for record in self.records)
         fleet = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
         fleet |= {} if self.quantities is None else plain(self.quantities)
-        return {"format": "calib-fleet/1", "what": self.what, "vehicles": vehicles, "fleet": fleet}
+        head = {"format": "calib-fleet/1", "what": self.what, "simulated": self.simulated}
+        return {**head, "vehicles": vehicles, "fleet": fleet}
 
 
 def survey_fleet(
@@ -249,7 +255,8 @@ def survey_fleet(
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = comparison.shared_causes(records, labels)
-    return Survey(what, records, shared, n_new, len(members) - n_new, _quantities(records, labels))
+    found = _quantities(records, labels)
+    return Survey(what, records, shared, n_new, len(members) - n_new, found, any_simulated(folder))
 
 
 def _results(what: str, members: Sequence[Member]) -> list[Kept]:

@@ -17,7 +17,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.kind import fails, open_questions
+from calib.gap.decision.kind import fails, open_questions, with_left
 from calib.gap.decision.trials import trials
 from calib.gap.effects.applied import ELSEWHERE, beyond_law, model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
@@ -140,7 +140,8 @@ def diagnose_in_full(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    diagnosis = replace(decide(evidence), undetectable=undetectable(recalibrated, effects, searched.forms))
+    diagnosis = with_left(decide(evidence))
+    diagnosis = replace(diagnosis, undetectable=undetectable(recalibrated, effects, searched.forms))
     if not plan or not diagnosis.groups:
         return diagnosis
     from calib.gap.plan.next_runs import next_runs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,25 @@ def test_a_wrong_choice_is_one_line_that_names_the_right_ones(
     assert run(["geometry", str(folder), *arguments]) == 2
     line = capsys.readouterr().err
     assert words in line and line.count("\n") == 1
+
+
+def test_what_nobody_stated_is_said_and_that_data_are_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the text and in the JSON of each command; the reference's uncertainty is assumed here."""
+    made = replace(
+        campaign(mixed(3), Truth(), np.random.default_rng(1)), simulated=True, assumed=("reference.sigma_xy_m",)
+    )
+    write_campaign(made, tmp_path / "c")
+    for command in ("geometry", "diagnose"):
+        run([command, str(tmp_path / "c"), "--json", str(tmp_path / f"{command}.json")])
+        said = " ".join(capsys.readouterr().out.split())
+        document = json.loads((tmp_path / f"{command}.json").read_text(encoding="utf-8"))
+        assert "assumed, since nobody stated: reference.sigma_xy_m" in said and "SIMULATED DATA" in said
+        assert any("reference.sigma_xy_m" in note for note in document["notes"]) and document["simulated"]
+    assert run(["plan", str(tmp_path / "c"), "--json", str(tmp_path / "plan.json")]) == 0
+    assert "SIMULATED DATA" in capsys.readouterr().out
+    assert json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))["simulated"] is True
 
 
 def test_half_a_track_is_status_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

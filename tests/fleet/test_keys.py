@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -110,7 +111,7 @@ def test_kept_lines_that_are_none_are_read_anew(fleet: Path, tmp_path: Path) -> 
 
 
 def test_files_of_the_user_are_not_overwritten(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Their own table and lines under the name of the store are kept; an earlier result goes with --force alone."""
+    """Their own table and lines under the name of the store are kept; --force alone replaces an earlier result."""
     own, command = tmp_path / "own", ["fleet", "run", str(fleet), "--into", str(tmp_path / "own")]
     own.mkdir()
     for name in ("vehicles.csv", SUMS):
@@ -120,6 +121,8 @@ def test_files_of_the_user_are_not_overwritten(fleet: Path, tmp_path: Path, caps
         assert name in capsys.readouterr().err
         (own / name).unlink()
     assert [run(command), run(command), run([*command, "--force"])] == [0, 2, 0]
+    assert json.loads((own / "fleet.json").read_text(encoding="utf-8"))["simulated"] is True
+    assert "SIMULATED DATA" in capsys.readouterr().out
 
 
 def test_a_store_that_is_a_pipe_is_refused_and_never_waited_for(fleet: Path, tmp_path: Path) -> None:

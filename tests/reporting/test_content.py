@@ -250,6 +250,7 @@ def test_what_nobody_stated_stands_in_the_report(source: Source) -> None:
     report = compose(replace(source, fit=fit))
     conditions, first = words(section(report, "Instruments and conditions")), words(section(report, "Result"))
     assert "rangefinder.sigma_m = 0.0015, vehicle.track_m = 0.7" in conditions
+    assert "as stated by the campaign where none is assumed" in conditions
     assert "vehicle.track_m = 0.7" in first
     assert "rangefinder.sigma_m" not in first
 

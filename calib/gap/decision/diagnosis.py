@@ -266,6 +266,8 @@ class Diagnosis(Result):
     where: GapLocation = field(default_factory=GapLocation)  #: of the gap: channels, covariates, runs, places
     closure: Closure = field(default_factory=Closure)  #: on held-out runs
     unexplained: Unexplained | None = field(default=None, metadata={"json": "rest"})
+    #: of a gap explained in part, on held-out runs
+    left: Unexplained | None = field(default=None, metadata={"json": False})
     fix: Fix = field(default_factory=Fix)  #: what the correction is worth
     next_runs: tuple[PlannedRun, ...] = ()  #: to drive next, best first
     notes: tuple[str, ...] = ()  #: what was excluded or assumed
@@ -361,6 +363,7 @@ class Diagnosis(Result):
         """Return the diagnosis as plain JSON values, as ``calib diagnose --json`` does."""
         document = plain_fields(
             self,
+            rest=self.unexplained or self.left,
             indistinguishable=[group.effects for group in self.groups],
             undetectable={limit.effect: limit.sentence for limit in self.undetectable},
             recommended=self.recommended,
@@ -388,6 +391,6 @@ class Plan(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values: what ``calib plan --json`` prints."""
         document = self.diagnosis.to_dict()
-        kept = {key: document[key] for key in ("verdict", "indistinguishable")}
+        kept = {key: document[key] for key in ("verdict", "simulated", "indistinguishable")}
         geometry = {"now": self.now and self.now.to_dict(), "then": self.then and self.then.to_dict()}
         return {**kept, "next_runs": plain(self.runs), "geometry": geometry}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from math import sqrt
 from typing import Final
 
-from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Unexplained, VerdictKind
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
@@ -104,6 +106,37 @@ def kind_of(
     if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
+
+
+def with_left(diagnosis: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with what a partial explanation leaves on held-out runs, in numbers and as a note.
+
+    Nothing is added where an unexplained residual is known, or where nothing is left.
+    """
+    closure, evidence = diagnosis.closure, diagnosis.evidence
+    known = diagnosis.unexplained or diagnosis.left
+    if known is not None or diagnosis.kind is not VerdictKind.PARTLY_EXPLAINED:
+        return diagnosis
+    left: list[tuple[float, float, str]] = []
+    beyond = [line for line in closure.channels if line.after_rms > line.floor_rms > 0.0] if closure.leaves_part else []
+    large = [line for line in beyond if line.after_rms > LARGE_RESIDUAL * line.floor_rms]
+    for line in large or beyond:
+        times = line.after_rms / line.floor_rms
+        n = 1 if evidence is None else int(evidence.observations.usable[:, line.channel].sum())
+        share = 0.0 if line.fraction is None else 1.0 - line.fraction
+        left.append((share, n * (times**2 - 1.0), f"{line.channel.label}: {times:.2g} times its noise level"))
+    for trial in filter(fails, diagnosis.fix.transfer):
+        square, gap = (each - trial.noise_square for each in (trial.after_square, trial.before_square))
+        share = square / gap if gap > 0.0 else 1.0
+        left.append((share, square, f"{trial.left_out} {trial.value}, held out"))
+    if not left:
+        return diagnosis
+    where = tuple(words for _, _, words in left)
+    share, square = (max(each) for each in list(zip(*left, strict=True))[:2])
+    on = "run again with the fix" if closure.held_out == RERUN else "on held-out runs"
+    told = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"
+    found = Unexplained(min(max(share, 0.0), 1.0), sqrt(square), where)
+    return replace(diagnosis, left=found, notes=(*diagnosis.notes, told))
 
 
 #: effects beside a cause that is not sure, from the likeliest down to one in twenty, that the next runs should exclude

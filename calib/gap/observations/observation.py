@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
-from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel
+from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray, in_frame
@@ -263,8 +263,30 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         from_first = not (reference.frame == "start" and on_axle)
         poses = np.column_stack([seen, np.full(len(rows), np.nan)])
         return ReferencePoses(rows, poses, travelled, setup.in_map, from_first, course)
-    poses = poses_of_vehicle(np.column_stack([seen, np.unwrap(heading[rows])]), reference, in_map=setup.in_map)
+    of_sensor = np.column_stack([seen, np.unwrap(heading[rows])])
+    begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)
+    poses = poses_of_vehicle(of_sensor, reference, in_map=setup.in_map or begins_there)
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map, course=None)
+
+
+#: poses begin at the sensor's place where the first is off it by less than this share of its distance from the origin,
+#: however large the noise is: of poses that begin at the origin hardly one does by chance
+NEAR_PLACE: Final = 0.25
+
+
+def _begins_at_place(of_sensor: FloatArray, reference: Reference) -> bool:
+    """Return whether poses begin at the sensor's place: their frame is the vehicle's at its start, not the sensor's.
+
+    `of_sensor`: (n, 3); its headings are brought to the turn of the place.
+    """
+    place = np.array([reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad])
+    turns = 2.0 * np.pi * np.round((of_sensor[0, 2] - place[2]) / (2.0 * np.pi))
+    first = of_sensor[0] - [0.0, 0.0, turns]
+    sigma = np.array([reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad])
+    off, lever = (float(np.linalg.norm(pose / sigma)) for pose in (first - place, place))
+    if begins := off < NEAR_PLACE * lever:
+        of_sensor[:, 2] -= turns
+    return begins
 
 
 def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> FloatArray:

@@ -12,6 +12,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
+from calib.gap.decision.kind import with_left
 from calib.gap.decision.sentences import joined, sentence
 from calib.gap.decision.trials import trials
 from calib.gap.effects.effect import Form
@@ -115,7 +116,7 @@ def fixed(
     )
     beside = _of_library(diagnosis)
     lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
-    return replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}")
+    return with_left(replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}"))
 
 
 def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:

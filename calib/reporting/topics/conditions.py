@@ -95,7 +95,9 @@ def conditions_section(source: Source) -> Section:
     traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."
     if "instruments" in source.stated:
         traceable = "Traceability to the SI rests on the instruments' certificates as named above."
-    stated = f"{traceable} The standard uncertainties of the instruments are as stated by the campaign."
+    some = any(key.startswith(("rangefinder", "reference")) for key in setup.assumed)
+    beside = " where none is assumed" if some else ""
+    stated = f"{traceable} The standard uncertainties of the instruments are as stated by the campaign{beside}."
     texts = [Text(stated), assumed_text(setup.assumed)]
     if "remarks" in source.stated:
         texts.append(Text(f"Remarks: {source.stated['remarks']}"))

@@ -180,7 +180,8 @@ def plan_content(plan: Plan) -> tuple[Block, ...]:
 def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
     """Return the runs to drive next, and the intervals they promise."""
     promises = [promise_table(plan.now, plan.then)] if plan.then else []
-    return (next_runs_table([run.to_dict() for run in plan.runs]), *promises)
+    mark = (blocks.simulated_notice(),) if plan.campaign.simulated else ()
+    return (*mark, next_runs_table([run.to_dict() for run in plan.runs]), *promises)
 
 
 #: unit of an effect -> (factor, printed unit) from the largest to the smallest

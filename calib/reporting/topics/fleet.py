@@ -25,7 +25,9 @@ def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, 
 
     For a page with pictures, and without what was done now: interruptions change nothing.
     """
-    return _of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)
+    # a page has a mark of its own
+    mark = (blocks.simulated_notice(),) if fleet.simulated and not page else ()
+    return (*mark, *(_of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)))
 
 
 def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
@@ -183,7 +185,8 @@ def own_content(own: Own) -> list[Block]:
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")
     planted = f"Planted on {own.campaign}'s own noise and route."
-    blocks: list[Block] = [table(planted, (*head, "First", "In group", "Wrong"), rows[False])]
+    mark = [blocks.simulated_notice()] if own.simulated else []
+    shown: list[Block] = [*mark, table(planted, (*head, "First", "In group", "Wrong"), rows[False])]
     if rows[True]:
-        blocks.append(table("Causes that no library holds.", (*head, "Left open", "Fix recommended"), rows[True]))
-    return [*blocks, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]
+        shown.append(table("Causes that no library holds.", (*head, "Left open", "Fix recommended"), rows[True]))
+    return [*shown, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]

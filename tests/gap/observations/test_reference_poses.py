@@ -38,12 +38,16 @@ def test_runs_anywhere_in_a_map_end_as_seen_from_their_own_start(frame: str | No
         assert observations.measured[:, 3].sum() == pytest.approx(truths[0].end()[2], abs=ROUNDING)
 
 
-@pytest.mark.parametrize("in_map", [True, False], ids=["map", "start"])
+@pytest.mark.parametrize("frame", ["map", "start", "vehicle"])
 @pytest.mark.parametrize(("place", "yaw"), [(0.4 - 0.25j, 0.0), (0.0, 1.55), (-1.2 + 0.3j, -3.0)])
-def test_a_sensor_anywhere_on_the_vehicle_tells_the_axle(in_map: bool, place: complex, yaw: float) -> None:
-    """The sensor's own motion, or its place in the map, gives the axle's motion once its pose is stated."""
-    truths = routes()
-    logs = [truth.counts() | seen(truth, place, yaw, in_map=in_map) for truth in truths]
+def test_a_sensor_anywhere_on_the_vehicle_tells_the_axle(frame: str, place: complex, yaw: float) -> None:
+    """The sensor's own motion, or its place in the map, gives the axle's motion once its pose is stated.
+
+    So does its place in the frame of the vehicle's start: the first pose is the stated one.
+    """
+    in_map = frame == "map"
+    truths = [Truth(ROUTE) for _ in STARTS] if frame == "vehicle" else routes()
+    logs = [truth.counts() | seen(truth, place, yaw, in_map=frame != "start") for truth in truths]
     where = {"sensor_x_m": complex(place).real, "sensor_y_m": complex(place).imag, "sensor_yaw_rad": yaw}
     observations = observations_of(campaign_of(logs, Reference(frame="map" if in_map else "start", **where)))
     np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
