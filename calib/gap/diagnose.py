@@ -18,7 +18,7 @@ from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.kind import fails, open_questions, with_left
-from calib.gap.decision.trials import trials
+from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.applied import ELSEWHERE, beyond_law, model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
@@ -26,7 +26,7 @@ from calib.gap.effects.library import library
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
-from calib.gap.inference.fit import Fitted, recalibrate
+from calib.gap.inference.fit import Fitted, recalibrate, squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
@@ -109,6 +109,8 @@ def diagnose_in_full(
     declared = campaign.extra.get("effects", ())
     sought, planted = _Sought(model, applied, exclude), observations
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
+    if planted is None and (lone := _lone_run(situation)):
+        situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
     given = _without(campaign, situation.omitted)
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not applied else None
@@ -239,6 +241,29 @@ class _Sought:
         if as_counted is None:
             as_counted = measured_gap(nominal, nominal)
         return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
+
+
+def _lone_run(situation: Situation) -> dict[str, float]:
+    """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
+
+    With it no recalibration does. Only where nothing was driven twice: repeats tell noise and runs far off by
+    themselves. Another run of its kind stays.
+    """
+    nominal = predict(situation.observations)
+    noise, observations = estimate_noise(nominal, residuals(nominal, nominal)), situation.observations
+    rows = observations.usable.sum(axis=1)
+    if observations.windowed or noise.dof > 0.0 or not noise.supported or situation.omitted:
+        return {}
+    squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
+    run, kind = int(np.argmax(squares)), observations.labels["kind"]
+    if whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
+        return {}
+    # so uncertain that it weighs nothing
+    weight = np.where(np.arange(len(rows)) == run, 1e12, 1.0)[:, None, None]
+    others = recalibrate(nominal, replace(noise, covariance=noise.covariance * weight))
+    if others.chi_square > most_square(int(rows.sum() - rows[run])):
+        return {}
+    return {str(observations.labels["run_id"][run]): float(misfit(others.path, nominal)[run])}
 
 
 def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:

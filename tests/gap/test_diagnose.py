@@ -256,3 +256,25 @@ def test_a_gap_beyond_all_that_differs_between_runs_is_one_at_any_noise_level(
     assert not verdict.noise_level.supported
     assert (verdict.kind, verdict.causes) == (expected, ())
     assert "Drive one route several times" in verdict.sentence
+
+
+@pytest.mark.parametrize("others_differ", [False, True])
+def test_a_gap_with_one_mistyped_end_is_never_an_all_clear(others_differ: bool) -> None:
+    """Ten runs, none driven twice; the track is off. The mistyped run is omitted where all others agree without it."""
+    rng = np.random.default_rng(3)
+
+    def truth(run: Run, now: Motion) -> None:
+        now.track = 0.02
+        now.end_x_m, now.end_y_m, now.end_rad = rng.normal(0.0, (2e-3, 2e-3, 1e-3))
+        now.end_x_m += 0.5 * (run is runs[4]) + others_differ * rng.normal(0.0, 0.1)
+
+    shapes = {"line": [(3.0, 0.0)], "left": [(2.0, 0.4)], "right": [(2.0, -0.4)], "s": [(1.5, 0.5), (1.5, -0.5)]}
+    runs = [
+        Run([((1.0 + 0.07 * n) * length, kappa) for length, kappa in pieces], kind=kind, front=False)
+        for n, (kind, pieces) in enumerate([*shapes.items(), *shapes.items(), *shapes.items()][:10])
+    ]
+    made = campaign(runs, truth=truth, vehicle=Vehicle(track_m=0.7, drive="differential"))
+    verdict = diagnose_in_full(made, plan=False)
+    assert verdict.kind is not VerdictKind.NO_GAP
+    assert ("Omitted" in verdict.sentence and "r004 (" in verdict.sentence) is not others_differ
+    assert ("track_width" in [cause.effect for cause in verdict.causes]) is not others_differ

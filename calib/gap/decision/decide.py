@@ -24,7 +24,7 @@ from calib.gap.decision.kind import (
     kind_of,
 )
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
-from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
+from calib.gap.decision.trials import FALSE_ALARM, most_square, reach_of_noise
 from calib.gap.effects.effect import Family
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -124,9 +124,12 @@ def stands_off(evidence: Evidence) -> bool:
     """Return whether runs that agree stand off on one side beyond the reach of noise.
 
     All runs of a condition, or one of a route by that much and another beyond noise on that route. Of few conditions
-    one that stands off is no lack of fit, and runs that agree are no single runs.
+    one that stands off is no lack of fit, and runs that agree are no single runs. Where no repeats measure the noise,
+    also whether all runs are off beyond any level as uncertain as `log_marginal` takes the stated one.
     """
     usable, noise = evidence.observations.usable, evidence.noise
+    if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
+        return True
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
     reach = reach_of_noise(noise.dof, int(usable.sum()))
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
@@ -218,7 +221,7 @@ def _on_omitted(omitted: Mapping[str, float]) -> str:
     runs = sentences.joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
     return (
         f" Omitted, since no other run ends off nearly as far: {runs}. Look for a counter that was reset or stood "
-        "still, or the reference of another run, with 'calib check'."
+        "still, or a reference that is mistyped or another run's, with 'calib check'."
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.gap.decision.held_out import end_rms_m
 from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.observations.arrays import Observations
 from calib.types import BoolArray, FloatArray, StrArray
 
@@ -32,6 +33,13 @@ def reach_of_noise(dof: float, n_readings: int) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(max(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
+
+
+def most_square(n_readings: int) -> float:
+    """Return the squares of so many readings, in stated noise levels, that noise alone leaves, at `FALSE_ALARM`."""
+    from scipy.special import fdtri
+
+    return n_readings * float(fdtri(max(n_readings, 1), FLOOR_DOF, 1.0 - FALSE_ALARM))
 
 
 @dataclass(frozen=True, slots=True)
