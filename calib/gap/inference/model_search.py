@@ -30,6 +30,8 @@ _SINGLE_STARTS: Final = 3
 #: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
+#: what noise estimated too small by half in one channel of a hundred runs costs the hypothesis of no effect
+_NOISE_WINDOW: Final = 22.0
 #: least probability of a reported gap: to look at runs once more costs less than a gap not seen
 REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
@@ -260,9 +262,14 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
-    if ScaleEvidence.is_open(local.system) and models.index(()) in likely:
-        # whether there is a gap rests on the noise
-        weight = weight + scale_gains(local, weight, {*likely, models.index(local.current)}, models, _LIKELY_WINDOW)
+    none, is_noise = models.index(()), local.is_noise
+    if ScaleEvidence.is_open(local.system) and (weight[is_noise, none].max() > total.max() - _NOISE_WINDOW):
+        # whether there is a gap rests on the noise; where there surely is one, the estimated noise serves
+        gained = weight + scale_gains(
+            local, weight, {*likely, none, models.index(local.current)}, models, _LIKELY_WINDOW
+        )
+        if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
+            weight = gained
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
     if local.system.path.s.calibration_held:
         # nothing can be off beside any model

@@ -128,14 +128,15 @@ def scale_gains(
         Models to integrate; the gain of the others is the least of theirs.
     models : list of tuple of int
     window : float
-        Weights this far below the best are not integrated.
+        Weights this far below the best are not integrated, but for that of noise alone.
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
     for n in likely:
         if local.columns.layout.wide in models[n]:
             continue
         for scale in {0, int(np.argmax(weight[:, n]))}:
-            if weight[scale, n] > weight.max() - window:
+            # noise alone gains most where its scales were estimated too small, and there it weighs least
+            if weight[scale, n] > weight.max() - window or (scale == 0 and not models[n]):
                 gains[scale, n] = evidence.gain(_columns(local, models[n], scale))
     if not np.isfinite(gains).any():
         return np.zeros(weight.shape)
