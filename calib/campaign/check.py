@@ -208,7 +208,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
 
 
 #: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
-_OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling"})
+_OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
     {"missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.campaign.log_reading import read_logs
 from calib.campaign.logs import log_files, rewrap_total
-from calib.campaign.model import Border, Campaign, Logs, RunTable
+from calib.campaign.model import SIMULATED_POSE, Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.settings_file import read_settings
 from calib.campaign.tables import run_table
@@ -63,7 +63,10 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     settle(folder)
     border = Border(lenient=lenient)
     path = inside(folder, SETTINGS, named_in=folder)
-    settings = read_settings(path, SETTINGS if path.is_file() else str(folder / SETTINGS))
+    try:
+        settings = read_settings(path, SETTINGS)
+    except BadFileError as error:
+        raise error.below(folder) from error
     hashes = {SETTINGS: sha256_file(path)}
     border.notes.extend(settings.notes)
 
@@ -73,11 +76,11 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         border.notes.extend(raw.notes)
         _say_look_alikes(folder, shown, border)
         runs = run_table(raw, shown, border)
+        hashes[shown] = sha256_file(path)
+        files = log_files(folder, runs, shown, border) if logs else []
+        found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
     except BadFileError as error:
         raise error.below(folder) from error
-    hashes[shown] = sha256_file(path)
-    files = log_files(folder, runs, shown, border) if logs else []
-    found_logs, of_logs = read_logs(files, len(runs), settings.encoder, border, progress=progress)
     if found_logs.columns.keys() & set(SPEEDS):
         found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
     campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes | of_logs)
@@ -125,6 +128,10 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
             numbers[name] = np.where(empty, values, column)
             border.say(f"{shown}, column {name}", f"{int(empty.sum())} run(s) {how}", code)
 
+    unused = [name for name in SIMULATED_POSE if name in logs.columns and name not in numbers]
+    if unused:
+        text = f"not used: a gap is judged against these columns of {shown}, at each run's end; write them there"
+        border.say(f"logs, columns {', '.join(unused)}", text, "sim_in_logs", level="suspicious")
     for name in _COUNTS:
         fill(name, log_totals(logs, name), f"filled from the log's {name}", "filled")
     fill("distance_m", _sample(logs, "range_m", logs.offsets[1:] - 1), "filled from the log's range_m", "filled")

@@ -172,6 +172,8 @@ def _refused(
     name, limits = str(fault["loc"][0]), fault.get("ctx", {})
     key = (names or {}).get(name, name)
     remedy = "correct the value, or leave the key out"
+    if name == "format":
+        remedy = "it is of a newer calib: update this one, or make the campaign anew with 'calib ingest'"
     match fault["type"]:
         case "greater_than_equal" if limits["ge"] > 0:
             expected = "more than 0"

@@ -92,9 +92,10 @@ def export(
         notes += coefficients.notes
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
     notes += [text for artifact in artifacts for text in artifact.notes]
+    files = _written(artifacts, output)
+    # an error is the only line where nothing was written
     for text in notes:
         terminal.note(text)
-    files = _written(artifacts, output)
     if output is not None:
         # where the files went to standard output, nothing is added to them
         terminal.then(f"export {to}", c=source, file=files[0]["path"])

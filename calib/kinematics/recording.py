@@ -190,10 +190,11 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     pieces = [piece for piece in found if not isinstance(piece, str)]
     if not pieces:
         reason = f"; the first, {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
+        ends = any(np.isfinite(campaign.runs.number(name)).any() for name in ("ref_x_m", "ref_theta_rad"))
+        lacking = "log the runs" if ends else "measure where runs end (ref_x_m, ref_y_m, ref_theta_rad)"
         raise RefusedError(
             f"geometry of {campaign.name!r}: found no run with wheels and a reference pose{reason}; expected logs with "
-            f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; measure where runs end (ref_x_m, "
-            "ref_y_m, ref_theta_rad)"
+            f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; {lacking}"
         )
     runs = campaign.runs.select(np.array([not isinstance(piece, str) for piece in found]))
 

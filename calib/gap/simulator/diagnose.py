@@ -13,6 +13,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.decision.fix import PLAN
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
@@ -113,7 +114,9 @@ def diagnose_simulator(
         return replace(diagnosis, notes=(*diagnosis.notes, *notes))
 
     diagnosis = _confirmed(searched, differences, runner, np.random.default_rng(seed))
-    return SimulatorDiagnosis(diagnosis, runner)
+    # a plan of runs knows no simulator's parameters
+    why = tuple(text.replace(PLAN, "other routes, speeds or loads tell") for text in diagnosis.fix.why)
+    return SimulatorDiagnosis(replace(diagnosis, fix=replace(diagnosis.fix, why=why)), runner)
 
 
 def _confirmed(

@@ -95,7 +95,8 @@ def read_settings(path: Path) -> SimulatorSettings:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         found = "nothing" if first["type"] == "missing" else f"{first['input']!r}"[:60]
-        expected = {"missing": "this key", "extra_forbidden": "no such key"}.get(first["type"], first["msg"])
+        known = {"missing": "this key", "extra_forbidden": "no such key", "tuple_type": 'a list: ["python", "sim.py"]'}
+        expected = known.get(first["type"], first["msg"].removeprefix("Input should be "))
         raise BadFileError(path, found, expected, "see the simulator page of the manual", column=key) from error
     settings._path = path
     for place in PLACES:

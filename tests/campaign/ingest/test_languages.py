@@ -105,3 +105,26 @@ def test_a_heading_in_words_is_the_direction(tmp_path: Path) -> None:
     )
     text = describe([tmp_path / "t.csv"]).to_toml()
     assert 'direction = {column = "heading", values = {E = "out", W = "back"}}   # "out" or "back"' in text
+
+
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("Messreihe", "session"),
+        ("Messkampagne", "session"),
+        ("Campagne", "session"),
+        ("Sessione", "session"),
+        ("Jornada", "session"),
+        ("Meetreeks", "session"),
+        ("Afstand [m]", "distance_m"),
+        ("Belasting wiel links [N]", "load_left_N"),
+        ("Peso rueda derecha [N]", "load_right_N"),
+        ("Lading [kg]", "payload_kg"),
+        ("Snelheid", "speed_mps"),
+        ("Temperatuur", "temperature_C"),
+        ("Richting", "direction"),
+        ("Reihe", None),
+    ],
+)
+def test_usual_words_of_run_tables_are_found(name: str, target: str | None) -> None:
+    assert guessed_table_column(name) == target
