@@ -263,11 +263,11 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
     none, is_noise = models.index(()), local.is_noise
-    if ScaleEvidence.is_open(local.system) and (weight[is_noise, none].max() > total.max() - _NOISE_WINDOW):
+    near = none in likely or weight[is_noise, none].max() > total.max() - _NOISE_WINDOW
+    if near and ScaleEvidence.is_open(local.system):
         # whether there is a gap rests on the noise; where there surely is one, the estimated noise serves
-        gained = weight + scale_gains(
-            local, weight, {*likely, none, models.index(local.current)}, models, _LIKELY_WINDOW
-        )
+        integrated = {*likely, none, models.index(local.current)}
+        gained = weight + scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
         if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
             weight = gained
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0

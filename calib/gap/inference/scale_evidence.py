@@ -130,13 +130,14 @@ def scale_gains(
     window : float
         Weights this far below the best are not integrated, but for that of noise alone.
     """
-    evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
+    evidence, gains, alone = ScaleEvidence(local.system), np.full(weight.shape, np.nan), local.system.noise.supported
     for n in likely:
         if local.columns.layout.wide in models[n]:
             continue
         for scale in {0, int(np.argmax(weight[:, n]))}:
-            # noise alone gains most where its scales were estimated too small, and there it weighs least
-            if weight[scale, n] > weight.max() - window or (scale == 0 and not models[n]):
+            # noise alone gains most where its scales were estimated too small, and there it weighs least; what differs
+            # between runs without repeats is never too small
+            if weight[scale, n] > weight.max() - window or (alone and scale == 0 and not models[n]):
                 gains[scale, n] = evidence.gain(_columns(local, models[n], scale))
     if not np.isfinite(gains).any():
         return np.zeros(weight.shape)
