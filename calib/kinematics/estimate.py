@@ -258,7 +258,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
     way: Using = "windows" if recording.continuous else task.way
     try:
         other = _fitted(replace(task, sensor=True, way=way), recording)
-    except RefusedError:
+    except (RefusedError, np.linalg.LinAlgError):
         return None
     bent = way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
     # a fault named there is why end poses are not explained: a wrong angle takes whole turns with it

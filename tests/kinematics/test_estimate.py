@@ -270,3 +270,9 @@ def test_an_interval_holds_what_an_open_parameter_leaves() -> None:
     track = found["track_m"]
     assert "mean_radius_m" in found.undetermined
     assert track.std > 0.9 * NOMINAL_STD * track.value and track.ci95[0] < truth.track_m < track.ci95[1]
+
+
+def test_one_run_that_its_parameters_fit_exactly_shows_nothing() -> None:
+    made = campaign(both_ways(1), TRUTH, np.random.default_rng(12))
+    one = estimate_geometry(made.select(np.arange(len(made.runs)) == 0))
+    assert not one.passed and any("fitted exactly" in why for why in one.why)
