@@ -305,6 +305,9 @@ def _further(
     `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
     """
     n_runs = len(np.unique(whole.segments.run))
+    numbers, n_free = int(fitted.model.segments.seen.sum()), int(fitted.parameters.free.sum())
+    if numbers <= n_free:
+        yield f"{numbers} measured numbers for {n_free} parameters are fitted exactly and show nothing: drive more runs"
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
     if n_off > MANY_OUTLIERS * n_runs:
         # too many for single bad runs

@@ -20,9 +20,9 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import LENGTHS_ALONE, judged
 from calib.kinematics.blunders import Fault, still_counters
-from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, MeanHeld, first_scales
+from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, first_scales
 from calib.kinematics.factors import factor_faults
-from calib.kinematics.joint_fit import NOMINAL_STD, Fitted, drive_of, fit_parameters
+from calib.kinematics.joint_fit import MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, Umbmark
@@ -74,6 +74,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
     nominal, values = parameters.nominal, solution.values
     estimates, covariance = _estimates(fitted)
+    stated = {estimate.name for estimate in estimates}
     ratios = {e.name: e.value / e.nominal for e in estimates if e.nominal}
     faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
     if source == "rear":
@@ -97,10 +98,10 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         n_segments=len(model.segments),
         estimates=estimates,
         covariance=covariance,
-        # where one radius stands for two, directions of the free parameters say nothing of both
-        freedom=None if isinstance(model.drive, MeanHeld) else fitted.uncertainty.freedom,
+        # of all free parameters
+        freedom=fitted.uncertainty.freedom if len(estimates) == parameters.free.sum() else None,
         undetermined=fitted.undetermined,
-        held={name: float(nominal[at]) for at, name in enumerate(parameters.names) if not parameters.free[at]},
+        held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
         residual_rms=Channels.rms(after.residuals),
@@ -117,34 +118,16 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
 
 def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     parameters, uncertainty = fitted.parameters, fitted.uncertainty
-    index = np.flatnonzero(parameters.free)
+    kept = np.flatnonzero(~np.isin(parameters.free_names, fitted.undetermined))
+    index = np.flatnonzero(parameters.free)[kept]
+    sizes = parameters.nominal[index], fitted.solution.values[index], uncertainty.std[kept]
+    columns = (part.tolist() for part in (*sizes, uncertainty.dof[kept], uncertainty.free[kept]))
     names = [parameters.names[at] for at in index]
-    nominal, values = parameters.nominal[index], fitted.solution.values[index]
-    covariance, dof, free = uncertainty.covariance, uncertainty.dof, uncertainty.dof
-    drive = fitted.model.drive
-    if isinstance(drive, MeanHeld) and names[0] == "radius_left_m":
-        spread = np.insert(np.eye(len(names)), 1, -np.eye(len(names))[0], axis=0)
-        names.insert(1, "radius_right_m")
-        nominal = np.insert(nominal, 1, drive.wheels.radius_right_m)
-        values, dof = np.insert(values, 1, 2.0 * drive.mean_m - values[0]), np.insert(dof, 1, dof[0])
-        scale = np.where(np.isin(names, ("radius_left_m", "radius_right_m", "track_m")), NOMINAL_STD * values, 0.0)
-        covariance = spread @ covariance @ spread.T
-        by_runs = np.diag(covariance).copy()
-        covariance = covariance + np.outer(scale, scale)
-        # the part that is taken for known adds no doubt about its own size (Welch and Satterthwaite)
-        free = dof * np.square(np.diag(covariance) / by_runs)
-    if _gyro_alone(fitted) and "track_m" in names:
-        # a turn that the gyro measures by 1 % too much is a track that is 1 % too short
-        at, by_runs = names.index("track_m"), np.diag(covariance).copy()
-        covariance = covariance.copy()
-        covariance[at, at] += (GYRO_SCALE_STD * values[at]) ** 2
-        free = free * np.square(np.diag(covariance) / by_runs)
-    columns = (part.tolist() for part in (nominal, values, np.sqrt(np.diag(covariance)), dof, free))
-    return tuple(map(Estimate.of, names, *columns)), np.asarray(covariance)
+    return tuple(map(Estimate.of, names, *columns)), uncertainty.covariance[np.ix_(kept, kept)]
 
 
 def _gyro_alone(fitted: Fitted) -> bool:
-    return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.dropped
+    return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.undetermined
 
 
 def _whole(model: Model) -> Model:
@@ -174,7 +157,8 @@ def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
             f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
         )
-    if isinstance(fitted.model.drive, MeanHeld):
+    lengths = {"radius_left_m", "radius_right_m", "track_m"}
+    if MEAN_RADIUS in fitted.undetermined and not lengths & set(fitted.undetermined):
         positions = fitted.model.segments.seen[:, :2].any()
         what = "These paths close, or nearly so, at any scale" if positions else "Headings alone hold at any scale"
         yield (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import compress
 from typing import Final, Protocol
 
@@ -53,6 +53,10 @@ STEERING_SCALE: Final = "steering_scale"
 STEERING: Final = (Parameter(STEERING_ZERO, 0.0, 0.1), Parameter(STEERING_SCALE, 1.0, 0.1))
 
 
+#: of a nominal mean radius, relative: what wear, load and a tape leave
+NOMINAL_STD: Final = 0.01
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
     """Parameters in a fixed order."""
@@ -61,6 +65,8 @@ class Parameters:
     items: tuple[Parameter, ...]
     #: estimated; the others stay nominal, shape (n_parameters,)
     free: BoolArray
+    #: the nominal values count as measurements: runs that leave some parameter open need them
+    pulled: bool = False
 
     @staticmethod
     def of(items: Sequence[Parameter], free: Iterable[str]) -> Parameters:
@@ -87,9 +93,16 @@ class Parameters:
         """Spread of what is possible, shape (n_parameters,)."""
         return np.array([item.prior_std for item in self.items])
 
-    def without(self, name: str) -> Parameters:
-        """Return the parameters, that of a name held at nominal."""
-        return replace(self, free=self.free & (np.array(self.names) != name))
+    @property
+    def pull(self) -> FloatArray:
+        """What nominal values say of free parameters over their spreads: unit rows, shape (n_rows, n_free).
+
+        Each parameter is within its spread, and the mean radius within `NOMINAL_STD`.
+        """
+        spread = self.prior_std[self.free]
+        radii = np.array(["radius" in name for name in self.free_names])
+        mean = np.where(radii, spread, 0.0) / max(NOMINAL_STD * float(self.nominal[self.free] @ radii), 1e-300)
+        return np.vstack([np.eye(len(spread)), mean])[: None if self.pulled else 0]
 
 
 def parameters_of(drive: Drive, reference: Reference) -> tuple[Parameter, ...]:
@@ -199,34 +212,6 @@ class Differential:
         if self.slopes and loads is not None:
             derivative[3:] = by_travel * (phi * loads)[:, None]
         return Motion(np.stack([0.5 * (left + right), np.zeros_like(turn), turn]), derivative)
-
-
-@dataclass(frozen=True, slots=True)
-class MeanHeld:
-    """Two wheels on one axle whose mean radius is held, as closed paths need.
-
-    A closed path closes at any scale: radii and track can all be larger alike. The left radius and the track remain;
-    the right radius is what the mean leaves.
-    """
-
-    wheels: Differential
-
-    @property
-    def mean_m(self) -> float:
-        """The mean radius."""
-        return 0.5 * (self.wheels.radius_left_m + self.wheels.radius_right_m)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Left radius and track."""
-        left, _, track = self.wheels.parameters
-        return left, track
-
-    def motion(self, values: FloatArray, steps: Steps) -> Motion:
-        """Return the motion of the axle's middle."""
-        left, track = values
-        full = self.wheels.motion(np.array([left, 2.0 * self.mean_m - left, track]), steps)
-        return Motion(full.body, np.stack([full.by_parameter[0] - full.by_parameter[1], full.by_parameter[2]]))
 
 
 @dataclass(frozen=True, slots=True)

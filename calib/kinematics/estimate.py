@@ -17,7 +17,7 @@ from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected
-from calib.kinematics.drives import Drive, nominal_turn
+from calib.kinematics.drives import SENSOR, Drive, nominal_turn
 from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
@@ -170,12 +170,15 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     chosen = task.fit(drive, recording, coarse)
     many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(finer, start=1):
-        if many and not _bends(chosen):
+        bends = many and _bends(chosen)
+        # of runs alike finer windows show more
+        if many and not (bends or set(chosen.undetermined) - set(SENSOR)):
             break
         task.progress(number, 0, "fits")
         # from the coarser one's end: short windows do not find a delay of many steps
         other = task.fit(drive, recording, segments, None if many else chosen)
-        if not many and other.spread > chosen.spread + np.log(AS_GOOD):
+        fewer = len(other.undetermined) < len(chosen.undetermined)
+        if not (bends or (fewer if many else other.spread <= chosen.spread + np.log(AS_GOOD))):
             break
         chosen = other
     common, delays = chosen, tuple[Delay, ...]()
@@ -193,7 +196,8 @@ def _without_departure(fit: _Fit) -> Geometry:
     hidden = found is None and bool(geometry.delays)
     if hidden:
         found = find_departure(fit.common, misfit=geometry.misfit) or hidden_clock(fit.fitted.model.recording)
-    if found is None:
+    # where the runs tell no delay, they tell no clock either
+    if found is None or (found[0].named(found[1]).code == "clock_rate" and SENSOR[-1] in geometry.undetermined):
         return geometry
     departure, size = found
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
@@ -254,7 +258,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
     way: Using = "windows" if recording.continuous else task.way
     try:
         other = _fitted(replace(task, sensor=True, way=way), recording)
-    except RefusedError:
+    except (RefusedError, np.linalg.LinAlgError):
         return None
     bent = way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
     # a fault named there is why end poses are not explained: a wrong angle takes whole turns with it
@@ -294,13 +298,13 @@ def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
     if left_within(fitted.solution, free, model.segments, model.recording.session)[0] == np.inf:
         return fitted
     own = joint_fit.with_own_zeros(fitted)
-    if not own.zero_spread_rad or not own.dropped:
+    if not own.zero_spread_rad or not fitted.undetermined:
         return own
     # what the zeros hid may be determined beside them
     again = task.fit(model.drive, own.model.recording, model.segments)
     solution = replace(again.solution, prediction=model.predict(again.solution.values))
     again = joint_fit.with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
-    return own if joint_fit.loosest(again.uncertainty.std, again.parameters) else again
+    return own if again.undetermined else again
 
 
 def divisions(recording: Recording, using: str) -> Iterator[Segments]:

@@ -1,4 +1,7 @@
-"""Joint estimation of the parameters that the data determine; others are held and named.
+"""Joint estimation of all parameters; those that the data leave open stay about nominal and are named.
+
+A parameter held at nominal would make the others exact that depend on it. So where data leave something open, nominal
+values take part as measurements, each with what it may be off by, and all intervals are of the joint result.
 
 Some parameters differ between recordings: the reference's delay, and the zero of the steering angle, since a servo, or
 a linkage with play, rests at another angle each time. One zero for all bends what the other parameters say; a free zero
@@ -18,7 +21,15 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
-from calib.kinematics.drives import GYRO_SCALE, SENSOR, STEERING_SCALE, STEERING_ZERO, Drive, MeanHeld, Parameters
+from calib.kinematics.drives import (
+    GYRO_SCALE,
+    NOMINAL_STD,
+    SENSOR,
+    STEERING_SCALE,
+    STEERING_ZERO,
+    Drive,
+    Parameters,
+)
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
@@ -27,31 +38,34 @@ from calib.types import FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: prior, of the scale of radii and track, relative
-NOMINAL_STD: Final = 0.01
-#: part that each of three parameters has in a direction in which all grow alike; 0.58 where they do so exactly
-ALIKE: Final = 0.3
+#: a radius further from nominal, relative, is one of wrong counts or units
+GROSS: Final = 0.45
+#: of two wheels, where data leave it open
+MEAN_RADIUS: Final = "mean_radius_m"
 
 
-def weakest(solution: Solution, parameters: Parameters) -> FloatArray | None:
-    """Return the least determined direction, shape (n_free,); None where all are determined.
-
-    By the whitened Jacobian, in units of each parameter's prior spread.
-    """
+def determined(solution: Solution, parameters: Parameters) -> bool:
+    """Return whether the whitened Jacobian determines every direction, in units of each parameter's prior spread."""
     free = parameters.free
     jacobian = flattened(whitened(solution, free)[0] * parameters.prior_std[free])
-    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    return None if singular[-1] * TOLERATED >= 1.0 else np.asarray(directions[-1])
+    return bool(np.linalg.svd(jacobian, compute_uv=False)[-1] * TOLERATED >= 1.0)
 
 
-def loosest(std: FloatArray, parameters: Parameters) -> str | None:
-    """Return the parameter of the largest standard deviation over prior spread, if too large.
+def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ...]:
+    """Return the parameters, and the mean radius, of which data leave more than `TOLERATED` of what was open before.
 
-    `std` (shape (n_free,)): standard deviations that allow for shared noise.
+    `uncertainty`: allows for shared noise. Of data alone the mean radius is open where the nominal one is as good.
     """
-    ratio = std / parameters.prior_std[parameters.free]
-    at = int(np.argmax(ratio))
-    return parameters.free_names[at] if ratio[at] > TOLERATED else None
+    names, spread, pull = parameters.free_names, parameters.prior_std[parameters.free], parameters.pull
+    before = np.sqrt(np.diag(np.linalg.inv(pull.T @ pull))) if parameters.pulled else np.ones(len(spread))
+    rows = [name for name, ratio in zip(names, uncertainty.std / spread / before, strict=True) if ratio > TOLERATED]
+    radii = np.array(["radius" in name for name in names])
+    mean = float(np.sqrt(radii @ uncertainty.covariance @ radii)) / max(
+        float(parameters.nominal[parameters.free] @ radii), 1e-300
+    )
+    if radii.sum() > 1 and mean > NOMINAL_STD * (TOLERATED if parameters.pulled else 1.0):
+        rows.append(MEAN_RADIUS)
+    return tuple(rows)
 
 
 #: a delay is sought where samples are at most so far apart
@@ -68,7 +82,8 @@ class Fitted:
     parameters: Parameters
     solution: Solution
     uncertainty: Uncertainty
-    dropped: tuple[str, ...]
+    #: parameters that the data leave open, with the mean radius
+    undetermined: tuple[str, ...]
     #: with steering angles as logged
     logged: Recording
     #: standard deviation of single recordings' steering zeros, corrected for in the model's angles; 0: one zero suits
@@ -76,21 +91,10 @@ class Fitted:
     zero_spread_rad: float = 0.0
 
     @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Parameters that the data leave open; the mean radius where it was held."""
-        return (*self.dropped, *(["mean_radius_m"] if isinstance(self.model.drive, MeanHeld) else []))
-
-    @property
     def spread(self) -> float:
         """Mean logarithm of the drive parameters' standard deviations beside their prior ones."""
         n_drive = len(self.parameters.items) - len(SENSOR)
-        free = self.parameters.free
-        std = self.parameters.prior_std.copy()
-        std[free] = self.uncertainty.apart
-        if isinstance(self.model.drive, MeanHeld):
-            # holding the mean does not improve the knowledge of it
-            std[:n_drive] = np.hypot(std[:n_drive], NOMINAL_STD * self.solution.values[:n_drive])
-        return float(np.mean(np.log(std[:n_drive] / self.parameters.prior_std[:n_drive])))
+        return float(np.mean(np.log(self.uncertainty.apart[:n_drive] / self.parameters.prior_std[:n_drive])))
 
 
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
@@ -121,50 +125,45 @@ def fit_parameters(
     start: Fitted | None = None,
     known: FloatArray | None = None,
 ) -> Fitted:
-    """Estimate, and leave out what is not determined, one by one; see `Fitted`.
+    """Estimate, and name what is not determined; see `Fitted`.
 
     `sensor`: estimate the sensor's pose and delay, too; `start`: a fit to begin from; `known`: variances of the noise,
     shape (4,), for runs not driven yet.
     """
-    free = [item.name for item in drive.parameters]
-    dropped: list[str] = []
+    free, never = [item.name for item in drive.parameters], tuple[str, ...]()
     if segments.gyro.any():
         free.append(GYRO_SCALE)
     if sensor:
         free += SENSOR[1:]
         if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
-            dropped.append(free.pop())
-    parameters = Parameters.of(drives.parameters_of(drive, campaign.reference), free)
-    model = Model(drive, recording, segments)
-    values = parameters.nominal
-    if start is not None and start.model.drive == drive:
-        values = np.where(parameters.free, start.solution.values, values)
-    while parameters.free.any():
+            never = (free.pop(),)
+    items, model = drives.parameters_of(drive, campaign.reference), Model(drive, recording, segments)
+    radii = [at for at, name in enumerate(free) if "radius" in name]
+    alone = np.array([item.nominal for item in items])
+    # nominal values pull only where data leave something open: what these determine is theirs alone
+    for parameters in (Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)):
+        values = parameters.nominal
+        if start is not None and start.parameters.pulled == parameters.pulled:
+            values = np.where(parameters.free, start.solution.values, values)
+        elif parameters.pulled and np.any(np.abs(alone[radii] / values[radii] - 1.0) > GROSS):
+            # counts or units are wrong: nominal lengths are no place to begin from
+            values = alone
         if known is None:
             solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
         else:
-            solution = planned(model, values, known)
-        pair = isinstance(drive, drives.Differential) and not drive.slopes and bool(parameters.free[:3].all())
-        weak = weakest(solution, parameters)
-        if weak is not None:
-            loose: str | None = parameters.free_names[int(np.argmax(np.abs(weak)))]
-            alike = pair and np.min(np.abs(weak[:3])) > ALIKE
+            solution = planned(model, parameters, values, known)
+        alone = solution.values
+        if not parameters.pulled and not determined(solution, parameters):
+            continue
+        if known is None:
+            uncertainty = clustered(solution, parameters, recording, segments)
         else:
-            if known is None:
-                uncertainty = clustered(solution, parameters, recording, segments)
-            else:
-                uncertainty = expected(solution, parameters.free, segments.run)
-            loose = loosest(uncertainty.std, parameters)
-            lengths = solution.values[:3]
-            alike = pair and np.mean(uncertainty.covariance[:3, :3] / np.outer(lengths, lengths)) > NOMINAL_STD**2
-        # only the scale of radii and track is open
-        if alike and isinstance(drive, drives.Differential):
-            return fit_parameters(campaign, MeanHeld(drive), recording, segments, sensor, known=known)
-        if loose is None:
-            return Fitted(model, parameters, solution, uncertainty, tuple(dropped), recording)
-        dropped.append(loose)
-        parameters = parameters.without(loose)
-        values = np.where(parameters.free, solution.values, parameters.nominal)
+            uncertainty = expected(solution, parameters.free, segments.run)
+        undetermined = left_open(uncertainty, parameters)
+        # two open radii may have a mean
+        something = set(free) - set(undetermined) or (len(radii) > 1 and MEAN_RADIUS not in undetermined)
+        if not undetermined or (parameters.pulled and something):
+            return Fitted(model, parameters, solution, uncertainty, (*undetermined, *never), recording)
     raise RefusedError(
         f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "
         "straights and a reference of their end poses; drive squares both ways"
@@ -197,7 +196,7 @@ def sought_delays(fitted: Fitted) -> FloatArray:
     """
     model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
     nothing = model.recording.delay_added_s
-    if not fitted.parameters.free[-1] or not group.any():
+    if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined or not group.any():
         return nothing
     offsets, delay = np.linspace(-REACH_S, REACH_S, TRIED), np.eye(len(solution.values))[-1]
     losses = []
@@ -234,7 +233,7 @@ def shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArr
     parameter is not free or blocks are too few.
     """
     segments, parameters, group = fitted.model.segments, fitted.parameters, fitted.model.recording.group
-    if name not in parameters.free_names or not group.any():
+    if name not in parameters.free_names or name in fitted.undetermined or not group.any():
         return None
     jacobian, residuals = whitened(fitted.solution, parameters.free)
     slope = jacobian[:, :, parameters.free_names.index(name)]
@@ -299,7 +298,9 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
         solution = replace(solution, shared=_shared(fitted, solution, group, spread, deviation))
     uncertainty = clustered(solution, parameters, model.recording, model.segments)
     solution = replace(solution, converged=fitted.solution.converged and abs(spread - before) < SETTLED * spread)
-    return replace(fitted, model=model, solution=solution, uncertainty=uncertainty, zero_spread_rad=spread)
+    undetermined = left_open(uncertainty, parameters)
+    fitted = replace(fitted, model=model, solution=solution, uncertainty=uncertainty, undetermined=undetermined)
+    return replace(fitted, zero_spread_rad=spread)
 
 
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
@@ -323,7 +324,9 @@ def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArra
     free, shared = fitted.parameters.free, solution.shared
     assert shared is not None
     jacobian, residuals = whitened(solution, free)
-    step = np.linalg.lstsq(flattened(jacobian), residuals.ravel(), rcond=None)[0]
+    flat, off = flattened(jacobian), (fitted.parameters.nominal - solution.values)[free]
+    normal = flat.T @ flat + solution.pull
+    step = np.linalg.lstsq(normal, flat.T @ residuals.ravel() + solution.pull @ off, rcond=None)[0]
     plain, left = whitened(replace(solution, shared=None), free)
     left = left - plain @ step
     n_groups, size = len(shared.amount), shared.size

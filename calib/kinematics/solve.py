@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -136,6 +138,8 @@ class Solution:
     squares: FloatArray
     #: the last step was small
     converged: bool
+    #: information that nominal values add, shape (n_free, n_free)
+    pull: FloatArray
     #: a random effect beside the noise; the prediction contains it
     shared: Shared | None = None
 
@@ -169,9 +173,16 @@ def solve(
     prediction, converged = model.predict(values), False
     for number in range(rounds):
         by_spread = prediction.jacobian[:, :, free].transpose(1, 0, 2) * prior[free]
-        problem = _Linear(np.ascontiguousarray(prediction.residuals.T), by_spread, seen, size)
         if number < noise_rounds:
             kernel = _kernel(model, prediction, values)
+            whitener = _whiteners(kernel, scales, seen)
+        share = float(_weights(_whitened(whitener, prediction.residuals.T), size)[0].mean())
+        # normal at first: another valley of the data may lie in a robust one's tail
+        nominal = partial(_nominal, parameters, share=share, dof=DEGREES if number >= noise_rounds else 1e9)
+        off, pulls, _ = nominal(values)
+        pull = np.sqrt(pulls)[:, None] * parameters.pull, np.sqrt(pulls) * off
+        problem = _Linear(np.ascontiguousarray(prediction.residuals.T), by_spread, seen, size, *pull)
+        if number < noise_rounds:
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
             scales = _noise(problem.part(some), np.ascontiguousarray(kernel[:, :, some]), scales, least, steady)
             whitener = _whiteners(kernel, scales, seen)
@@ -183,21 +194,43 @@ def solve(
             break
         # a step of nothing is as long as it may be
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
-        advanced = _advance(model, (values, prediction), part * step, CLOSE / max(sigmas, CLOSE) / part, whitener)
+        least_part = CLOSE / max(sigmas, CLOSE) / part
+        advanced = _advance(model, (values, prediction), part * step, least_part, whitener, nominal)
         # the noise at this place first: by it there may be a step
         if advanced is None and number >= noise_rounds - 1:
             break
         values, prediction = advanced or (values, prediction)
     weights, squares = _weights(_whitened(whitener, prediction.residuals.T), size)
-    return Solution(values, prediction, scales, _whole(whitener), weights, _centred(squares, size), converged)
+    squares, known = _centred(squares, size), _known(parameters, values)
+    return Solution(values, prediction, scales, _whole(whitener), weights, squares, converged, known)
 
 
-def planned(model: Model, values: FloatArray, scales: FloatArray) -> Solution:
+def planned(model: Model, parameters: Parameters, values: FloatArray, scales: FloatArray) -> Solution:
     """Return the solution of runs not driven yet, at known variances of the noise, shape (4,)."""
     prediction, seen = model.predict(values), model.segments.seen
     whitener = _whiteners(_kernel(model, prediction, values), scales, seen)
-    n = len(seen)
-    return Solution(values, prediction, scales, _whole(whitener), np.ones(n), np.zeros(n), True)
+    n, known = len(seen), _known(parameters, values)
+    return Solution(values, prediction, scales, _whole(whitener), np.ones(n), np.zeros(n), True, known)
+
+
+def _nominal(
+    parameters: Parameters, values: FloatArray, share: float = 1.0, dof: float = DEGREES
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return by how many spreads nominal values are off in the rows that pull, the rows' weights, and their loss.
+
+    The mean radius, the last row, is far off where counts or units are wrong: robust, as residuals are, with `dof`, and
+    at first of no more weight than residuals have: `share`.
+    """
+    off = parameters.pull @ ((parameters.nominal - values) / parameters.prior_std)[parameters.free]
+    weights, losses = np.ones(len(off)), 0.5 * np.square(off)
+    weights[-1:] = share * (dof + 1.0) / (dof + 2.0 * losses[-1:])
+    losses[-1:] = 0.5 * share * (dof + 1.0) * np.log1p(2.0 * losses[-1:] / dof)
+    return off, weights, float(losses.sum())
+
+
+def _known(parameters: Parameters, values: FloatArray) -> FloatArray:
+    rows = parameters.pull / parameters.prior_std[parameters.free]
+    return np.asarray((rows.T * np.minimum(_nominal(parameters, values)[1], 1.0)) @ rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,10 +239,13 @@ class _Linear:
     jacobian: FloatArray  #: shape (3, n, n_free)
     seen: BoolArray  #: shape (n, 3)
     size: IntArray  #: shape (n,)
+    pull: FloatArray  #: towards nominal values, shape (n_rows, n_free)
+    off: FloatArray  #: shape (n_rows,)
 
     def part(self, some: slice) -> _Linear:
         jacobian = np.ascontiguousarray(self.jacobian[:, some])
-        return _Linear(self.residuals[:, some].copy(), jacobian, self.seen[some], self.size[some])
+        residuals = self.residuals[:, some].copy()
+        return replace(self, residuals=residuals, jacobian=jacobian, seen=self.seen[some], size=self.size[some])
 
     def whitened(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return Jacobian, shape (3 n, n_free), and residuals, shape (3 n,), whitened."""
@@ -221,18 +257,19 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     jacobian, residuals = problem.whitened(whitener)
     step, moved = np.zeros(jacobian.shape[1]), np.zeros(len(residuals))
     for _ in range(INNER):
-        step = _weighted(jacobian, residuals, _weights((residuals - moved).reshape(3, -1), problem.size)[0])
+        weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
+        step = _weighted(problem, jacobian, residuals, weights)
         before, moved = moved, jacobian @ step
         if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
     return step, float(np.linalg.norm(moved))
 
 
-def _weighted(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
     scaled = jacobian * np.tile(weights, 3)[:, None]
-    normal = scaled.T @ jacobian
+    normal = scaled.T @ jacobian + problem.pull.T @ problem.pull
     normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
-    return np.asarray(np.linalg.solve(normal, residuals @ scaled))
+    return np.asarray(np.linalg.solve(normal, residuals @ scaled + problem.off @ problem.pull))
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
@@ -247,7 +284,7 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
         whitener = _whiteners(kernel, scales, problem.seen)
         jacobian, residuals = problem.whitened(whitener)
         weights = _weights((residuals - jacobian @ step).reshape(3, -1), problem.size)[0]
-        step = _weighted(jacobian, residuals, weights)
+        step = _weighted(problem, jacobian, residuals, weights)
         rest = (residuals - jacobian @ step).reshape(3, -1)
         pulled = _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
         size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()
@@ -313,24 +350,29 @@ def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]
 
 
 def _advance(
-    model: Model, here: tuple[FloatArray, Prediction], step: FloatArray, least_part: float, whitener: FloatArray
+    model: Model,
+    here: tuple[FloatArray, Prediction],
+    step: FloatArray,
+    least_part: float,
+    whitener: FloatArray,
+    nominal: Callable[[FloatArray], tuple[FloatArray, FloatArray, float]],
 ) -> tuple[FloatArray, Prediction] | None:
     """Backtrack along `step` until the loss falls; return point and prediction, or None.
 
-    A part of the step below `least_part` is not worth a trial; the whole one always is.
+    A part of the step below `least_part` is not worth a trial; the whole one always is. `nominal`: see `_nominal`.
     """
     size = model.segments.seen.sum(axis=1)
 
-    def loss(prediction: Prediction) -> float:
+    def loss(values: FloatArray, prediction: Prediction) -> float:
         squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
-        return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES)))
+        return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES))) + nominal(values)[2]
 
     values, prediction = here
-    part, most = 1.0, loss(prediction) * (1.0 + 1e-12)
+    part, most = 1.0, loss(values, prediction) * (1.0 + 1e-12)
     while part == 1.0 or part >= least_part:
         tried = values + part * step
         there = model.predict(tried)
-        if loss(there) <= most:
+        if loss(tried, there) <= most:
             return tried, there
         part *= 0.4
     return None

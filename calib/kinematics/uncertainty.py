@@ -116,7 +116,7 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
         # what independent blocks of this information would leave in each cosine after the fit has taken its part
         taken = waves @ seen
         left = (waves * (seen @ direction)) @ waves.T - taken @ taken.T
-        share = np.maximum(len(pulls) * np.diag(left) / max(float(direction @ direction), 1e-300), 1e-6)
+        share = np.maximum(len(pulls) * np.diag(left) / max(float(direction @ seen.sum(axis=0)), 1e-300), 1e-6)
         own = max(float(np.trace(left) ** 2 / max(float(np.square(left).sum()), 1e-300)), 1.0)
         level, dof[at], shape = level_at_zero(np.square(amplitudes[:, at]) / share, squares, own)
         std[at] = np.sqrt(len(pulls) * level)
@@ -147,6 +147,8 @@ class Uncertainty:
     clusters: int
     #: standard deviations with all groups independent: biased but steadier, to compare estimates by, shape (n_free,)
     apart: FloatArray
+    #: variances that nominal values leave, part of the covariance's, shape (n_free,)
+    known: FloatArray
     #: of sums of parameters, where known
     freedom: Freedom | None = None
 
@@ -154,6 +156,12 @@ class Uncertainty:
     def std(self) -> FloatArray:
         """Standard deviations, shape (n_free,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def free(self) -> FloatArray:
+        """Degrees of freedom of the intervals, (n_free,): nominal values add no doubt about their own spread."""
+        variance = np.diag(self.covariance)
+        return np.asarray(self.dof * np.square(variance / np.maximum(variance - self.known, 1e-9 * variance)))
 
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -190,16 +198,20 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
     flat = flattened(jacobian)
-    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat)).T)
+    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat + solution.pull)).T)
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return Jacobian of unit information, residuals, and matrix and scale back to parameters."""
     jacobian, residuals = whitened(solution, free)
-    scale = 1.0 / np.sqrt(np.maximum(np.square(jacobian).sum(axis=(0, 1)), 1e-300))
-    flat = flattened(jacobian * scale)
-    root = np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
-    return flat @ root, residuals.ravel(), root, scale
+    information = flattened(jacobian).T @ flattened(jacobian) + solution.pull
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    root = np.linalg.cholesky(np.linalg.inv(information * np.outer(scale, scale)))
+    return flattened(jacobian * scale) @ root, residuals.ravel(), root, scale
+
+
+def _by_nominal(solution: Solution, root: FloatArray, scale: FloatArray) -> FloatArray:
+    return np.asarray((bread := root @ root.T * np.outer(scale, scale)) @ solution.pull @ bread)
 
 
 def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
@@ -223,7 +235,7 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
     freedom = replace(freedom, directions=directions)
     return replace(
         sandwich(solution, free, block, "block"),
-        covariance=back @ covariance @ back.T,
+        covariance=back @ covariance @ back.T + _by_nominal(solution, root, scale),
         dof=np.array([freedom.of(unit) for unit in np.eye(len(directions))]),
         freedom=freedom,
     )
@@ -260,17 +272,18 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, po
         shares.append(part.T @ seen)
     pull = np.stack(pulls) @ root.T
     factor = _influence(solution)
-    covariance = factor**2 * (pull.T @ pull) * np.outer(scale, scale)
-    apart = factor * np.sqrt(np.square(pull).sum(axis=0)) * scale
-    return Uncertainty(covariance, _degrees(np.stack(sizes), np.stack(shares)), by, len(pull), apart)
+    by_nominal = _by_nominal(solution, root, scale)
+    covariance = factor**2 * (pull.T @ pull) * np.outer(scale, scale) + by_nominal
+    degrees, apart = _degrees(np.stack(sizes), np.stack(shares)), np.sqrt(np.diag(covariance))
+    return Uncertainty(covariance, degrees, by, len(pull), apart, np.diag(by_nominal))
 
 
 def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
     """Return the covariance by the runs' information, and the degrees of freedom of `sandwich`."""
     jacobian = flattened(whitened(solution, free)[0])
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
-    apart = np.sqrt(np.diag(covariance))
-    return replace(sandwich(solution, free, cluster, "run", power=OF_RUNS), covariance=covariance, apart=apart)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + solution.pull), dtype=np.float64)
+    by_runs = sandwich(solution, free, cluster, "run", power=OF_RUNS)
+    return replace(by_runs, covariance=covariance, apart=np.sqrt(np.diag(covariance)))
 
 
 def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
@@ -305,10 +318,8 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     turned[:, 0], turned[:, 1] = segments.measured[:, 1:2], -segments.measured[:, :1]
     turned[:, 2, 0] = -1.0
     turned[~segments.seen] = 0.0
-    columns, rest = (
-        np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2),
-        solution.prediction.residuals,
-    )
+    columns = np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2)
+    rest = solution.prediction.residuals
     white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
     session = labels[segments.run]
     squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)

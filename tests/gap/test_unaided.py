@@ -65,7 +65,7 @@ def test_geometry_holds_what_a_gyro_leaves_open() -> None:
     alone, told = (estimate_geometry(campaign(truth, gyro, loops=loops)) for loops in (0, 4))
     assert alone.passed and told.passed
     assert "gyro_scale" in alone.undetermined and any("closed loop" in note for note in alone.notes)
-    assert alone["track_m"].std >= GYRO_SCALE_STD * alone["track_m"].value
+    assert alone["track_m"].std >= 0.99 * GYRO_SCALE_STD * alone["track_m"].value
     assert abs(told["track_m"].value - 0.4) < 4.0 * told["track_m"].std < 4e-3
     assert abs(told["gyro_scale"].value - 1.01) < 4.0 * told["gyro_scale"].std < 0.02
 

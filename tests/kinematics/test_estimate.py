@@ -13,6 +13,7 @@ from calib.campaign.read import read_campaign
 from calib.campaign.tables import write_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
+from calib.kinematics.drives import NOMINAL_STD
 from calib.kinematics.estimate import estimate_geometry
 from calib.reporting.topics.geometry import geometry_sentences
 from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed, tricycle
@@ -253,3 +254,25 @@ def test_measured_lengths_of_straight_runs_and_end_poses_of_squares_are_one_fit(
     # without the corridors the lengths are known to the nominal 1 % only, or not determined at all
     alone = estimate_geometry(squares)
     assert alone.undetermined or alone["track_m"].std > 3.0 * found["track_m"].std
+
+
+def test_an_interval_holds_what_an_open_parameter_leaves() -> None:
+    """Turns on the spot tell the track over the mean radius: the track is no better known than the radius is."""
+    truth = Truth(radius_left_m=0.0506, radius_right_m=0.0506, track_m=0.405)
+    made = campaign(
+        [("left", [(1e-6, 9.0)]), ("right", [(1e-6, -9.0)])] * 3,
+        truth,
+        np.random.default_rng(11),
+        along=True,
+        samples=200,
+    )
+    found = estimate_geometry(made, using="windows")
+    track = found["track_m"]
+    assert "mean_radius_m" in found.undetermined
+    assert track.std > 0.9 * NOMINAL_STD * track.value and track.ci95[0] < truth.track_m < track.ci95[1]
+
+
+def test_one_run_that_its_parameters_fit_exactly_shows_nothing() -> None:
+    made = campaign(both_ways(1), TRUTH, np.random.default_rng(12))
+    one = estimate_geometry(made.select(np.arange(len(made.runs)) == 0))
+    assert not one.passed and any("fitted exactly" in why for why in one.why)

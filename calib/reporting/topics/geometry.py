@@ -75,7 +75,7 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
     lines = []
     if geometry.undetermined:
         kept = ", ".join(geometry.undetermined)
-        lines.append(f"Not identifiable from these runs, kept at the nominal value: {kept}.")
+        lines.append(f"Not identifiable from these runs, near the nominal value: {kept}.")
     if geometry.outliers:
         lines.append(f"Outliers, down-weighted: {', '.join(geometry.outliers)}.")
     return [*lines, *geometry_remarks(geometry)]
