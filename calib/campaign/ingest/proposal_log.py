@@ -84,12 +84,16 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         columns += own
     log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
     lines, found = _column_lines(log, columns)
-    clocks = {tag: _line("t_s", time, log).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()}
+    own_times = {
+        tag: _line("t_s", time, log).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()
+    }
     if times:
         found["t_s"] = next(iter(times.values()))
-        alike = len({*clocks.values()}) == 1
-        each = ", ".join(f"{tag} = {line}" for tag, line in clocks.items())
-        lines.insert(0, _line("t_s", found["t_s"], log) if alike else f"clocks = {{{each}}}   # the times of each file")
+        one_clock = len({*own_times.values()}) == 1
+        each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
+        lines.insert(
+            0, _line("t_s", found["t_s"], log) if one_clock else f"clocks = {{{each}}}   # the times of each file"
+        )
     return [*lines, *_missing(lines, found, logs)]
 
 
