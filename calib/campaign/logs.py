@@ -263,6 +263,10 @@ def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
     return step
 
 
+#: a turn and its rounding
+FULL_TURN_RAD: Final = 2.0 * np.pi + 1e-3
+
+
 class LogStack:
     """Columns that grow as logs come, an array each, so that no log is held twice."""
 
@@ -297,6 +301,11 @@ class LogStack:
                 continue
             column.resize(self._size, refcheck=False)
             bits = None
+            # no wheel is steered half a turn between two samples: the sensor starts again at zero
+            jumps = name == "steer_rad" and bool((np.abs(_steps(column, offsets)) > np.pi).any())
+            if jumps and np.nanmin(column) >= 0.0 and np.nanmax(column) <= FULL_TURN_RAD:
+                column = np.where(column > np.pi, column - 2.0 * np.pi, column)
+                border.say("logs, column steer_rad", "angles from 0 to 2 pi were counted about zero", "wrap")
             if name.startswith("counts_"):
                 bits = encoder.wrap_bits or detect_wrap_bits(column, offsets, columns.get("t_s"))
             if bits is not None and len(column):

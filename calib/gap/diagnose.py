@@ -40,6 +40,7 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, measured_gap, predict, residuals
+from calib.kinematics.blunders import SLOWEST_RADPS
 from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:
@@ -315,6 +316,10 @@ def _check_distances(campaign: Campaign, observations: Observations) -> None:
                 f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
                 "millimetres; check the counts of this run"
             )
+    took_s, way_m = observations.duration_s[observations.from_log[observations.unit]].sum(), observations.length_m.sum()
+    if took_s * SLOWEST_RADPS * campaign.vehicle.wheel_radius_m > way_m:
+        found = f"found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they ms, us or ns?)"
+        raise BadInputError(f"{campaign.name}: column t_s: {found}; convert them, then diagnose again")
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:

@@ -56,6 +56,8 @@ ALIKE: Final = 1.3
 PLAUSIBLE_CHANGE: Final = 0.2
 #: turns of less say little: added to the rotation that heading residuals are relative to
 LEAST_TURN_RAD: Final = 0.2
+#: of the sensor, found beside the lengths; its yaw would be a reading's
+PLACE: Final = ("sensor_x_m", "sensor_y_m", "delay_s")
 Divide = Callable[["Campaign", Recording], Segments]
 
 
@@ -89,8 +91,9 @@ def find_blunder(
         return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
 
     as_it_stands = tried(unchanged)
-    # impossible lengths explain nothing
-    enough = min(SMALL_SHARE, CLEARLY_LESS * as_it_stands.share if as_it_stands.plausible else SMALL_SHARE)
+    turned = _tried(campaign, recording, drive, divide, (*PLACE, "sensor_yaw_rad"))
+    # impossible lengths explain nothing, and a sensor that is turned a little no reading
+    enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
         trial = tried(reading.change, reading.setting)
@@ -108,13 +111,17 @@ def find_blunder(
     return chosen.setting(campaign) if chosen.setting else campaign, chosen.change(recording), chosen.blunder
 
 
-def _tried(campaign: Campaign, recording: Recording, drive: Drive, divide: Divide) -> Trial:
+def _tried(
+    campaign: Campaign, recording: Recording, drive: Drive, divide: Divide, sensor: tuple[str, ...] = PLACE
+) -> Trial:
     items = drives.parameters_of(drive, campaign.reference)
-    parameters = Parameters.of(items, [item.name for item in drive.parameters])
     scales = drives.first_scales(campaign.reference)
     rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
     try:
         model = Model(drive, recording, divide(campaign, recording))
+        # a lever arm would be a share of each window's short way; whole runs do not tell it from other readings
+        placed = () if model.segments.are_runs_of(recording) else sensor
+        parameters = Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
         with np.errstate(all="ignore"):
             solution = solve(model, parameters, parameters.nominal, scales, *rounds)
             values, residuals = solution.values, solution.prediction.residuals
@@ -190,7 +197,9 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
     `misfit`: the residuals speak against the fit: departures that sound ones need no test for are tried, too.
     """
     most, found = 0.0, None
-    for departure in _departures(fitted.model, misfit=misfit):
+    # beside a delay that nobody estimated, the delay itself looks like a clock
+    timed = "delay_s" in fitted.parameters.free_names
+    for departure in _departures(fitted.model, timed=timed, misfit=misfit):
         share, size, std = score(fitted, departure)
         clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:
@@ -246,7 +255,7 @@ def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Se
     return replace(segments, measured=segments.measured + np.where(known, added, 0.0))
 
 
-def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
+def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departure]:
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
     if model.recording.steps.steer_rad is None:
@@ -258,7 +267,7 @@ def _departures(model: Model, *, misfit: bool) -> Iterator[Departure]:
     if whole and not abs(np.mean(np.exp(2j * model.recording.reference[2, model.segments.first]))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):
-        if not whole:
+        if not whole and timed:
             yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
         if misfit and not whole:
             for change in (partial(_stretched, axis=2), _wound_since_start):

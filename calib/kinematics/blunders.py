@@ -20,12 +20,19 @@ from calib.types import FloatArray, IntArray
 NEAR: Final = 0.08
 #: turns of the wheels by less, rms over the stretches, say nothing of the heading's unit
 TURNS_RAD: Final = 0.1
+#: no wheel is driven slower, by 0.1 m a millimetre in a second, nor logged but once a second where it is so slow
+SLOWEST_RADPS, SLOWEST_OF_ROWS_RADPS = 0.01, 0.2
+#: part of a spike that is left of it one sample later
+SPIKE_LEFT: Final = 0.1
 #: a steering angle that reads more straight ahead was never zeroed: assembly leaves hundredths
 FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
 #: no wheel is steered further
 LARGEST_STEERING_RAD: Final = 2.0
+LEAST_COSINE: Final = 0.2
+#: estimates of the angle read straight ahead, each with the way of a front wheel that the one before gives
+STRAIGHT_ROUNDS: Final = 5
 #: an angle that moves less over a campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
 #: a reference mirrored in y and heading is to the wheels the same as left for right
@@ -92,18 +99,27 @@ def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float
     return float(np.vdot(told, measured).real / max(float(np.sum(np.abs(told) * np.abs(measured))), 1e-12))
 
 
-def _regression(turned: FloatArray, heading: FloatArray) -> FloatArray | None:
-    normal = turned @ turned.T
-    if len(heading) < 4 or np.linalg.cond(normal) > 1e10:
+def _clear(dof: int) -> float:
+    """Return the estimated standard deviations beyond which chance is no likelier than `CLEAR` known ones."""
+    from scipy.special import ndtr, stdtrit
+
+    return float(stdtrit(dof, ndtr(CLEAR)))
+
+
+def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(None)) -> FloatArray | None:
+    """Return the robust slopes; None where those of `told` do not stand out."""
+    normal, dof = turned @ turned.T, len(heading) - len(turned)
+    if dof < 2 or np.linalg.cond(normal) > 1e10:
         return None
     weights = np.ones(len(heading))
     for _ in range(10):
         slope = np.linalg.solve((turned * weights) @ turned.T, (turned * weights) @ heading)
         residuals = heading - slope @ turned
-        spread = 1.483 * float(np.median(np.abs(residuals))) + 1e-9
+        # the two slopes fit as many of the residuals
+        spread = 1.483 * float(np.median(np.abs(residuals))) * float(np.sqrt(len(heading) / dof)) + 1e-9
         weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    return np.asarray(slope) if np.all(np.abs(slope) > CLEAR * std) else None
+    return np.asarray(slope) if np.all(np.abs(slope[told]) > _clear(dof) * std[told]) else None
 
 
 def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = False) -> Corrected:
@@ -121,19 +137,24 @@ def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = F
     if still := still_steering(steer, segments.between(rolled)[longest], turns[longest], segments.run[longest]):
         return recording, (Fault("steering_still", f"steer_rad: {still}", seen=True),)
     turned = turns[headed]
-    if straight_rad := straight_reading_rad(rolled, steer, turned, lambda steps: segments.between(steps)[headed]):
+    found = straight_reading_rad(
+        rolled, steer, turned, lambda steps: segments.between(steps)[headed], by_shaft=by_shaft
+    )
+    if straight_rad := found:
         degrees = f"{straight_rad:.3g} rad ({np.degrees(straight_rad):.0f} degrees)"
         text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
         faults.append(Fault("steering_offset", text))
         steer = np.angle(np.exp(1j * (steer - straight_rad)))
         recording = recording.with_steering(steer)
-    ways = rolled * np.stack([np.sin(steer), np.cos(steer)])
-    turning, *_ = np.linalg.lstsq(segments.between(ways)[:, headed].T, turned, rcond=None)
-    backwards = sense(segments, turning @ ways, rolled if by_shaft else ways[1]) < -ALONG
+    ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
+    by_ways = segments.between(ways)[:, headed]
+    turning, *_ = np.linalg.lstsq(by_ways.T, turned, rcond=None)
+    backwards = sense(segments, turning @ ways, ways[1]) < -ALONG
     if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
         recording = recording.with_turned(-recording.steps.turned_rad)
-    if (turning[0] < 0.0) != backwards:
+    # straight runs hardly tell which way the angle turns
+    if (turning[0] < 0.0) != backwards and _regression(by_ways, turned, told=slice(1)) is not None:
         text = f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"
         faults.append(Fault("reversed_steering", text))
         recording = recording.with_steering(-steer)
@@ -159,26 +180,46 @@ def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatA
     )
 
 
-def straight_reading_rad(rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between) -> float:
+def _of_front(rolled: FloatArray, steer_rad: FloatArray) -> FloatArray:
+    """Return the front wheel's way by a counted shaft at the rear; none is steered across."""
+    return rolled / np.maximum(np.cos(steer_rad), LEAST_COSINE)
+
+
+def straight_reading_rad(
+    rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between, *, by_shaft: bool = False
+) -> float:
     """Return the steering angle read straight ahead; 0 where unknown or near 0.
 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
     c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
 
-    `rolled`, `steer_rad` (shape (n_steps,)): way of the front wheel in each step, and the angle read; `turned_rad`
-    (shape (n,)): measured turns of stretches; `between`: sums of steps over these.
+    Parameters
+    ----------
+    rolled, steer_rad
+        Way of the front wheel in each step, and the angle read, shape (n_steps,).
+    turned_rad, between
+        Measured turns of stretches, shape (n,), and sums of steps over these.
+    by_shaft
+        The way is that of a counted rear axle: turns go by the tangent.
     """
     if len(turned_rad) < 4 or float(np.ptp(steer_rad)) > 2.0 * LARGEST_STEERING_RAD:
         return 0.0
-    ways = np.stack([between(rolled * np.sin(steer_rad)), between(rolled * np.cos(steer_rad))])
-    (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)
-    total, left = turned_rad @ turned_rad, np.sum((turned_rad - by_sine * ways[0] - by_cosine * ways[1]) ** 2)
-    alone = total - (ways[0] @ turned_rad) ** 2 / max(ways[0] @ ways[0], 1e-12)
-    straight, most = complex(by_sine, -by_cosine), np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
-    straight *= np.sign((straight * most.conjugate()).real)
+    most = np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
+    total, found_rad = turned_rad @ turned_rad, float(np.angle(most))
+    for _ in range(STRAIGHT_ROUNDS if by_shaft else 1):
+        front = _of_front(rolled, steer_rad - found_rad) if by_shaft else rolled
+        ways = np.stack([between(front * np.sin(steer_rad)), between(front * np.cos(steer_rad))])
+        (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)
+        straight = complex(by_sine, -by_cosine)
+        straight *= np.sign((straight * most.conjugate()).real)
+        found_rad = float(np.angle(straight))
+    left = np.sum((turned_rad - by_sine * ways[0] - by_cosine * ways[1]) ** 2)
+    # from the largest zero that a fit finds: where that leaves as little, these turns do not tell
+    near_rad = float(np.copysign(FARTHEST_ZERO_RAD, found_rad))
+    by_near = np.cos(near_rad) * ways[0] - np.sin(near_rad) * ways[1]
+    alone = total - (by_near @ turned_rad) ** 2 / max(by_near @ by_near, 1e-12)
     if left > POOR * total or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
         return 0.0
-    found_rad = float(np.angle(straight))
     return found_rad if abs(found_rad) > FARTHEST_ZERO_RAD else 0.0
 
 
@@ -242,6 +283,10 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
     """
     names = recording.speeds or ("counts_left", "counts_right")
     for side, name in enumerate(names if TWIST not in recording.speeds else ()):
+        if spiked := _spiked(recording, side):
+            runs = sorted(set(recording.run_id[recording.run[spiked]]))
+            text = f"{name}: {len(spiked)} sample(s) jump by more than a revolution and back, in {', '.join(runs)}"
+            yield Fault("count_spike", f"{text}; remove these samples", seen=True)
         for run, first, last in zip(recording.run_id, recording.offsets, recording.offsets[1:] - 1, strict=False):
             part = slice(first, last + 1)
             rolled = np.cumsum(np.abs(recording.steps.turned_rad[:, part]), axis=1)
@@ -251,7 +296,8 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
             longest = int(np.argmax(np.diff(rolled[1 - side, moved])))
             begin, end = int(moved[longest]), int(moved[longest + 1])
             known = np.flatnonzero(np.isfinite(heading[begin : end + 1])) + begin
-            if not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
+            spikes = any(begin <= at - first <= end for at in _spiked(recording, 1 - side))
+            if spikes or not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
                 continue
             begin, end = int(known[0]), int(known[-1])
             turn, seen = told_rad[part][begin + 1 : end + 1].sum(), heading[end] - heading[begin]
@@ -261,6 +307,26 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
                     f"turns by {seen:.2g} rad, not {turn:.2g} rad about that wheel; check the encoder, omit this run"
                 )
                 yield Fault("counter_still", text, seen=True)
+
+
+def times_fault(recording: Recording) -> Fault | None:
+    """Return what is wrong with times in another unit, whose delay of the reference no fit can find."""
+    step_s, rolled_rad = np.diff(recording.t_s), float(np.abs(recording.steps.turned_rad).mean(axis=0).sum())
+    step_s = step_s[np.diff(recording.run) == 0]
+    per_s = rolled_rad / max(float(step_s.sum()), 1e-9)
+    rows = bool((np.abs(step_s - 1.0) < 1e-6).all()) and per_s < SLOWEST_OF_ROWS_RADPS
+    if not rows and per_s > SLOWEST_RADPS:
+        return None
+    what = "numbers of rows" if rows else "times in ms, us or ns"
+    text = f"t_s: found {what} where seconds are expected: the wheels turn by {per_s:.2g} rad/s on average"
+    return Fault("time_unit", f"{text}; convert, or state the unit in the mapping", seen=True)
+
+
+def _spiked(recording: Recording, side: int) -> list[int]:
+    """Return the samples in which a counter is more than a revolution off, and back in the next."""
+    step = recording.steps.turned_rad[side]
+    back = np.abs(step[:-1] + step[1:]) < SPIKE_LEFT * np.abs(step[:-1])
+    return [int(at) for at in np.flatnonzero(back & (np.abs(step[:-1]) > 2.0 * np.pi))]
 
 
 def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> Corrected:

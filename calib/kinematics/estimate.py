@@ -16,7 +16,7 @@ from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
 from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
-from calib.kinematics.blunders import Fault, corrected
+from calib.kinematics.blunders import Fault, corrected, times_fault
 from calib.kinematics.drives import SENSOR, Drive, nominal_turn
 from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
@@ -166,8 +166,13 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     if faults:
         recording, _ = task.with_whole_turns(replace(recording, end_pose=as_read))
     drive = task.drive(recording)
+    if task.way == "windows" and (timed := times_fault(recording)):
+        faults = (*faults, timed)
     task.progress(0, 0, "fits")
     chosen = task.fit(drive, recording, coarse)
+    turned = _turned_round(chosen) if task.sensor else None
+    if turned:
+        chosen = task.fit(drive, recording, coarse, turned)
     many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(finer, start=1):
         bends = many and _bends(chosen)
@@ -176,7 +181,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
             break
         task.progress(number, 0, "fits")
         # from the coarser one's end: short windows do not find a delay of many steps
-        other = task.fit(drive, recording, segments, None if many else chosen)
+        other = task.fit(drive, recording, segments, None if many and not turned else chosen)
         fewer = len(other.undetermined) < len(chosen.undetermined)
         if not (bends or (fewer if many else other.spread <= chosen.spread + np.log(AS_GOOD))):
             break
@@ -187,6 +192,17 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     chosen = _with_own_zeros(task, chosen)
     geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*found, *faults))
     return _Fit(task, chosen, replace(geometry, delays=delays), common)
+
+
+def _turned_round(fitted: Fitted) -> Fitted | None:
+    """Return a start with the sensor turned by half a turn where all lengths came out negative: the same motion."""
+    names, values = np.array(fitted.parameters.names), fitted.solution.values
+    lengths = np.char.endswith(names, "_m") | np.char.startswith(names, "slope")
+    if (values[lengths & ~np.char.startswith(names, "sensor")] > 0.0).any():
+        return None
+    yaw = names == "sensor_yaw_rad"
+    values = np.where(yaw, values - np.copysign(np.pi, values), np.where(lengths, -values, values))
+    return replace(fitted, solution=replace(fitted.solution, values=values))
 
 
 def _without_departure(fit: _Fit) -> Geometry:

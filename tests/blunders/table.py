@@ -49,6 +49,7 @@ INTERVALS: Final = 2.0
 NAMES: Final = {
     **{f"axes turned by {degrees} degrees": {"axes_turned"} for degrees in (30, 10, 2, 90, 180)},
     "tricycle axes turned by 30 degrees": {"axes_turned"},
+    "time in milliseconds": {"time_unit"},
     "y mirrored": {"y_mirrored"},
     "x mirrored": {"x_mirrored"},
     "y and heading mirrored": {"mirrored", "swapped_wheels"},

@@ -129,6 +129,20 @@ def test_overflows_are_undone_and_said(tmp_path: Path, bits: int, signed: bool, 
     assert "wrap" in codes(made)
 
 
+@pytest.mark.parametrize("full", [2.0 * np.pi, 360.0])
+def test_a_steering_angle_that_starts_again_at_zero_is_counted_about_it(tmp_path: Path, full: float) -> None:
+    """A wheel is not steered by half a turn from one sample to the next; whole turns alone say which unit it is."""
+    true = 0.3 * np.sin(np.arange(40) / 5.0)
+    lines = [
+        f"{0.02 * n:.2f},{n},{n},{np.mod(angle, 2.0 * np.pi) * full / 2.0 / np.pi:.9f}" for n, angle in enumerate(true)
+    ]
+    log = "\n".join(["t_s,counts_left,counts_right,steer_rad", *lines, ""])
+    made = read_campaign(folder(tmp_path, "run_id,distance_m\na,40\n", TOML, a=log))
+    read = made.logs.columns["steer_rad"]
+    assert bool(np.abs(read - true).max() < 1e-8) is (full < 7.0)
+    assert ("wrap" in codes(made)) is (full < 7.0)
+
+
 def test_a_real_jump_is_not_taken_for_an_overflow(tmp_path: Path) -> None:
     counts = np.arange(2000) * 65
     counts[1000:] += 20000

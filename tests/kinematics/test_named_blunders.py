@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from calib.campaign.model import Border, Campaign
 from calib.campaign.wheels import with_counts
 from calib.kinematics.blunder_search import find_blunder, find_departure
-from calib.kinematics.blunders import still_counters
+from calib.kinematics.blunders import rear_faults, still_counters
 from calib.kinematics.drives import nominal_turn
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.factors import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
@@ -33,11 +34,13 @@ def changed(made: Campaign, change: Callable[[Columns], Columns]) -> Campaign:
     return replace(made, logs=replace(made.logs, columns=columns))
 
 
-def in_map(runs: int, change: Callable[[Columns], Columns] = lambda log: log, samples: int = 600) -> Campaign:
+def in_map(
+    runs: int, change: Callable[[Columns], Columns] = lambda log: log, samples: int = 600, truth: Truth = TRUTH
+) -> Campaign:
     """Return recordings along the path that begin at any heading of a map, then changed."""
     rng = np.random.default_rng(1)
     routes = [("route", [(way, sense * turn) for way, turn in ROUTE]) for sense in (1, -1) * (runs // 2)]
-    made = campaign(routes, TRUTH, rng, along=True, walk=1e-3, duration_s=60.0, samples=samples)
+    made = campaign(routes, truth, rng, along=True, walk=1e-3, duration_s=60.0, samples=samples)
 
     def placed(log: Columns) -> Columns:
         angle = rng.uniform(-3.0, 3.0)
@@ -130,11 +133,70 @@ def test_a_yaw_rate_in_degrees_is_named_by_its_column() -> None:
     assert found[2].code == "omega_unit" and "omega_radps: found degrees/s" in found[2].text
 
 
-@pytest.mark.parametrize("times", [1.0, 1e3])
-def test_times_that_no_vehicle_takes_are_noted(times: float) -> None:
-    """Radii hold at any times; a mean speed of less than 1 mm/s says that they are not in seconds."""
-    found = estimate_geometry(in_map(4, lambda log: log | {"t_s": times * log["t_s"]}))
-    assert any("(t_s)" in note for note in found.notes) is (times > 1.0)
+@pytest.mark.parametrize(("times", "words"), [(1.0, ""), (1e3, "times in ms"), (100.0 / 3.0, "numbers of rows")])
+def test_times_that_no_vehicle_takes_are_named(times: float, words: str) -> None:
+    """By less than 1 cm/s (or whole rows at 20 mm/s) they are no seconds: no delay is found, nor is it a clock's."""
+    found = estimate_geometry(in_map(4, lambda log: log | {"t_s": times * log["t_s"]}, samples=2000))
+    assert named(found).keys() == ({"time_unit"} if words else set())
+    assert words in named(found).get("time_unit", "")
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda log: log | {name: 1e3 * log[name] for name in ("ref_x_m", "ref_y_m")}, "position_unit"),
+        (lambda log: log | {"ref_y_m": -log["ref_y_m"]}, "y_mirrored"),
+        (lambda log: log | {"ref_x_m": log["ref_y_m"], "ref_y_m": log["ref_x_m"]}, "axes_exchanged"),
+    ],
+)
+def test_a_sensor_off_the_axle_hides_no_unit_and_no_axis(change: Callable[[Columns], Columns], code: str) -> None:
+    """Windows tell its place beside each reading: a lever arm is no share of the way that a unit leaves."""
+    found = estimate_geometry(in_map(4, change, truth=replace(TRUTH, sensor=(0.18, -0.07, 0.0))))
+    assert named(found).keys() == {code}
+    assert right(found, "radius_left_m", "track_m")
+
+
+def test_a_sensor_that_looks_back_makes_no_length_negative() -> None:
+    """Half a turn of the sensor and all lengths with the other sign are the same motion."""
+    found = estimate_geometry(in_map(4, truth=replace(TRUTH, sensor=(0.18, -0.07, 2.9))))
+    assert found.passed and right(found, "radius_left_m", "track_m")
+    assert found["sensor_yaw_rad"].value == pytest.approx(2.9, abs=5e-3)
+
+
+def test_outliers_of_a_tracker_turn_no_axes() -> None:
+    """A small turn is the sensor's yaw, which windows tell anyway."""
+    rng = np.random.default_rng(5)
+
+    def spoilt(log: Columns) -> Columns:
+        return log | {"ref_x_m": log["ref_x_m"] + 2.0 * (rng.random(len(log["t_s"])) < 0.004)}
+
+    found = estimate_geometry(in_map(4, spoilt, truth=replace(TRUTH, sensor=(0.18, -0.07, 0.07))))
+    assert "axes_turned" not in named(found)
+
+
+def test_a_spike_of_one_counter_is_not_the_other_one_standing_still() -> None:
+    """Its own name, and the runs."""
+
+    def spiked(log: Columns) -> Columns:
+        return log | {"counts_left": log["counts_left"] + 1e6 * (np.arange(len(log["t_s"])) == 200)}
+
+    faults = {fault.code: fault.text for fault in estimate_geometry(in_map(4, spiked)).faults}
+    assert faults.keys() == {"count_spike"}
+    assert faults["count_spike"].startswith("counts_left: 4 sample(s) jump")
+
+
+def test_four_runs_of_noise_swap_no_wheels() -> None:
+    """Two slopes of four headings leave two degrees of freedom: what stands out there by five deviations is chance."""
+    rng = np.random.default_rng(1)
+    swapped = 0
+    for _ in range(300):
+        turned = 40.0 * np.pi + rng.normal(0.0, 0.1, (2, 4))
+        measured, seen = rng.normal(0.0, 0.01, (4, 3)), np.ones((4, 3), bool)
+        steps = SimpleNamespace(turned_rad=turned)
+        recording = SimpleNamespace(speeds=(), steps=steps, with_turned=lambda _: None)
+        segments = SimpleNamespace(between=lambda steps: steps, measured=measured, seen=seen, first=np.arange(4))
+        swapped += bool(rear_faults(recording, segments)[1])  # type: ignore[arg-type]
+    assert swapped == 0
 
 
 @pytest.mark.parametrize("stuck", [False, True])

@@ -114,8 +114,8 @@ def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> R
     """
     streams: list[Stream] = []
     notes: list[Note] = []
-    clock = lines.get("t_s", MappedColumn(column="t_s"))
     for tag, path in files.items():
+        clock = mapping.log.clock_of(tag)
         sources = {name.removeprefix(f"{tag}:") for line in lines.values() for name in line.sources} | {clock.column}
 
         def wanted(name: str, sources: set[str] = sources) -> bool:

@@ -116,7 +116,9 @@ class MappedColumn(_Model):
         """Return the source's unit: the line's, or one in the source's name that column `name` may have."""
         if self.unit is not None:
             return self.unit
-        unit = unit_spelled(bracketed(self.column)[1] or "")
+        # as `cam.x_mm`; beside it a factor is the conversion
+        ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
+        unit = unit_spelled(bracketed(self.column)[1] or ending or "")
         return unit if unit in units_for(name) else None
 
     @property
@@ -203,11 +205,20 @@ class LogSection(_Section):
     files: dict[Annotated[str, Field(pattern=r"^\w+$")], Annotated[str, Field(pattern=_OF_A_RUN)]] = Field(
         default_factory=dict, description=_LOG_FILES
     )
+    #: of these, the times where they are called otherwise than `t_s`: name -> their column
+    clocks: dict[str, str | MappedColumn] = Field(
+        default_factory=dict, description='names of files and their times, as {camera = "Stamp [ms]"}'
+    )
     #: how a run's name holds ``{n}``
     run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
     #: runs with encoders exchanged
     swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
+
+    def clock_of(self, tag: str) -> MappedColumn:
+        """Return the column of the times in a file of `files`, or in each."""
+        line = self.clocks.get(tag, self.columns.get("t_s", "t_s"))
+        return MappedColumn(column=line) if isinstance(line, str) else line
 
     @field_validator("columns")
     @classmethod

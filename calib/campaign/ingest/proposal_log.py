@@ -73,21 +73,28 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
 def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
     columns: list[ColumnContents] = []
     streams: list[StreamContents] = []
-    clock = None
+    times: dict[str, ColumnContents] = {}
     for tag, part in parts.items():
         alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
         of_part = _with_bits(part, alike)
         clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"] + [c for c in of_part if c.even]
         time = next(iter(clocks), None)
-        clock = clock or time
+        times |= {tag: time} if time is not None else {}
         own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
         columns += own
     log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
     lines, found = _column_lines(log, columns)
-    if clock is not None:
-        lines.insert(0, _line("t_s", clock, log))
-        found["t_s"] = clock
+    own_times = {
+        tag: _line("t_s", time, log).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()
+    }
+    if times:
+        found["t_s"] = next(iter(times.values()))
+        one_clock = len({*own_times.values()}) == 1
+        each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
+        lines.insert(
+            0, _line("t_s", found["t_s"], log) if one_clock else f"clocks = {{{each}}}   # the times of each file"
+        )
     return [*lines, *_missing(lines, found, logs)]
 
 

@@ -74,6 +74,9 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
             # a heading in words: E and W, north and south
             name = "direction"
+        if name == "distance_m" and column.kind == "text" and "kind" not in targets.values():
+            # `Strecke` is a distance, or the route
+            name = "kind"
         if column in passed_over or name is None or name in named or not _may_be(name, column):
             (unused if column.kind == "number" else texts).append(column.name)
             continue

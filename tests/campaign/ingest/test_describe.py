@@ -295,3 +295,43 @@ def test_a_file_without_any_column_of_the_mapping_is_told_from_the_logs(tmp_path
     mapping.write_text('[log]\nt_s = {column = "zeit", unit = "s"}\n')
     with pytest.raises(CalibError, match=r"about.csv.*nor any of the others.*name the logs alone \(.*/run\*\.csv\)"):
         ingest([tmp_path / "a"], tmp_path / "c", mapping=mapping)
+
+
+def test_files_of_a_run_with_clocks_of_their_own_are_joined_as_proposed(tmp_path: Path) -> None:
+    """Each file's times and their unit have a place; a text beside the runs called `Strecke` is the route."""
+    time = np.arange(200) * 0.02
+    for run in (1, 2, 3):
+        wheels = {
+            "Zeit [ns]": 1e9 * time + 5e18,
+            "Impulse L": 50.0 * np.arange(200),
+            "Impulse R": 50.0 * np.arange(200),
+        }
+        _log(tmp_path / f"Fahrt_{run:02}_enc.csv", wheels)
+        camera = {"Zeitstempel [ms]": 1e3 * time + 5e12, "X [mm]": 500.0 * time, "Y [mm]": 0.0 * time}
+        _log(tmp_path / f"Fahrt_{run:02}_kamera.csv", camera)
+    (tmp_path / "runs.csv").write_text("Fahrt Nr.;Strecke\n1;Quadrat\n2;Gerade\n3;Quadrat\n")
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(describe([tmp_path]).to_toml())
+    assert 'clocks = {enc = "Zeit [ns]", kamera = "Zeitstempel [ms]"}' in mapping.read_text()
+    built = ingest([tmp_path], tmp_path / "c", mapping=mapping).campaign
+    assert built.runs.label("kind").tolist() == ["Quadrat", "Gerade", "Quadrat"]
+    log = built.logs.of(0)
+    assert np.nanmax(np.abs(log["ref_x_m"] - 0.5 * log["t_s"])) < 1e-6
+
+
+def test_a_camera_and_a_truck_propose_their_reference(tmp_path: Path) -> None:
+    """A unit at the end of a name is converted, proposed or not; a counted shaft is the rear axle's."""
+    time, n = np.arange(200) * 0.02, np.arange(200.0)
+    camera = {"cam.x_mm": 500.0 * time, "cam.y_mm": 0.0 * time, "cam.yaw_deg": 10.0 * time}
+    log = _log(tmp_path / "a.csv", {"t_s": time, "L_ticks": 50.0 * n, "R_ticks": 50.0 * n, **camera})
+    proposed = describe([log]).to_toml()
+    assert all(f'ref_{name} = {{column = "cam.{of}"' in proposed for name, of in (("x_m", "x_mm"), ("y_m", "y_mm")))
+    mapping = tmp_path / "m.toml"
+    lines = 'counts_left = "L_ticks"\ncounts_right = "R_ticks"\nref_x_m = "cam.x_mm"\nref_theta_rad = "cam.yaw_deg"\n'
+    mapping.write_text(f'[log]\n{lines}ref_y_m = {{column = "cam.y_mm", factor = 0.001}}\n[cut]\nby = "stops"\n')
+    read = ingest([log], tmp_path / "c", mapping=mapping).campaign.logs.of(0)
+    assert np.nanmax(np.abs(np.diff(read["ref_x_m"]) / np.diff(read["t_s"]) - 0.5)) < 1e-6
+    assert np.nanmax(read["ref_theta_rad"]) < 0.8
+    truck = {"Time [s]": time, "Shaft ticks": 50.0 * n, "Steer angle [deg]": n, "Pos E [m]": n, "Hdg [rad]": n}
+    proposed = describe([_log(tmp_path / "b.csv", truck | {"Pos N [m]": n})]).to_toml()
+    assert all(f'{name} = "' in proposed for name in ("counts_rear", "ref_x_m", "ref_y_m", "ref_theta_rad"))
