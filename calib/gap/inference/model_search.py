@@ -17,7 +17,7 @@ from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
-from calib.gap.inference.scale_evidence import ScaleEvidence, scale_gains
+from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, scale_gains
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -260,9 +260,14 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
-    if ScaleEvidence.is_open(local.system) and models.index(()) in likely:
-        # whether there is a gap rests on the noise
-        weight = weight + scale_gains(local, weight, {*likely, models.index(local.current)}, models, _LIKELY_WINDOW)
+    none, is_noise = models.index(()), local.is_noise
+    near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
+    if near and ScaleEvidence.is_open(local.system):
+        # whether there is a gap rests on the noise; where there surely is one, the estimated noise serves
+        integrated = {*likely, none, models.index(local.current)}
+        gained = weight + scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
+        if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
+            weight = gained
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
     if local.system.path.s.calibration_held:
         # nothing can be off beside any model

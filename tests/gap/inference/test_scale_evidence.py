@@ -11,7 +11,9 @@ from scipy.special import logsumexp
 from calib.gap.effects.load import LoadRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.local_search import LocalSearch, SearchSettings
 from calib.gap.inference.marginal_likelihood import log_marginal
+from calib.gap.inference.model_search import _weighed
 from calib.gap.inference.noise import estimate_noise
 from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents
 from calib.gap.inference.repeatability import PRIOR_SPREADS
@@ -95,3 +97,18 @@ def test_a_law_that_scatter_explains_too_is_less_probable_than_beside_the_estima
     """Three components explain such a gap nearly alike, each a mode of its own; the integral takes the best."""
     estimated, integrated, drawn = ratios(1e-4, 1.5e-6)
     assert drawn < integrated < estimated
+
+
+def test_noise_estimated_too_small_makes_no_gap() -> None:
+    """Noise alone is integrated however little it weighs beside the estimate: it gains most where that is too small."""
+    right = system_of(1e-4, 24, 6e-7)
+    small = replace(
+        right.noise,
+        covariance=right.noise.covariance / 9.0,
+        scales={name: scale / 3.0 for name, scale in right.noise.scales.items()},
+    )
+    nothing = []
+    for noise in (right.noise, small):
+        system = LinearSystem(fit(right.path, noise), right.path, noise, right.forms)
+        nothing.append(_weighed(LocalSearch(system, SearchSettings()), {}).nothing)
+    assert nothing[1] > 0.5 * nothing[0] > 0.0
