@@ -17,7 +17,7 @@ from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
-from calib.gap.inference.scale_evidence import ScaleEvidence, scale_gains
+from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, scale_gains
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -30,8 +30,6 @@ _SINGLE_STARTS: Final = 3
 #: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
-#: what noise estimated too small by half in one channel of a hundred runs costs the hypothesis of no effect
-_NOISE_WINDOW: Final = 22.0
 #: least probability of a reported gap: to look at runs once more costs less than a gap not seen
 REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
@@ -263,7 +261,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
     none, is_noise = models.index(()), local.is_noise
-    near = none in likely or weight[is_noise, none].max() > total.max() - _NOISE_WINDOW
+    near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
     if near and ScaleEvidence.is_open(local.system):
         # whether there is a gap rests on the noise; where there surely is one, the estimated noise serves
         integrated = {*likely, none, models.index(local.current)}
