@@ -152,14 +152,12 @@ def route_of(observations: Observations) -> Route:
     front = observations.model.front or assumed
     with np.errstate(divide="ignore", invalid="ignore"):
         acceleration = np.where(duration > 0, change / duration, 0.0)
+    same = ("roll_left_rad", "roll_right_rad", "time_s", "curvature_per_m")
     return Route(
-        roll_left_rad=wide(observations.roll_left_rad),
-        roll_right_rad=wide(observations.roll_right_rad),
+        **{name: wide(getattr(observations, name)) for name in same},
         duration_s=duration,
-        time_s=wide(observations.time_s),
         speed_mps=speed,
         acceleration_mps2=acceleration,
-        curvature_per_m=wide(observations.curvature_per_m),
         angle_left_rad=wide(observations.phase_left_rad),
         angle_right_rad=wide(observations.phase_right_rad),
         front_m=front.radius_m * wide(observations.front_roll_rad),

@@ -78,8 +78,8 @@ def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
     return np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
 
 
-def sums_given_up(part: Part, why: str) -> Kept:
-    """Return the record of a file that took its worker down; the next run tries it again."""
+def _sums_given_up(part: Part, why: str) -> Kept:
+    # without a key: the next run tries it again
     return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
 
 
@@ -89,11 +89,6 @@ Vehicle = tuple[str, Sequence[Kept]]
 def records_of(vehicles: Sequence[Vehicle]) -> list[VehicleRecord]:
     """Return vehicles' records."""
     return [record_of(name, [PartSums.from_dict(kept.values()) for kept in parts]) for name, parts in vehicles]
-
-
-def record_given_up(vehicle: Vehicle, why: str) -> VehicleRecord:
-    """Return the record of a vehicle that took its worker down."""
-    return VehicleRecord(vehicle[0], 0, 0.0, None, None, why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +122,10 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, sums_given_up, progress, "files")
+        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, _sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
-        records = {record.vehicle: record for record in opened.run(records_of, vehicles, record_given_up)}
+        done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, 0.0, None, None, why))
+        records = {record.vehicle: record for record in done}
     by_id = tuple(records[member.vehicle] for member in members)
     view = view_of(by_id, labels_of(folder, members))
     return Fleet(by_id, view, n_new, len(parts) - n_new, any_simulated(folder))
@@ -254,10 +250,11 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
         key = ""
         try:
             key = keys.of(member)
-            results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
+            result = VehicleResult(member.vehicle, key, TASKS[what](member))
         except (CalibError, OSError) as error:
-            results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
-    return [Kept.of(result) for result in results]
+            result = VehicleResult(member.vehicle, key, why=one_line(error))
+        results.append(Kept.of(result))
+    return results
 
 
 def _given_up(member: Member, why: str) -> Kept:
