@@ -50,7 +50,6 @@ class Truth:
     """What is true in a case; one entry of the sealed file."""
 
     recipe: Recipe
-    #: from the seeds file
     seed: int
     max_runs: int
     redraw: int  #: times the pair was drawn again as its effects hid in one another
@@ -71,7 +70,7 @@ class Truth:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Truth:
-        """Return what `calib.documents.plain` made of it; there an infinite tail and a target that is NaN are null."""
+        """Return what `calib.documents.plain` made of it, null for NaN and infinity."""
         from pydantic import TypeAdapter
 
         recipe, noise = dict(data["recipe"]), dict(data["noise"])
@@ -81,7 +80,7 @@ class Truth:
 
 
 def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:
-    """Return the runs of a case; the same for the same arguments."""
+    """Return the runs of a case."""
     rng = np.random.default_rng([seed, recipe.number, 0, redraw])
     needs = {need for name in recipe.effects for need in find(*name.split("/")).needs}
     n_runs = int(rng.choice([30, 40, 50, 60, 60, 80, 100]))
@@ -89,7 +88,6 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
         n_runs = int(rng.choice([20, 120, 160]))
     n_runs = min(n_runs, max_runs)
     if recipe.group == "empty":
-        # what it has besides its runs varies as in the others
         needs |= {str(need) for need in rng.choice(["front", "slope", "lanes", "flying", "stops"], 2, replace=False)}
     if recipe.design == "good":
         weighed = "slope" not in needs and bool(rng.random() < 0.15)
@@ -103,7 +101,7 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
 
 
 def truth_of(recipe: Recipe, seed: int, max_runs: int) -> Truth:
-    """Draw the truth of a case: noise, model, causes, and their sizes for the wanted signals."""
+    """Draw the truth of a case."""
     for redraw in range(_TRIES):
         truth = _draw(recipe, seed, max_runs, redraw)
         pairs = zip(truth.beside, truth.signals, strict=True)
@@ -119,7 +117,7 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     noise = random_noise(rng, **heavy)
     model = random_model(design, rng)
     causes = []
-    for cause in as_causes({name: float("nan") for name in recipe.effects}, design, rng):
+    for cause in as_causes(dict.fromkeys(recipe.effects, np.nan), design, rng):
         sign = 1.0 if cause.effect in (*_UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
         causes.append(replace(cause, size=sign * cause.size))
     signals: tuple[float | None, ...] = (None,) * len(causes)
@@ -160,7 +158,7 @@ def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[tuple[floa
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
-    """Return the campaign of a case, and a fresh one: the same truth driven again with other noise."""
+    """Return the campaign of a case, and the same truth driven again with other noise."""
     recipe = truth.recipe
     design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
@@ -191,10 +189,8 @@ class Ceiling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Space:
-    """What one form of an effect can do: an orthonormal basis (n_rows, n_directions)."""
-
     effect: int
-    basis: FloatArray
+    basis: FloatArray  # what a form of it can do, orthonormal (n_rows, n_directions)
     one_sign: bool
 
 
@@ -233,10 +229,9 @@ def ceiling_of_truth(
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling:
-    """Return how often the same rule names one effect, as it acts in one case: what it misses there is nobody's.
+    """Return how often the same rule names one effect, as it acts in one case; of exactly the same effects each alike.
 
-    Of effects that leave exactly the same it names each as often as the others. `left` (n_rows,): what the effect
-    leaves in this case, a direction that the rule knows of an effect without signatures; else see `ceiling_of`.
+    `left` (n_rows,): what the effect leaves in this case; else see `ceiling_of`.
     """
     known = signatures if effect in signatures else {**signatures, effect: [left[:, None]]}
     number = list(known).index(effect)
@@ -257,10 +252,7 @@ def _weighed(
 
 
 def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
-    """Return the effects present, and their spaces in a frame (n_rows, n) that holds them and `further` vectors.
-
-    The rest of the noise says the same of every effect.
-    """
+    """Return the effects present, and their spaces in a frame (n_rows, n) that holds them and `further` vectors."""
     present = sorted({space.effect for space in spaces})
     every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]
     frame, _ = np.linalg.qr(np.concatenate(every, axis=1))
@@ -294,13 +286,13 @@ def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) 
 
 
 def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray, signal: float) -> FloatArray:
-    """Return log likelihoods against noise alone, directions averaged out, (n, n_effects)."""
+    """Return log likelihoods against noise alone, (n, n_effects)."""
     by_effect = grouped((space.effect, _log_likelihood(space, readings, signal)) for space in spaces)
     return np.stack([_log_mean(np.stack(by_effect[effect], axis=1)) for effect in range(n_effects)], axis=1)
 
 
 def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> FloatArray:
-    """Return the log likelihood ratio (n,) of a signal of this norm, its direction uniform on the sphere.
+    """Return the log likelihood ratio (n,) of a signal, its direction uniform on the sphere.
 
     The mean of exp(z cos) in k dimensions is Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z).
     """

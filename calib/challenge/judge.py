@@ -41,7 +41,7 @@ def _expected(truth: Truth, cause: Cause) -> dict[str, float]:
 
 
 def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
-    """Return (parameter, truth, low, high) for each interval of a verdict that can be held against the truth."""
+    """Return the intervals of a verdict that can be held against the truth."""
     named = {cause.get("effect"): cause for cause in verdict.get("causes", [])}
     compared: list[Compared] = []
     for cause in truth.causes:
@@ -57,7 +57,7 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
 APART: Final = 3.0
 #: signal from which an effect of a crowded case has to be named
 STRONG: Final = 20.0
-_OPEN: Final = ("unknown", "partly_explained")
+OPEN: Final = ("unknown", "partly_explained")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Judged:
     #: the recommended fix made the fresh campaign worse, all channels against their noise; None where not tried
     harmful: bool | None
     statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
-    intervals: tuple[Compared, ...]  #: parameter, truth, low, high
+    intervals: tuple[Compared, ...]
     #: closure on held-out runs, and on the fresh campaign
     predicted: float | None
     achieved: float | None
@@ -97,7 +97,7 @@ class Judged:
     error: str = ""
     #: see `calib.challenge.cases.Truth`
     ceiling: tuple[float, float] | None = None
-    own_ceiling: tuple[float, float] | None = None  #: the same for the true effect as it acts there
+    own_ceiling: tuple[float, float] | None = None
 
 
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
@@ -115,23 +115,22 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
     groups = _groups_of(given, causes)
-    # too near for any diagnosis to tell, and exact aliases
     near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
-    both = all(_grouped(effect, named, groups) for effect in effects) and (bool(effects) or first)
-    strong = tuple(_grouped(effect, named, groups) for effect in _strong(truth))
+    both = all(grouped_with(effect, named, groups) for effect in effects) and (bool(effects) or first)
+    strong = tuple(grouped_with(effect, named, groups) for effect in _strong(truth))
     sets = [set(credible) for credible in given.get("credible_sets", [])]
-    # neither true nor in a group with a true one, by verdict or plant
-    sure = [cause for cause in named if cause not in near and not _grouped(cause, effects, groups)]
+    # named, neither true nor in a group with a true one
+    sure = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
     before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
     target = recipe.targets[0] if recipe.targets else math.nan
     right = {
-        "outside": word in _OPEN,
-        "deleted": word in _OPEN or (bool(named) and named[0] in near),
+        "outside": word in OPEN,
+        "deleted": word in OPEN or (bool(named) and named[0] in near),
         "alias": any(effects[0] in group and bool(group & set(recipe.aliases)) for group in groups if effects),
         "pair": set(effects) <= set(named),
         "crowded": all(strong),
@@ -195,5 +194,6 @@ def _strong(truth: Truth) -> list[str]:
     ]
 
 
-def _grouped(effect: str, named: tuple[str, ...], groups: list[set[str]]) -> bool:
+def grouped_with(effect: str, named: Sequence[str], groups: Sequence[set[str]]) -> bool:
+    """Return whether an effect is named, or stands in a group with a named one."""
     return effect in named or any(effect in group and group & set(named) for group in groups)

@@ -22,7 +22,6 @@ from calib.plant.signal import CALIBRATION, strength
 from calib.plant.world import Form, Moment, World, scaled, standardised
 from calib.types import FloatArray, IntArray
 
-#: changes a world by a size
 SizedAct = Callable[[World, float], None]
 
 #: outside cause -> size at which it is tried first
@@ -37,7 +36,7 @@ TIGHT_PER_M: Final = 0.05
 
 
 def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | str]:
-    """Return each outside cause, its hidden part drawn, or the reason why this campaign cannot have it."""
+    """Return each outside cause, or the reason why this campaign cannot have it."""
     columns = _two_columns(replay)
     speeds = np.unique(np.round(replay.design.speed_mps, 2))
     condition = replay.observations.condition
@@ -100,11 +99,11 @@ NOT_PLANTED: Final = {
 }
 #: share of an effect left beside a recalibration, below which it cannot be asked for
 ABSORBED: Final = 0.02
-#: planted where the front wheel alone drives the odometry, calibrated by them
+#: what calibrates a front wheel that alone drives the odometry
 STEERED: Final = ("steering_zero", "steering_scale")
-#: what only the front wheel shows, and its odometry where no rear wheel is counted
+#: what only the front wheel shows
 OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
-#: a planted change of so much of the path, or of the heading, is no small effect
+#: of the path and of the heading: a larger change is no small effect
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
 _SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
 _RELATIVE_STEP: Final = 1e-4
@@ -119,7 +118,7 @@ class Size:
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
-    """Return sizes: ``10s`` is a signal of 10, ``2x`` twice the typical size, ``0.01`` the size itself."""
+    """Return sizes such as ``10s,2x,0.01``; see `Size`."""
     sizes = []
     for part in text.split(","):
         match = _SIZE.fullmatch(part)
@@ -142,24 +141,23 @@ class Plant:
     size: float
     unit: str
     signal: float  #: how strongly it shows on these runs beside their noise, once a recalibration took its share
-    #: shape (n_units, 6): what it does to distance, x, y, heading, path and turn; with either sign where both have a
-    #: meaning
+    #: shape (n_units, 6): what it does to the readings; with either sign where both have a meaning
     changes: tuple[FloatArray, ...]
 
     @property
     def key(self) -> int:
-        """A number of its own, for the seeds of what is drawn for it."""
+        """Seed of what is drawn for it."""
         return crc32(f"{self.effect}/{self.size:.6g}".encode())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
     effect: str
-    form: str
-    unit: str
-    typical: float
-    outside: bool
     act: SizedAct
+    typical: float = 5e-4
+    form: str = "plain"
+    unit: str = "1/sd"
+    outside: bool = False
 
 
 def plants_of(
@@ -177,7 +175,7 @@ def plants_of(
     if wanted:
         candidates = [candidate for candidate in candidates if candidate.effect in wanted]
         left_out = {name: reason for name, reason in left_out.items() if name in wanted}
-    absorbed = absorbed_by_calibration(diagnosis, replay)
+    absorbed = _absorbed(diagnosis, replay)
     plants = []
     for candidate in candidates:
         sized, reason = _sized(candidate, diagnosis, replay, absorbed, sizes)
@@ -200,24 +198,23 @@ def _candidates(
         elif not effect.forms(diagnosis.observations):
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
         elif effect.id.startswith("covariate:"):
-            # on both radii, by standard deviations of the column
             act = _on_both_radii(_standard(replay.observations.number(effect.id.partition(":")[2])))
-            candidates.append(_Candidate(effect.id, "plain", "1/sd", 5e-4, False, act))
+            candidates.append(_Candidate(effect.id, act))
         elif effect.id not in plant_effects():
             left_out[effect.id] = "an effect of the campaign's own has no form to plant"
         else:
             forms = forms_of(effect.id)
-            # one that the library does not assume, where the plant has one
+            # one that the library does not assume
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             # drawn by name, so that another selection of effects draws the same
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
             act = partial(_planted, form, knobs)
-            candidates.append(_Candidate(effect.id, form.form, form.unit, form.typical, False, act))
+            candidates.append(_Candidate(effect.id, act, form.typical, form.form, form.unit))
     for name, outsider in outsiders(replay, rng).items():
         if isinstance(outsider, str):
             left_out[name] = outsider
         else:
-            candidates.append(_Candidate(name, "outside", "1", OUTSIDERS[name], True, outsider))
+            candidates.append(_Candidate(name, outsider, OUTSIDERS[name], "outside", "1", outside=True))
     return candidates, left_out
 
 
@@ -225,8 +222,8 @@ def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> 
     form.act(world, np.full(len(world.design), size), knobs)
 
 
-def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
-    """Return what changes of radii and track do, along and across the end heading, (n_units, 6, 3)."""
+def _absorbed(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
+    """Return what changes of radii and track do, (n_units, 6, 3)."""
 
     def of(name: str) -> FloatArray:
         enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)
@@ -235,7 +232,6 @@ def absorbed_by_calibration(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
 
     left, right = of("left"), of("right")
     if diagnosis.observations.by_front:
-        # one wheel, whose radius both effects confounded with it share
         both = 0.5 * (left + right)
         return np.stack([both, both, np.zeros_like(both)], axis=2)
     return np.stack([left, right, of("track")], axis=2)
@@ -251,8 +247,7 @@ def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
     return np.where(diagnosis.observations.usable, turned, np.nan)
 
 
-def signal_of(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | None) -> float:
-    """Return how strongly a change of the readings (n_units, 6) shows beside the campaign's noise."""
+def _signal(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | None) -> float:
     return strength(_along_and_across(diagnosis, change), diagnosis.noise.covariance, absorbed)
 
 
@@ -266,7 +261,7 @@ def _sized(
         return replay.change(lambda world: given.act(world, size), level=level)
 
     small = change(given.typical)
-    whole, left = signal_of(diagnosis, small, None), signal_of(diagnosis, small, free)
+    whole, left = _signal(diagnosis, small, None), _signal(diagnosis, small, free)
     if not left > ABSORBED * whole:
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
@@ -276,15 +271,14 @@ def _sized(
             continue
         value = {"s": given.typical * size.value / left, "x": given.typical * size.value}.get(size.scale, size.value)
         for _ in range(3 if size.scale == "s" else 0):
-            reached = signal_of(diagnosis, change(value), free)
-            square = given.effect == "beam_misalignment"
-            value *= (size.value / max(reached, 1e-9)) ** (0.5 if square else 1.0)
+            reached = _signal(diagnosis, change(value), free)
+            value *= (size.value / max(reached, 1e-9)) ** (0.5 if given.effect == "beam_misalignment" else 1.0)
         value = float(f"{value:.4g}")
         signs = (1.0,) if given.effect in ONE_SIGN else (1.0, -1.0)
         changes = tuple(change(sign * value) for sign in signs)
         moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
         if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
-        reached = signal_of(diagnosis, changes[0], free)
+        reached = _signal(diagnosis, changes[0], free)
         plants.append(Plant(given.effect, given.form, given.outside, value, given.unit, reached, changes))
     return plants, "" if plants else "a size that shows would have to be out of all proportion"

@@ -20,18 +20,17 @@ ENOUGH: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnNoise:
-    """Whitened residuals of each observation after the fit of the diagnosis, and which observations are exchangeable.
+    """Residuals after the fit of the diagnosis, and which units are exchangeable.
 
     A unit's channels stay together: tails and correlations are the real ones. What the repeats of a condition have in
     common is taken out; a unit without repeats keeps what is left of it, with either sign.
     """
 
-    #: shape (n_units, 6): residuals of distance, along, lateral, heading, front, steering, whitened by the unit's own
-    #: covariance
+    #: shape (n_units, 6): whitened residuals
     whitened: FloatArray
     root: FloatArray  #: shape (n_units, 6, 6): cholesky factor of each unit's covariance
     group: IntArray  #: shape (n_units,): units of one number are exchangeable
-    repeated: BoolArray  #: shape (n_units,): units that have repeats
+    repeated: BoolArray  #: shape (n_units,)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
         """Return one draw, shape (n_units, 6), in metres and radians."""
@@ -45,10 +44,10 @@ class OwnNoise:
 
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
-    """Return the noise of a campaign, of what its fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
+    """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
 
-    Units of one condition are exchangeable where there are enough of them; else those of one route, else those with the
-    same channels.
+    Units of one condition are exchangeable where there are enough; else those of one route, else with the same
+    channels.
     """
     channels = observations.usable @ (2 ** np.arange(6))
     alike = (observations.condition, observations.kind, np.zeros_like(channels))
@@ -73,10 +72,7 @@ TURNED_STD: Final = 6.0
 
 
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
-    """Return the wheel's true angles, shape (n_steps_most, n_units): what the world's sensor would read as logged.
-
-    Beyond the end of a log the last angle holds.
-    """
+    """Return the wheel's true angles, shape (n_steps_most, n_units), which the world's sensor would read as logged."""
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():
         true = true + 0.5 * world.steer_backlash_rad * _side(true, last)
@@ -90,7 +86,7 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:
-    """Return to which side each angle last moved: there the wheel is ahead beyond the play."""
+    """Return to which side each angle last moved."""
     side = np.zeros_like(angle)
     bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
     noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
@@ -118,9 +114,9 @@ Act = Callable[[World], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """The logged steps of every unit side by side, short units filled with steps of nothing."""
+    """The logged steps of every unit side by side, short units filled with zeros."""
 
-    #: shape (n_steps_most, n_units): rotation of the wheels in each step, how long it took, and when it ended
+    #: shape (n_steps_most, n_units): rotation of the wheels in each step, its length, and end
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
     duration_s: FloatArray
@@ -132,15 +128,14 @@ class Route:
     #: shape (n_steps_most, n_units): wheel angles at the end of each step
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
-    #: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its angle; nothing where
-    #: rear wheels do
+    #: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its angle
     front_m: FloatArray
     steer_rad: FloatArray
     last: IntArray  #: shape (n_units,): last step of each unit
 
 
 def route_of(observations: Observations) -> Route:
-    """Return the steps of a campaign's units, laid side by side."""
+    """Return the steps of a campaign's units."""
     lengths = observations.lengths
     shape = (int(lengths.max()), len(observations))
     place = np.arange(len(observations.unit)) - np.repeat(observations.starts[:-1], lengths)
@@ -157,14 +152,12 @@ def route_of(observations: Observations) -> Route:
     front = observations.model.front or assumed
     with np.errstate(divide="ignore", invalid="ignore"):
         acceleration = np.where(duration > 0, change / duration, 0.0)
+    same = ("roll_left_rad", "roll_right_rad", "time_s", "curvature_per_m")
     return Route(
-        roll_left_rad=wide(observations.roll_left_rad),
-        roll_right_rad=wide(observations.roll_right_rad),
+        **{name: wide(getattr(observations, name)) for name in same},
         duration_s=duration,
-        time_s=wide(observations.time_s),
         speed_mps=speed,
         acceleration_mps2=acceleration,
-        curvature_per_m=wide(observations.curvature_per_m),
         angle_left_rad=wide(observations.phase_left_rad),
         angle_right_rad=wide(observations.phase_right_rad),
         front_m=front.radius_m * wide(observations.front_roll_rad),
@@ -186,8 +179,7 @@ def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> Flo
     return np.where(index < lengths, mean, 0.0)
 
 
-def design_of(observations: Observations) -> Design:
-    """Return what was driven as the plant's forms ask for it."""
+def _design(observations: Observations) -> Design:
     n_units = len(observations)
 
     def number(name: str) -> FloatArray:
@@ -217,7 +209,7 @@ def design_of(observations: Observations) -> Design:
     )
 
 
-def world_of(observations: Observations, design: Design) -> World:
+def _world(observations: Observations, design: Design) -> World:
     """Return the world in which the model is right, with stated loads."""
     world = build_world(design, observations.model)
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
@@ -234,21 +226,20 @@ class Replay:
     """A campaign's route, ready to be driven in other worlds."""
 
     observations: Observations
-    design: Design  #: the same, as the plant's forms ask for it
+    design: Design  #: what was driven, as the plant's forms ask for it
     route: Route
 
     @staticmethod
     def of(observations: Observations) -> Replay:
         """Return the replay of a campaign."""
-        return Replay(observations, design_of(observations), route_of(observations))
+        return Replay(observations, _design(observations), route_of(observations))
 
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
         """Return distance, x, y, heading, path and turn as read at the end of each unit, shape (n_units, 6).
 
-        Path and turn are what a front wheel sees. Without `act` the model alone. `level` takes the mean change of the
-        static radii out, which a calibration takes up.
+        `level` takes out the mean change of the static radii, which a calibration takes up.
         """
-        world = world_of(self.observations, self.design)
+        world = _world(self.observations, self.design)
         if act is not None:
             act(world)
         if level:
@@ -299,10 +290,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the factor of the way ahead for the front wheel's true angle, and the turn.
-
-    The turn comes on top of the one read, multiplied alike (Eqs 12 to 14).
-    """
+    """Return the factor of the way ahead for the front wheel's true angle, and the turn to add (Eqs 12 to 14)."""
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
     if replay.observations.by_shaft:
@@ -320,7 +308,7 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
     x_late = x - world.latency_s * end.v_mps * np.cos(theta)
     y_late = y - world.latency_s * end.v_mps * np.sin(theta)
     if replay.observations.windowed:
-        # a window begins in motion: its start is read as late as its end
+        # a window's start is read as late as its end
         v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
     seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
+from calib.challenge.judge import OPEN, grouped_with
 from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own_replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
@@ -36,7 +37,7 @@ class Answer:
     seen: bool
     first: bool  #: the planted effect is named first
     in_group: bool  #: it is named, stands in a group with a named one, or its family is named
-    open: bool  #: the verdict leaves a rest open: ``unknown``, or ``partly_explained``
+    open: bool  #: see `calib.challenge.judge.OPEN`
     #: others are named, neither it nor its group; of an outside cause: a fix is recommended
     wrong: bool
 
@@ -49,14 +50,14 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
     groups = [set(group) for group in verdict.get("indistinguishable", ())]
     groups += [{str(cause["effect"]), *cause.get("forms_open", ())} for cause in causes]
     families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
-    together = effect in named or family in families or any(effect in g and g & set(named) for g in groups)
+    together = family in families or grouped_with(effect, named, groups)
     named_wrongly = bool(named) and word not in SILENT and not together
     return Answer(
         verdict=word,
         seen=word not in UNSEEN,
         first=named[:1] == [effect],
         in_group=together,
-        open=word in ("unknown", "partly_explained"),
+        open=word in OPEN,
         # of an outside cause wrong is what would be acted upon
         wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
@@ -75,11 +76,11 @@ class Found:
     answers: tuple[Answer, ...]
 
     def times(self, what: str) -> int:
-        """Return how often an answer says so: ``seen``, ``first``, ``in_group``, ``open`` or ``wrong``."""
+        """Return how often a field of `Answer` is true."""
         return sum(getattr(answer, what) for answer in self.answers)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values; no effect of the library can be first, or in a group, of an outside cause."""
+        """Return it as plain JSON values."""
         plant = self.plant
         document = {
             "size": plant.size,
@@ -117,26 +118,24 @@ class Own:
 
     @property
     def raised(self) -> int:
-        """False alarms: a gap is seen where nothing was planted."""
+        """False alarms."""
         return sum(answer.seen for answer in self.empty)
 
     @property
     def wrong(self) -> int:
-        """Plants of which something else was named."""
+        """Wrong names."""
         return sum(found.times("wrong") for found in self.found)
 
     @property
     def planted(self) -> int:
-        """Campaigns with something planted."""
+        """Planted campaigns."""
         return sum(len(found.answers) for found in self.found)
 
     @property
     def trusted(self) -> bool:
-        """Whether neither false alarms nor wrong names are surely more than one in twenty."""
-        return all(
-            clopper_pearson(hits, total)[0] <= ALLOWED
-            for hits, total in ((self.raised, len(self.empty)), (self.wrong, self.planted))
-        )
+        """Whether neither false alarms nor wrong names are surely more than `ALLOWED`."""
+        counts = (self.raised, len(self.empty)), (self.wrong, self.planted)
+        return all(clopper_pearson(*count)[0] <= ALLOWED for count in counts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -200,11 +199,7 @@ class _Job:
 
 
 def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Progress = silent) -> Own:
-    """Plant known effects on a campaign's own noise and route, and diagnose each.
-
-    The noise is what the campaign's own diagnosis leaves, drawn again among runs of the same condition; the counts are
-    its own. The answer is the same for any number of workers, as long as the time is enough.
-    """
+    """Plant known effects on a campaign's own noise and route, and diagnose each; see `OwnNoise`."""
     asked = asked or Asked()
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
@@ -222,8 +217,7 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
     progress(0, len(jobs), "diagnoses")
     work = partial(_diagnosed, bench, began + asked.seconds)
     answers = each(work, jobs, asked.workers, lambda done: progress(done, len(jobs), "diagnoses"))
-    answered = ((job.plant, answer) for job, answer in zip(jobs, answers, strict=True) if answer is not None)
-    by_plant = grouped(answered)
+    by_plant = grouped((job.plant, answer) for job, answer in zip(jobs, answers, strict=True) if answer is not None)
     return Own(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -265,22 +259,19 @@ def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_uni
 def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
     if time.monotonic() > until_s:
         return None
-    observed = with_readings(bench.observations, bench.readings + job.change, bench.noise, job.seeds)
+    observed = _observed(bench, bench.readings + job.change, job.seeds)
     try:
         verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed)
     except RefusedError:
-        # refused: nothing seen
         document: dict[str, object] = {"verdict": "undecided"}
     else:
         document = verdict.to_dict()
     return answer_of(job.effect, job.family, document)
 
 
-def with_readings(
-    observations: Observations, readings: FloatArray, noise: OwnNoise, seeds: Sequence[int]
-) -> Observations:
-    """Return the campaign as observed: readings (n_units, 6) with the noise that `seeds` draw."""
-    drawn = noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
+def _observed(bench: _Bench, readings: FloatArray, seeds: Sequence[int]) -> Observations:
+    observations = bench.observations
+    drawn = bench.noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured
     heading = np.where(observations.usable[:, 3], measured[:, 3], readings[:, 3])

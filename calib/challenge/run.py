@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from calib.gap.observations.arrays import Observations
 
 
-#: what a fix achieves on a fresh campaign, by the keys of `achieved`
+#: see `achieved`
 Achieved = dict[str, float | None]
 
 
@@ -77,17 +77,15 @@ def _forms_there(
         nearest = matching_form(alike, wanted.label, wanted.settings)
         if nearest is None:
             return None
-        # as it stands: zero where it was zero on its own runs
         matches.append(nearest.centred_at(wanted.centre))
     return tuple(matches)
 
 
 def _rms(there: Observations, values: FloatArray) -> float | None:
-    pose = there.usable[:, 1] & there.usable[:, 2]
-    if pose.any():
-        return float(np.sqrt(np.mean(values[pose, 1] ** 2 + values[pose, 2] ** 2)))
-    if there.usable[:, 0].any():
-        return float(np.sqrt(np.mean(values[there.usable[:, 0], 0] ** 2)))
+    for channels in ([1, 2], [0]):
+        known = there.usable[:, channels].all(axis=1)
+        if known.any():
+            return float(np.sqrt(np.mean(np.sum(values[known][:, channels] ** 2, axis=1))))
     return None
 
 
@@ -98,9 +96,8 @@ Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Ma
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """What a run did."""
+    """Cases diagnosed now, before, and ended by an error."""
 
-    #: cases diagnosed now, before, and ended by an error
     done: int
     skipped: int
     failed: int
@@ -109,7 +106,7 @@ class Ran:
 def diagnose_and_try(
     campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
 ) -> tuple[Mapping[str, Any], Achieved | None]:
-    """Diagnose with the library's own diagnosis, and try its fix; see `Diagnoser`."""
+    """Diagnose with the library's own diagnosis; see `Diagnoser`."""
     from calib.gap.diagnose import diagnose_in_full
 
     diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
@@ -117,10 +114,7 @@ def diagnose_and_try(
 
 
 def run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
-    """Diagnose one case (name, effects to leave out) and write ``verdicts/<case>.json``; see `Diagnoser`.
-
-    Returns whether it ended without an error. An error of the diagnosis is written down: it is a miss of the case.
-    """
+    """Diagnose one case (name, effects to leave out), and return whether without error; an error is written down."""
     case, exclude = waiting
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
     again = folder / "fresh" / case

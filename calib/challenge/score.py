@@ -98,20 +98,20 @@ class Score:
     """The score."""
 
     purpose: str  #: of the seeds: ``development``, ``scoring``, ``ci``
-    truth_sha256: str  #: hash of the truth, checked
-    board: Mapping[str, Share]  #: the lines that have a target, and others
+    truth_sha256: str
+    board: Mapping[str, Share]
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
     #: target signal -> ``free`` and ``gated``, what the best rule names on these campaigns, ``hits_over_gated``, and
     #: these with ``own`` for the true effect; None where the ceiling was not taken
     ceilings: Mapping[str, Mapping[str, float | None]]
     reliability: tuple[Bin, ...]  #: stated probability against how often it was true
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases
-    summary: Mapping[str, Any]  #: sizes of the 95 % sets, interval coverage, closure, seconds
+    summary: Mapping[str, Any]
     cases: tuple[Judged, ...]
 
     @property
     def misses(self) -> tuple[Judged, ...]:
-        """The cases whose answer is not the right one."""
+        """The cases not answered right."""
         return tuple(case for case in self.cases if not case.right)
 
     def meets(self, line: str) -> bool | None:
@@ -133,7 +133,7 @@ class Score:
 
 
 def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, Truth], str]:
-    """Open the sealed truth of a set whose hash is the one stored first."""
+    """Open the sealed truth of a set."""
     public = read_public(folder)
     path = truth_file or truth_path(folder)
     if not path.is_file():
@@ -149,7 +149,7 @@ def open_truth(folder: Path, truth_file: Path | None = None) -> tuple[dict[str, 
 
 
 def score(folder: Path, *, truth_file: Path | None = None) -> Score:
-    """Score the verdicts of a set; a case without a verdict counts as a miss."""
+    """Score the verdicts of a set."""
     truths, digest = open_truth(folder, truth_file)
     judged = []
     for case in read_public(folder)["cases"]:

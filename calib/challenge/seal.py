@@ -20,6 +20,7 @@ from calib.documents import plain, to_json
 from calib.errors import CASES, BadFileError, RefusedError, refuse_beyond, refuse_workers
 from calib.fleet.workers import engine
 from calib.io import refuse_existing, sha256_file, write_text
+from calib.plant.design import DESIGNS
 from calib.plant.effects import ALL, forms_of
 from calib.plant.signal import CALIBRATION
 from calib.types import Progress, silent
@@ -34,8 +35,6 @@ _REMEDY: Final = "compare with calib/challenge/seeds/development.toml"
 _GROSS: Final = ("encoder_gross", "integration_scheme")
 
 _OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outside:")]
-#: designs of the empty cases that have no good one
-_EMPTY_POOR: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 #: for pairs: effects that leave different things behind
 _PAIRED: Final = (
     "load_radius", "temperature_radius", "speed_radius", "travel_direction", "curve_scrub", "load_dependent_track",
@@ -57,16 +56,16 @@ _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """A seeds file; pydantic holds it against these types and bounds."""
+    """A seeds file."""
 
     purpose: str  #: ``development``, ``scoring`` or ``ci``
     seed: Annotated[int, Field(strict=True, ge=0)]
-    cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]  #: how many cases of each of `GROUPS`
+    cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]
     max_runs: Annotated[int, Field(strict=True, ge=20)] = 160
 
 
 def read_seeds(path: Path) -> Seeds:
-    """Read a seeds file; raises BadFileError where an entry is missing or is none that can be made."""
+    """Read a seeds file; raises BadFileError."""
     data = load_toml(path, str(path), remedy="give one of calib/challenge/seeds")
     if data.pop("format", None) != _FORMAT:
         raise BadFileError(path, column="format", found="another format", expected=_FORMAT, remedy=_REMEDY)
@@ -98,7 +97,6 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
             forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
             strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
     if count < len(strong) + len(faults):
-        # other effects each time, strong ones first
         names = [str(item) for item in rng.permutation(_library())]
         return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
     whole = strong + faults
@@ -116,7 +114,7 @@ def _of_group(group: Group, count: int, rng: np.random.Generator) -> list[Recipe
     def made(n: int) -> Recipe:
         name = names[n % len(names)]
         if group == "empty":
-            return case(design="good" if n % 5 < 3 else _EMPTY_POOR[(n // 5 * 2 + n % 5 - 3) % 4])
+            return case(design="good" if n % 5 < 3 else DESIGNS[(n // 5 * 2 + n % 5 - 3) % 4])
         if group == "calibration":
             return case((CALIBRATION[n % 3],), ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],))
         if group == "natural":
@@ -144,7 +142,7 @@ def _crowd(number: int, rng: np.random.Generator) -> tuple[tuple[str, ...], tupl
 
 
 def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
-    """Return the (first `limit`) cases of a seeds file, in a shuffled order so that a case's name says nothing."""
+    """Return the (first `limit`) cases of a seeds file, shuffled: a case's name says nothing."""
     listed: list[Recipe] = []
     for number, group in enumerate(GROUPS):
         listed += _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, number]))
@@ -158,7 +156,7 @@ HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"
 TRUTH_FORMAT: Final = "calib-challenge-truth/1"
 
-#: pieces of work that a case counts as: a batch has one
+#: a batch has one case
 WEIGHT: Final = 64
 
 T = TypeVar("T")
@@ -221,9 +219,7 @@ def make(
 ) -> Sealed:
     """Make a sealed set of the first `limit` cases of a seeds file; see `truth_path` for where the truth goes.
 
-    `folder` gets ``challenge.json``, ``truth.sha256``, ``cases/<case>`` and ``fresh/<case>`` (the same truth, driven
-    again); `sealed` gets the hash as soon as the truth is sealed, before any campaign is driven. Raises BadInputError
-    where a set stands there and `force` is False.
+    `sealed` gets the hash as soon as the truth is sealed, before any campaign is driven.
     """
     truth_file = truth_file or truth_path(folder)
     refuse_existing([folder / PUBLIC, truth_file], force=force)
@@ -245,7 +241,7 @@ def make(
 
 
 def read_public(folder: Path) -> Mapping[str, Any]:
-    """Return what a set says openly: the truth's hash, the cases, and what is deleted from the library for each."""
+    """Return what a set says openly; see `make`."""
     path = folder / PUBLIC
     try:
         if path.exists() and not path.is_file():

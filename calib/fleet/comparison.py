@@ -11,18 +11,16 @@ from warnings import catch_warnings
 import numpy as np
 
 from calib.documents import plain_fields
-from calib.types import BoolArray, FloatArray, floats
+from calib.types import BoolArray, FloatArray, floats, grouped
 
 COVERAGE: Final = 0.95
-#: share of those named that may be wrong (Benjamini and Hochberg); a vehicle named costs a visit, and at a hundredth a
-#: list of twenty has a wrong one in one fleet of five
+#: share of those named that may be wrong (Benjamini and Hochberg): a vehicle named costs a visit
 FALSE_SHARE: Final = 0.01
-#: chance that any of a short list is wrong (Holm): one wrong name among five is no small share
+#: chance that any of a short list is wrong (Holm)
 FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
 MEDIAN_ABS: Final = 0.6744897501960817
-#: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread; a median deviation of
-#: some tens of vehicles may be a third too small, and 5 of those is still what one normal vehicle in a thousand reaches
+#: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread
 FAR: Final = 5.0
 #: values are drawn in to so many median deviations before labels are compared: no vehicle speaks for all
 DRAWN_IN: Final = 4.0
@@ -43,7 +41,7 @@ class Population:
 
 
 def population(values: FloatArray, std: FloatArray) -> Population | None:
-    """Return a quantity's mean and spread over vehicles, with its standard uncertainty; None with fewer than three."""
+    """Return a quantity's mean and spread over vehicles; None with fewer than three."""
     from scipy.special import chdtri, stdtrit
 
     n = len(values)
@@ -106,7 +104,7 @@ def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def false_discovery(p_values: FloatArray, share: float = FALSE_SHARE, method: str = "fdr_bh") -> BoolArray:
-    """Return which findings stand at a false discovery rate of `share` (Benjamini and Hochberg); NaN is no finding."""
+    """Return which findings stand at a false discovery rate of `share`; NaN is no finding."""
     from statsmodels.stats.multitest import multipletests
 
     p = floats(p_values)
@@ -117,13 +115,13 @@ def false_discovery(p_values: FloatArray, share: float = FALSE_SHARE, method: st
 
 
 def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
-    """Return which findings stand at a family-wise error rate of `chance` (Holm 1979); NaN is no finding."""
+    """Return which findings stand at a family-wise error rate of `chance`; NaN is no finding."""
     return false_discovery(p_values, chance, "holm")
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What a label's vehicles have more than the others: size, its interval, Welch's p, how many show it."""
+    """What a label's vehicles have more than the others."""
 
     size: float
     ci95: tuple[float, float] = field(metadata={"json": "size_ci95"})
@@ -132,11 +130,11 @@ class Difference:
 
 
 def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
-    """Compare the vehicles inside a label with the others (Welch's test on values drawn in towards their median)."""
+    """Compare the vehicles inside a label with the others by Welch's test."""
     from scipy.stats import ttest_ind
 
     one, other = (_drawn_in(values[side]) for side in (inside, ~inside))
-    with catch_warnings(action="ignore"):  # equal vehicles have no variance: the p-value is NaN then, no finding
+    with catch_warnings(action="ignore"):  # of equal vehicles, whose p-value is NaN
         test = ttest_ind(one, other, equal_var=False)
         low, high = map(float, test.confidence_interval(COVERAGE))
     size = float(one.mean() - other.mean())
@@ -152,13 +150,13 @@ def _drawn_in(values: FloatArray) -> FloatArray:
 
 #: fewest vehicles judged against each other, or with a label
 FEWEST_COMPARED: Final = 5
-#: fewest vehicles that share a finding before it is reported of them together
+#: fewest vehicles that share a finding
 FEWEST_SHARING: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleResult:
-    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed, one line."""
+    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed."""
 
     name: str
     key: str
@@ -171,13 +169,13 @@ class VehicleResult:
         return "failed" if self.why else "done"
 
 
-#: column of ``vehicles.csv`` -> label of each vehicle that has one
+#: column of ``vehicles.csv`` -> vehicle -> label
 Labels = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A vehicle `z` standard deviations from the fleet's mean in a quantity."""
+    """A vehicle far from the fleet's mean in a quantity."""
 
     vehicle: str = field(metadata={"json": "id"})
     quantity: str
@@ -209,7 +207,7 @@ class LabelDifference:
 
     @property
     def what(self) -> str:
-        """The difference in words."""
+        """The difference."""
         name, scale, unit = shown_quantity(self.quantity)
         return f"{name} {scale * self.difference.size:+.3g} {unit} from the others'"
 
@@ -232,17 +230,14 @@ class Quantities:
     common: tuple[LabelDifference, ...]
 
 
-#: quantity -> values or standard uncertainties, shape (n_vehicles,), NaN where a vehicle lacks it
+#: quantity -> values, shape (n_vehicles,), NaN where a vehicle lacks it
 Columns = Mapping[str, FloatArray]
 
 
 def quantities_of(
     vehicles: Sequence[str], values: Columns, std: Columns, labels: Labels, drifting: frozenset[str] = frozenset()
 ) -> Quantities:
-    """Return what a fleet shows in its vehicles' quantities; see `Columns` and `Labels`.
-
-    That vehicles in `drifting` have moved is no second finding.
-    """
+    """Return what a fleet shows in its vehicles' quantities; see `Columns` and `Labels`."""
     compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
     common = _differences(vehicles, {name: values[name] for name in compared}, labels)
     own = {name: column.copy() for name, column in values.items()}
@@ -264,7 +259,6 @@ def quantities_of(
 
 
 def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, str, BoolArray]]:
-    """Yield each label with each of its values, and which vehicles have it."""
     for label, of_vehicle in sorted(labels.items()):
         own = np.array([of_vehicle.get(vehicle, "") for vehicle in vehicles], dtype=np.object_)
         yield from ((label, value, own == value) for value in sorted({*own} - {""}))
@@ -330,7 +324,7 @@ class SharedCause:
 
 
 def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[SharedCause, ...]:
-    """Return what many vehicles share, the whole fleet first, then labels (Fisher's exact test)."""
+    """Return what many vehicles share, the whole fleet first."""
     done = [record for record in records if record.status == "done"]
     names = [record.name for record in done]
     findings = _findings(done)
@@ -361,16 +355,12 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
 
 
 def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
-    """Return, for each effect at a place, the x of the places where several vehicles have it.
+    """Return, for each effect at a place, the x of the places where several vehicles have it, most first.
 
-    The floor is asked about in cells; one zone may show in neighbouring ones. Places are taken where most vehicles name
-    them first, each with all within a cell of it.
+    One zone may show in neighbouring cells.
     """
-    named: dict[str, list[tuple[float, float]]] = {}
-    for record in records:
-        for cause in record.values.get("causes", ()):
-            if "x_m" in cause:
-                named.setdefault(str(cause["effect"]), []).append((float(cause["x_m"]), float(cause["size_m"])))
+    causes = [cause for record in records for cause in record.values.get("causes", ()) if "x_m" in cause]
+    named = grouped((str(cause["effect"]), (float(cause["x_m"]), float(cause["size_m"]))) for cause in causes)
     places: dict[str, list[float]] = {}
     for effect, found in named.items():
         x, size = np.array(found).T

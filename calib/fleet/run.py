@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -31,10 +31,7 @@ DAY: Final = "day"
 
 
 def sums_of_parts(parts: Sequence[Part]) -> list[Kept]:
-    """Read files of journeys and sum each one's runs by session; shared settings are read once.
-
-    Never raises for bad input: `why` says what is wrong, so that one vehicle's data never stop the fleet.
-    """
+    """Read files of journeys and sum each one's runs by session; `why` says what is wrong."""
     settings: dict[Path, Campaign] = {}
     keys = Keys()
     return [Kept.of(_sums_of_part(part, settings, keys)) for part in parts]
@@ -53,16 +50,13 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     session = np.where(radii.session == "", part.name, radii.session)
     left = WheelSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
     right = WheelSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
-    # a campaign folder has all runs of a vehicle: a law's checks can be made of them
+    # a campaign folder has all runs of a vehicle
     doubtful = part.path.parent == part.settings and fit_law(radii, reference_load_N=reference).failed
     return PartSums(part.name, key, reference, nominal, left, right, doubtful=doubtful or ())
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys; tables of a dataset take the fleet's settings and have no logs.
-
-    `settings`: those read, by folder; added to.
-    """
+    """Return the campaign of a file of journeys; tables of a dataset take the fleet's `settings` and have no logs."""
     if part.path.parent == part.settings:
         return read_campaign(part.settings, lenient=lenient)
     known = {} if settings is None else settings
@@ -84,23 +78,17 @@ def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
     return np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
 
 
-def sums_given_up(part: Part, why: str) -> Kept:
-    """Return the record of a file that took its worker down: without a key, so that the next run tries it again."""
+def _sums_given_up(part: Part, why: str) -> Kept:
+    # without a key: the next run tries it again
     return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
 
 
-#: a vehicle's id, and the records of its files
 Vehicle = tuple[str, Sequence[Kept]]
 
 
 def records_of(vehicles: Sequence[Vehicle]) -> list[VehicleRecord]:
-    """Return vehicles' records from the sums of their files."""
+    """Return vehicles' records."""
     return [record_of(name, [PartSums.from_dict(kept.values()) for kept in parts]) for name, parts in vehicles]
-
-
-def record_given_up(vehicle: Vehicle, why: str) -> VehicleRecord:
-    """Return the record of a vehicle that took its worker down."""
-    return VehicleRecord(vehicle[0], 0, 0.0, None, None, why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +99,10 @@ class Fleet:
     view: FleetView
     n_read: int
     n_kept: int
-    #: a program made the data of a vehicle
     simulated: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
+        """Return it as plain JSON values."""
         outliers = {outlier.vehicle: outlier.why for outlier in self.view.outliers}
         vehicles = [
             record.to_dict()
@@ -129,30 +116,28 @@ class Fleet:
 def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
     """Fit every vehicle of a fleet, with the same result for any engine, number of workers and order.
 
-    `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, whose sums of what was read
-    leave only new or changed files to the next time.
+    `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, which keeps what was read.
     """
     # workers start while this process lists files
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, sums_given_up, progress, "files")
+        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, _sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
-        # a record takes a fraction of the time of reading a file
-        records = {record.vehicle: record for record in opened.run(records_of, vehicles, record_given_up)}
+        done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, 0.0, None, None, why))
+        records = {record.vehicle: record for record in done}
     by_id = tuple(records[member.vehicle] for member in members)
     view = view_of(by_id, labels_of(folder, members))
     return Fleet(by_id, view, n_new, len(parts) - n_new, any_simulated(folder))
 
 
-#: a vehicle whose radius changed by this share is due for recalibration: that of the deviation check of a single radius
-#: (0.05 %), 5 mm over 10 m
+#: a vehicle whose radius changed by this share is due for recalibration: 5 mm over 10 m
 DUE_RELATIVE: Final = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class DriftingVehicle:
-    """A vehicle whose radius drifts: how fast, and when its recalibration is due, in its days."""
+    """A vehicle whose radius drifts, and when its recalibration is due."""
 
     vehicle: str = field(metadata={"json": "id"})
     wheel: str
@@ -174,7 +159,7 @@ class FleetView:
     common: tuple[comparison.LabelDifference, ...]
 
     def to_dict(self) -> dict[str, object]:
-        """Return it as plain JSON values; an outlier's wheel and quantity stand apart."""
+        """Return it as plain JSON values."""
         outliers = []
         for outlier in self.outliers:
             stem, wheel, unit = outlier.quantity.split("_", 2)
@@ -183,7 +168,7 @@ class FleetView:
 
 
 def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> FleetView:
-    """Return the fleet's view of all its vehicles; `labels`: those of ``vehicles.csv``."""
+    """Return the fleet's view of all its vehicles."""
     fitted = sorted((record for record in records if record.status == "fitted"), key=lambda record: record.vehicle)
     drifting = _drifting(fitted)
     values, std = dict[str, FloatArray](), dict[str, FloatArray]()
@@ -216,13 +201,13 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     return tuple(sorted(drifting.values(), key=lambda one: (one.due_day, one.vehicle)))
 
 
-#: weight of a vehicle's task beside reading a file: from ten times as long (a check) to a thousand times
+#: of a vehicle's task beside reading a file
 WEIGHT: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A task's records, by vehicle, and what they share; `quantities` where the task estimates some."""
+    """A task's records, and what they share; `quantities` where it estimates some."""
 
     what: str
     records: tuple[VehicleResult, ...]
@@ -233,7 +218,7 @@ class Survey:
     simulated: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values: ``vehicles``, one each, and ``fleet``."""
+        """Return it as plain JSON values."""
         vehicles = [{"id": one.name, "status": one.status, **one.values, "why": one.why} for one in self.records]
         failed = sum(record.status == "failed" for record in self.records)
         fleet = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
@@ -265,10 +250,11 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
         key = ""
         try:
             key = keys.of(member)
-            results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
+            result = VehicleResult(member.vehicle, key, TASKS[what](member))
         except (CalibError, OSError) as error:
-            results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
-    return [Kept.of(result) for result in results]
+            result = VehicleResult(member.vehicle, key, why=one_line(error))
+        results.append(Kept.of(result))
+    return results
 
 
 def _given_up(member: Member, why: str) -> Kept:
@@ -329,9 +315,5 @@ def _geometry(member: Member) -> dict[str, object]:
     }
 
 
-#: task -> function of a vehicle; a new task is a function and a line here
-TASKS: Final[dict[str, Callable[[Member], dict[str, object]]]] = {
-    "check": _check,
-    "geometry": _geometry,
-    "diagnose": _diagnose,
-}
+#: a new task is a function and an entry here
+TASKS: Final = {"check": _check, "geometry": _geometry, "diagnose": _diagnose}

@@ -49,9 +49,8 @@ class Member:
 def members_of(folder: Path) -> tuple[Member, ...]:
     """Return the vehicles of a fleet, by id.
 
-    `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml``, which holds for all, beside
-    folders ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files with the columns of
-    ``runs.csv``.
+    `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml`` beside folders
+    ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files with the columns of ``runs.csv``.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
@@ -95,7 +94,7 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
         parts = []
         for name, partition, direct in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink())):
             day = _day_of(partition)
-            # a million files: paths are joined as text, and only what may lead elsewhere is resolved one by one
+            # of a million files only those that may lead elsewhere are resolved
             parts.append(Part(name, top / name, folder, day) if direct else _part(folder, name, folder, day))
         members.append(Member(entry.name.partition("=")[2], tuple(parts)))
     return tuple(members)
@@ -119,12 +118,12 @@ def _day_of(partition: str) -> float | None:
 
 
 def any_simulated(folder: Path) -> bool:
-    """Return whether any vehicle's settings say that a program made its data."""
+    """Return whether a program made any vehicle's data."""
     import tomllib
 
     for settings in {part.settings for member in members_of(folder) for part in member.parts}:
         path = settings / SETTINGS
-        # a device or a pipe may have no end; unreadable settings are listed as failed
+        # a device or a pipe may have no end
         with suppress(OSError, ValueError):
             if path.is_file() and tomllib.loads(path.read_text(encoding="utf-8")).get("simulated") is True:
                 return True
@@ -132,7 +131,7 @@ def any_simulated(folder: Path) -> bool:
 
 
 def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, str]]:
-    """Return the labels of vehicles in ``vehicles.csv`` (hall, type, ...): column -> label by vehicle."""
+    """Return the labels of vehicles in ``vehicles.csv``: column -> vehicle -> label."""
     path = folder / LABELS
     if not path.is_file():
         return {}
@@ -159,13 +158,13 @@ def one_line(error: Exception) -> str:
 
 SUMS: Final = "sums.jsonl"
 Source = TypeVar("Source", Part, Member)
-#: a digest of the line's other values, so that a damaged line is read anew
+#: a digest of the line's other values
 SEAL: Final = "seal"
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """A kept record: its unique name, the key of its source (empty: to be made anew), its line with a seal."""
+    """A kept record: its unique name, the key of its source (empty: to be made anew), its line."""
 
     name: str
     key: str
@@ -179,7 +178,7 @@ class Kept:
         return Kept(record.name, record.key, line)
 
     def values(self) -> dict[str, Any]:
-        """Return the line's values; raises ValueError where they are not as written."""
+        """Return the line's values; raises ValueError where it was changed."""
         values = dict(json.loads(self.line))
         if values.pop(SEAL, "") != _seal(values):
             raise ValueError("a kept line was changed")
@@ -202,8 +201,7 @@ def renewed(
 ) -> tuple[dict[str, Kept], int]:
     """Do a task for each new or changed source; return all records, and how many were done now.
 
-    `path`: file of records, a line each, appended as they come: an interrupted run goes on where it was. In the end in
-    the order of their names: the same bytes for any order of arrival. `sources`: by their records' names; for `task`,
+    `path`: file of records, appended as they come, sorted in the end; `sources`: by their records' names; for `task`,
     `given_up` and `weigh` see `Engine.run`.
     """
     before, keys = _read(path), Keys()
@@ -211,7 +209,7 @@ def renewed(
     todo = [source for name, source in sources.items() if name not in records]
     with path.open("ab") as stream:
         # an interruption may cut the last line
-        if stream.tell() and not _ends_whole(path):
+        if stream.tell():
             stream.write(b"\n")
         for number, record in enumerate(opened.run(task, todo, given_up, weigh), 1):
             stream.write(record.line.encode())
@@ -232,7 +230,7 @@ def _read(path: Path) -> dict[str, Kept]:
     if path.exists() and not path.is_file():
         raise BadInputError(f"{path}: found no regular file; expected one, or none; take it away")
     kept: dict[str, Kept] = {}
-    # an interruption cuts the last line; a file of whole lines without a seal is the user's own
+    # a file of whole lines without a seal is the user's own
     whole = sealed = False
     # bytes that are no UTF-8 break their line's seal alone
     with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="surrogateescape") as stream:
@@ -247,27 +245,17 @@ def _read(path: Path) -> dict[str, Kept]:
     return kept
 
 
-def _ends_whole(path: Path) -> bool:
-    with path.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) == b"\n"
-
-
-#: bytes of a digest in a key: no fleet has two alike by chance
 DIGEST_BYTES: Final = 16
 
 
 class Keys:
-    """Makes keys of files: of the bytes and calib's version that a result follows from, never of a file's time.
-
-    Shared settings are read once.
-    """
+    """Makes keys of files, of their bytes and calib's version; shared settings are read once."""
 
     def __init__(self) -> None:
         self._settings: dict[Path, str] = {}
 
     def of(self, source: Part | Member) -> str:
-        """Return the key of a file of journeys with its settings and logs, or of all files of a vehicle."""
+        """Return the key of a file with its settings and logs, or of all files of a vehicle."""
         if isinstance(source, Member):
             return "|".join(f"{part.name}:{self.of(part)}" for part in source.parts)
         if source.why:

@@ -1,9 +1,8 @@
 """The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
 
-Sums by session add, and a wheel's line follows from them. Intervals allow for autocorrelated runs as those of
-`calib.radius.sessions` do: a first-order autoregression within each session, its lag-one autocorrelation freed of the
-bias by the session means. The slope's variance is that of two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``,
-``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
+Sums by session add. Intervals allow for autocorrelated runs as those of `calib.radius.sessions` do; the slope's
+variance is that of two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation of
+the loads (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class PartSums:
     left: WheelSums | None
     right: WheelSums | None
     why: str = ""
-    doubtful: Sequence[str] = ()  #: checks of the law that failed, where it is that of these runs alone
+    doubtful: Sequence[str] = ()  #: checks of the law that failed
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
@@ -68,7 +67,7 @@ class WheelLine:
 
 @dataclass(frozen=True)
 class VehicleRecord:
-    """What is known of a vehicle; `why` says in one line what went wrong where `left` and `right` are None."""
+    """What is known of a vehicle; `why` says why `left` and `right` are None."""
 
     vehicle: str
     n_runs: int
@@ -76,7 +75,7 @@ class VehicleRecord:
     left: WheelLine | None
     right: WheelLine | None
     why: str = ""
-    doubtful: tuple[str, ...] = ()  #: checks of its law that failed
+    doubtful: tuple[str, ...] = ()
 
     @property
     def status(self) -> str:
@@ -101,10 +100,7 @@ class VehicleRecord:
 
 
 def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
-    """Return a vehicle's record from the sums of its files.
-
-    Failed where a file could not be used, files count from different origins, or the runs carry no line.
-    """
+    """Return a vehicle's record from the sums of its files."""
     # sums shall not depend on the order of reading
     parts = sorted(parts, key=lambda part: part.name)
     wrong = next((part.why for part in parts if part.why), "" if parts else "it has no file of journeys")
@@ -152,29 +148,24 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     return Drift(rate, float(np.sqrt(float(weight @ residuals**2) / dof / info)), dof, float(day.max()))
 
 
-#: columns of `WheelSums.order`
-N_ORDER: Final = 6
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelSums:
     """Sums over a wheel's runs, which add."""
 
     runs: SessionSums
-    #: shape (n_sessions, 6): over pairs of successive runs in a session: their number; sums of the products of load and
-    #: load, load and radius (half of either way), radius and radius; sums of both loads, of both radii
+    #: shape (n_sessions, 6): sums of `_pairs` over successive runs in a session
     order: FloatArray
-    whole: FloatArray  #: shape (6,): the same over all runs of a file, sessions disregarded
+    whole: FloatArray  #: shape (6,): the same over all runs of a file
 
     @staticmethod
     def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> WheelSums:
-        """Return the sums of runs in the order driven, each argument of shape (n_runs,)."""
+        """Return the sums of runs in the order driven."""
         runs = SessionSums.from_runs(session, load_N, radius_m, day)
         index = np.searchsorted(runs.session, session)
         together = np.argsort(index, kind="stable")
         at, pairs = index[together], _pairs(load_N[together], radius_m[together])
         same = at[1:] == at[:-1]
-        order = np.zeros((len(runs.session), N_ORDER))
+        order = np.zeros((len(runs.session), 6))
         np.add.at(order, at[1:][same], pairs[same])
         return WheelSums(runs, order, _pairs(load_N, radius_m).sum(axis=0))
 
@@ -185,14 +176,14 @@ class WheelSums:
         table = np.array(kept["table"], dtype=np.float64).reshape(-1, 8)
         labels = np.array(kept["session"], dtype=np.str_)
         runs = SessionSums(labels, table, float(kept["load_min_N"]), float(kept["load_max_N"]))
-        order = np.array(value["order"], dtype=np.float64).reshape(-1, N_ORDER)
+        order = np.array(value["order"], dtype=np.float64).reshape(-1, 6)
         return WheelSums(runs, order, np.array(value["whole"], dtype=np.float64))
 
     def added(self, other: WheelSums) -> WheelSums:
         """Return the sums of both, sessions of one label joined."""
         runs = self.runs.added(other.runs)
         index = np.searchsorted(runs.session, np.concatenate([self.runs.session, other.runs.session]))
-        order = np.zeros((len(runs.session), N_ORDER))
+        order = np.zeros((len(runs.session), 6))
         np.add.at(order, index, np.concatenate([self.order, other.order]))
         return WheelSums(runs, order, self.whole + other.whole)
 
@@ -204,10 +195,10 @@ def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Residuals in independent blocks, each about its mean, the loads' slope removed."""
+    """Residuals in independent blocks."""
 
     sizes: FloatArray
-    #: lag-one autocorrelation of the residuals, and of the loads where a slope is fitted, else None
+    #: lag-one autocorrelation of the residuals, and of the loads where a slope is fitted
     lag_one: float
     of_loads: float | None
 
@@ -241,13 +232,9 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """Return an estimate with intervals that allow for autocorrelated runs, and their autocorrelation.
-
-    0 where none is significant, else its upper bound of one standard deviation.
-    """
+    """Return an estimate with intervals for autocorrelated runs, and their autocorrelation, 0 if not significant."""
     from scipy.special import ndtr
 
-    by_session = estimate.dof_between > 0
     blocks = _blocks_of(estimate, sums)
     if blocks is None:
         return estimate, 0.0
@@ -262,8 +249,8 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
         low, high = (middle, high) if product / square < blocks.lag_one + std else (low, middle)
     _, square, squared = blocks.expected(high)
     of_slope = blocks.loads_ratio(high) * dof / square
-    scale = np.array([of_slope, of_slope])
-    if not by_session:
+    scale = np.full(2, of_slope)
+    if not estimate.dof_between > 0:
         # the runs' mean and the slope make up the radius at the reference load
         n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
         of_mean = float(2.0 * np.cumsum(high ** np.arange(n)).sum() - n) / n * dof / square
@@ -276,7 +263,6 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
 
 
 def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
-    """Return the residuals' blocks: several sessions, else all runs; None where nothing scatters."""
     n, x, y, xx, xy, yy = sums.runs.table[:, :6].T
     pairs, xx1, xy1, yy1, x_both, y_both = sums.order.T
     if not estimate.dof_between > 0:
@@ -297,7 +283,7 @@ def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
     return _Blocks(n[n > 1.0], lag_one, float(near_xx / info) if with_slope else None)
 
 
-#: sums of squares from a reference load count as zero below this share: rounding
+#: sums of squares count as zero below this share
 ROUNDING: Final = 1e-12
 
 
@@ -307,16 +293,15 @@ class SessionSums:
 
     #: each once, in order, shape (n_sessions,)
     session: StrArray
-    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, day squared. Loads
-    #: count from a reference load (N), radii from a nominal radius (m), days from any common day, shape (n_sessions, 8)
+    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, day squared; loads
+    #: and radii count from reference load and nominal radius, shape (n_sessions, 8)
     table: FloatArray
-    #: loads' span, from the same reference load; inf and -inf without runs
     load_min_N: float
     load_max_N: float
 
     @staticmethod
     def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> SessionSums:
-        """Return the sums of runs, each argument of shape (n_runs,)."""
+        """Return the sums of runs."""
         labels, index = np.unique(session, return_inverse=True)
         ones = np.ones_like(load_N)
         terms = (ones, load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day, day**2)
@@ -349,10 +334,7 @@ class SessionSums:
 
 
 def line_from_sums(sums: SessionSums) -> LineEstimate | None:
-    """Return the line as `stratified_line` gives it, without HC3; the plain one with one session, or one run in each.
-
-    None with fewer than three runs or a single load.
-    """
+    """Return the line as `stratified_line` gives it, without HC3; a plain one with one session, or one run in each."""
     n, n_sessions = sums.n_runs, len(sums.session)
     if n < 3:
         return None

@@ -24,16 +24,15 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Task = Callable[[Sequence[Item]], list[Result]]
 
-#: largest part of a worker's share of the remaining work in a batch: the last are small, and all workers end together
+#: a batch is at most this part of a worker's share of the remaining work: all workers end together
 PARTS_OF_A_SHARE: Final = 2
-#: pieces of work in a batch, least and most. Here: between progress reports. In processes: a file takes 3 ms or more, a
-#: hand-over 2 ms. By Dask: a task costs client, scheduler and worker 8 ms together
+#: pieces of work in a batch, least and most; a hand-over to processes takes 2 ms, by Dask 8 ms
 SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
 DASK_BATCH: Final = (8, 256)
-#: needed by nearly every task and the parent: imported before processes are made of it
+#: imported before processes are made of the parent
 SHARED_MODULES: Final = ("calib.fleet.run", "scipy.special")
-#: needed by nearly every task, but starts threads: imported by each worker
+#: starts threads: imported by each worker
 WORKER_MODULES: Final = ("pyarrow.parquet",)
 #: a scheduler may take so long to answer and to close; it is asked after so long without results
 ANSWER_S: Final = 10.0
@@ -55,10 +54,9 @@ def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
-    """Cut items into batches in order, none empty; for `weigh` see `Engine.run`.
+    """Cut items into batches in order; for `weigh` see `Engine.run`.
 
-    `largest`, `smallest`: pieces of work in a batch, at most (but for a single larger item) and at least (but for the
-    last); `workers`: how many share them.
+    `largest`, `smallest`: pieces of work in a batch, but for a single larger item and the last.
     """
     weights = [max(weigh(item), 1) for item in items]
     remaining = sum(weights)
@@ -77,7 +75,7 @@ def batches(
 
 
 class Engine:
-    """Runs tasks in this process; the engines below submit to others, whose workers stay between calls."""
+    """Runs tasks in this process."""
 
     #: least and most pieces of work in a batch
     batch: tuple[int, int] = SERIAL_BATCH
@@ -109,7 +107,7 @@ class Engine:
         """Replace the workers after one has died."""
 
     def ask(self) -> None:
-        """Raise RefusedError where no worker is left; called after `QUIET_S` without results."""
+        """Raise RefusedError where no worker is left."""
 
     def run(
         self,
@@ -118,14 +116,12 @@ class Engine:
         given_up: Callable[[Item, str], Result],
         weigh: Callable[[Item], int] = lambda _item: 1,
     ) -> Iterator[Result]:
-        """Run a task on all items, a few at a time, and yield the results as they come, one an item.
+        """Run a task on all items and yield the results as they come, one an item.
 
-        A worker that dies costs its own batches: their items are tried again one by one, so that the one that kills its
-        worker is found and the others go through.
+        The batches of a worker that dies are tried again one by one.
 
-        `task`: takes some items and returns a result for each; a module's function, since it is sent to others by name;
-        `given_up`: makes the result of an item that took its worker down twice, from the item and the reason; `weigh`:
-        pieces of work that an item stands for, so that batches are alike.
+        `task`: takes some items and returns a result for each, a module's function; `given_up`: makes the result of an
+        item that took its worker down twice, from the item and the reason; `weigh`: pieces of work that an item is.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []
@@ -144,7 +140,7 @@ class Engine:
     def _completed(
         self, task: Task[Item, Result], cut: Sequence[Sequence[Item]], at_once: int
     ) -> Iterator[tuple[Sequence[Item], list[Result] | None]]:
-        """Yield finished batches with results, None where the worker died; others then go on."""
+        """Yield finished batches with results, None where the worker died."""
         queue, running, broken = deque(cut), dict[Future[list[Result]], Sequence[Item]](), False
         while queue or running:
             while queue and not broken and len(running) < at_once:
@@ -166,14 +162,14 @@ class Engine:
 
 
 class ProcessEngine(Engine):
-    """Processes of this machine, started at once: they import while their parent lists the work."""
+    """Processes of this machine, started at once."""
 
     batch = PROCESS_BATCH
 
     def __init__(self, workers: int) -> None:
         self._workers, self.most_submitted = workers, 2 * workers
         if _may_fork():
-            import_modules(SHARED_MODULES)
+            _import_modules(SHARED_MODULES)
         self._pool = self._started()
         # the first task makes the workers, while this process has no other thread
         self._pool.submit(int)
@@ -188,11 +184,11 @@ class ProcessEngine(Engine):
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Begin a batch in a process; raises BrokenExecutor where one has died."""
+        """Begin a batch in a process."""
         return self._pool.submit(task, batch)
 
     def renew(self) -> None:
-        """Start other processes; raises RefusedError where they die before their first task: no item's fault."""
+        """Start other processes; raises RefusedError where they die before their first task."""
         self.close()
         self._pool = self._started()
         try:
@@ -209,7 +205,7 @@ class ProcessEngine(Engine):
 
 
 def _may_fork() -> bool:
-    """Return whether this process may be copied: it has no other thread, not even a library's."""
+    # this process has no other thread, not even a library's
     try:
         return "fork" in get_all_start_methods() and len(list(Path("/proc/self/task").iterdir())) == 1
     except OSError:
@@ -225,10 +221,9 @@ def _server() -> Any:
 
 
 def _begin_worker() -> None:
-    """Leave interruptions to the parent, and end when it has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    import_modules(WORKER_MODULES)
+    _import_modules(WORKER_MODULES)
 
 
 def _end_with_parent() -> None:
@@ -238,8 +233,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def import_modules(modules: Sequence[str]) -> None:
-    """Import modules before the first task; those not installed are skipped."""
+def _import_modules(modules: Sequence[str]) -> None:
     for module in modules:
         # a missing extra is reported by the task that needs it
         with suppress(ImportError):
@@ -271,17 +265,16 @@ class DaskEngine(Engine):
             self._client = Client(scheduler, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise self._lost(error) from error
-        # the workers import while this process lists the work
         modules = (*SHARED_MODULES, *WORKER_MODULES)
         for worker in self._client.nthreads():
             fire_and_forget(
-                self._client.submit(import_modules, modules, workers=[worker], allow_other_workers=True, pure=False)
+                self._client.submit(_import_modules, modules, workers=[worker], allow_other_workers=True, pure=False)
             )
         self._executor = self._client.get_executor(pure=False)
 
     @property
     def workers(self) -> int:
-        """How many threads the scheduler's workers have together."""
+        """How many threads the workers have."""
         threads: int = sum(self._client.nthreads().values())
         return max(1, threads)
 
@@ -291,7 +284,7 @@ class DaskEngine(Engine):
             self._client.close(timeout=CLOSE_S)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Give a batch to the scheduler, as bytes: it need not know what it passes on."""
+        """Give a batch to the scheduler, as bytes."""
         from distributed.protocol import serialize
 
         future: Future[list[Result]] = self._executor.submit(_unpacked, *serialize((task, batch)))
@@ -323,7 +316,7 @@ class DaskEngine(Engine):
 
 
 def _identify(address: str) -> None:
-    """Ask an address for its identity as scheduler: a client that waits in vain could not be closed."""
+    # a client that waits in vain could not be closed
     from distributed import rpc
 
     async def identity() -> None:

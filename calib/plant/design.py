@@ -26,13 +26,8 @@ Segment = tuple[float, float]  # length in m, curvature in 1/m
 _QUARTER: Final = np.pi / 2
 
 
-def segments_of(kind: str, *, length_m: float, side_m: float, radius_m: float) -> list[Segment]:
-    """Return a route as straights and arcs, left turns positive.
-
-    ``corridor`` (``corridor_b`` is its second lane, ``corridor_short`` a part of it), ``square_cw``, ``square_ccw``,
-    ``figure8``, ``route_left``, ``route_right`` or ``slalom``. The squares have straight sides of `side_m` and corners
-    of `radius_m`; the circles of the eight have 1.6 times that radius.
-    """
+def _segments(kind: str, *, length_m: float, side_m: float, radius_m: float) -> list[Segment]:
+    """Return a route as straights and arcs, left turns positive; ``_b`` is a second lane."""
     big, bend = 1.6 * radius_m, 3.0
     weave = [(0.6 * bend, 1 / bend), (1.2 * bend, -1 / bend), (0.6 * bend, 1 / bend)]
     routes = {
@@ -81,9 +76,9 @@ def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[Floa
 def tabulate(
     kinds: Sequence[str], *, length_m: float, side_m: float, radius_m: float, weaves: Sequence[tuple[float, float]]
 ) -> RouteTables:
-    """Tabulate the routes of all runs, see `segments_of`; equal routes share a table.
+    """Tabulate the routes of all runs; equal routes share a table.
 
-    `weaves`: amplitude and wavelength of each run's weave about the line, in m; amplitude 0 is none.
+    `weaves`: amplitude and wavelength of each run's weave about the line, in m; lengths are those of `Design`.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[FloatArray] = []
@@ -91,7 +86,7 @@ def tabulate(
     keys = list(zip(kinds, weaves, strict=True))
     for key in dict.fromkeys(keys):
         kind, weave = key
-        kappa, end_m = _grid(segments_of(kind, length_m=length_m, side_m=side_m, radius_m=radius_m), weave)
+        kappa, end_m = _grid(_segments(kind, length_m=length_m, side_m=side_m, radius_m=radius_m), weave)
         lead = weave[0] * 2 * np.pi / weave[1] if weave[0] > 0.0 else 0.0
         theta = np.arctan(lead) + np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * PITCH_M)))
         middle = 0.5 * (theta[1:] + theta[:-1])
@@ -185,6 +180,7 @@ COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
 
+_WAYS: Final = ("out", "back")
 _TURNING: Final = ("square_cw", "square_ccw", "figure8", "route_left", "route_right", "slalom")
 
 
@@ -220,21 +216,18 @@ def _vehicle(rng: np.random.Generator) -> Vehicle:
 def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[str] = (), **settings: Any) -> Design:
     """Return a crossed design: routes, loads, sides, speeds, temperatures, dwell and sessions vary apart, with repeats.
 
-    `needs`: see `calib.plant.world.Form`; `settings`: fields of `Design` that are given instead of drawn.
+    `needs`: see `calib.plant.signal.lacks`; `settings`: fields of `Design` that are given instead of drawn.
     """
     need = set(needs)
     n_sessions = int(rng.integers(3, 6))
-    conditions = _crossed(rng, max(8, n_runs // 3), need, turning=settings.pop("turning", True))
-    rows = _scheduled(rng, conditions, n_runs, n_sessions)
+    rows = _scheduled(rng, _crossed(rng, max(8, n_runs // 3), need), n_runs, n_sessions)
     return _design(rows, **{**_surroundings(rng, need, n_runs), **settings})
 
 
-def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, turning: bool) -> list[_Run]:
+def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str]) -> list[_Run]:
     payloads = [0.0, *sorted(rng.choice([50.0, 80.0, 100.0, 120.0, 150.0, 200.0], 3, replace=False))]
-    sides = [-0.15, 0.0, 0.15]
-    quick = [0.25, 0.35, 0.5, 0.65] if "three_speeds" in need else [0.25, 0.35, 0.5, 0.65, 0.8]
-    speeds = sorted(rng.choice(quick, 3, replace=False))
-    kinds = ["corridor", *_TURNING] if turning else ["corridor"]
+    quick = [0.25, 0.35, 0.5, 0.65, *([] if "three_speeds" in need else [0.8])]
+    speeds = sorted(rng.choice(quick, 3, replace=False).tolist())
 
     def deal(values: list[Any]) -> list[Any]:
         dealt = [values[number % len(values)] for number in range(n_conditions)]
@@ -242,14 +235,12 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
 
     # half go along the corridor, the others turn
     half = n_conditions // 2
-    route = ["corridor"] * half + [kinds[1:][number % (len(kinds) - 1)] for number in range(n_conditions - half)]
+    route = ["corridor"] * half + [_TURNING[number % len(_TURNING)] for number in range(n_conditions - half)]
     if "lanes" in need:
         route[:half:2] = ["corridor_b"] * len(route[:half:2])
     elif "lengths" in need or rng.random() < 0.5:
         route[1:half:3] = ["corridor_short"] * len(route[1:half:3])
-    ways = ["out", "back"]
-    payload, side, ahead = deal(payloads), deal(sides), deal([0.15, 0.4, 0.6])
-    speed = deal(list(map(float, speeds)))
+    payload, side, ahead, speed = map(deal, (payloads, [-0.15, 0.0, 0.15], [0.15, 0.4, 0.6], speeds))
     stops = deal([0, 0, 1, 3] if "stops" in need else [0, 0, 0, 1])
     flying = deal([True, False] if "flying" in need else [False])
     conditions = []
@@ -257,7 +248,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
         run = _Run(
             kind=kind,
-            direction=ways[(number // 2) % 2] if corridor else "",
+            direction=_WAYS[number // 2 % 2] if corridor else "",
             payload_kg=payload[number],
             payload_x_m=ahead[number] if loaded else 0.0,
             payload_y_m=side[number] if loaded else 0.0,
@@ -270,7 +261,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str], *, tur
 
 
 def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int, n_sessions: int) -> list[_Run]:
-    # dwell varies from run to run; no condition correlates with a session
+    # no condition correlates with a session
     levels = []
     for _ in range(n_sessions):
         cold = float(rng.uniform(10, 20))
@@ -279,7 +270,6 @@ def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int
     driven = [conditions[number] for number in np.resize(np.arange(len(conditions)), n_runs).tolist()]
     minutes = [float(rng.choice([2.0, 10.0, 30.0, 60.0])) if run.payload_kg > 0 else 0.0 for run in driven]
     shuffle = np.concatenate([rng.permutation(part) for part in np.array_split(np.arange(n_runs), len(conditions))])
-    # dealt by a shuffle of the whole order, sessions contiguous
     runs = []
     for number, at in enumerate(rng.permutation(shuffle)):
         place = number * n_sessions / n_runs
@@ -323,7 +313,7 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     }
     if name == "few_repeats":
         return _few_repeats(rng, n_runs, settings)
-    rows = [_POOR[name](rng, number, n_runs) for number in range(n_runs)]
+    rows = [_poor_run(name, rng, number, n_runs) for number in range(n_runs)]
     if name == "load_a_session":
         drawn["poses"] = str(rng.choice(["all", "none"]))
     if name == "squares_one_load":
@@ -331,36 +321,24 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
     return _design(rows, **{**drawn, **settings})
 
 
-def _load_a_session(rng: np.random.Generator, number: int, n_runs: int) -> _Run:
-    loads = [0.0, 50.0, 100.0, 150.0, 200.0]
-    session = number * len(loads) // n_runs
-    return _Run(
-        direction="out" if number % 2 == 0 else "back",
-        session=f"s{session + 1}",
-        payload_kg=loads[session],
-        payload_x_m=0.3 if loads[session] else 0.0,
-        temperature_C=round(19.0 + float(rng.uniform(-0.5, 0.5)), 1),
-        minutes_under_load=10.0 if loads[session] else 0.0,
-    )
-
-
-def _corridor_only(rng: np.random.Generator, number: int, n_runs: int) -> _Run:
-    payload = float(rng.choice([0.0, 100.0, 200.0]))
-    return _Run(
-        direction="out" if number % 2 == 0 else "back",
-        session=f"s{number * 3 // n_runs + 1}",
-        payload_kg=payload,
-        payload_x_m=0.4 if payload else 0.0,
-        payload_y_m=float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
-        speed_mps=float(rng.choice([0.3, 0.6])),
-        temperature_C=round(float(rng.uniform(12, 28)), 1),
-        minutes_under_load=10.0 if payload else 0.0,
-    )
-
-
-def _square_under_one_load(_rng: np.random.Generator, number: int, n_runs: int) -> _Run:
-    kind, session = ("square_cw", "square_ccw")[number % 2], f"s{number * 2 // n_runs + 1}"
-    return _Run(kind, session=session, payload_kg=100.0, minutes_under_load=10.0, speed_mps=0.4)
+def _poor_run(name: str, rng: np.random.Generator, number: int, n_runs: int) -> _Run:
+    session = number * {"load_a_session": 5, "corridor_only": 3, "squares_one_load": 2}[name] // n_runs
+    run = _Run(direction=_WAYS[number % 2], session=f"s{session + 1}", minutes_under_load=10.0)
+    if name == "squares_one_load":
+        return replace(run, kind=_TURNING[number % 2], direction="", payload_kg=100.0, speed_mps=0.4)
+    if name == "load_a_session":
+        temperature_C = round(19.0 + float(rng.uniform(-0.5, 0.5)), 1)
+        run = replace(run, payload_kg=50.0 * session, payload_x_m=0.3, temperature_C=temperature_C)
+    else:
+        payload = float(rng.choice([0.0, 100.0, 200.0]))
+        run = replace(
+            run,
+            payload_kg=payload,
+            payload_y_m=float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
+            speed_mps=float(rng.choice([0.3, 0.6])),
+            temperature_C=round(float(rng.uniform(12, 28)), 1),
+        )
+    return run if run.payload_kg else replace(run, payload_x_m=0.0, minutes_under_load=0.0)
 
 
 def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, Any]) -> Design:
@@ -368,11 +346,3 @@ def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, A
     what = np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_))
     first = np.unique(what, return_index=True)[1]
     return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))
-
-
-#: poor design -> one of its runs
-_POOR: Final = {
-    "load_a_session": _load_a_session,
-    "corridor_only": _corridor_only,
-    "squares_one_load": _square_under_one_load,
-}

@@ -25,7 +25,7 @@ _MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "ste
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """What happened, sampled at the logs' rate; the last frame of a run is its end."""
+    """What happened, at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
     #: shape (n_frames, n_runs): true motion in the run's own frame; frames behind a run's end repeat it; late_rad: the
@@ -64,10 +64,8 @@ def drive(
 ) -> Record:
     """Drive all runs of a world.
 
-    The path follower sees only the vehicle's odometry; its steering has a lag and a rate limit; the rear wheels roll on
-    the true radii and track, and the floor's texture makes a random walk of every wheel. Without `quantise` counts keep
-    their fractions, as derivatives need. Only the first `logged` runs have frames, by default all, every
-    `design.log_period_s` (0.25 s where that is 0); for the ends of the others see `Record.end`.
+    The path follower sees only the vehicle's odometry. Without `quantise` counts keep their fractions, as derivatives
+    need. Only the first `logged` runs have frames, by default all; for the ends of the others see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))
@@ -99,7 +97,7 @@ def drive(
 
 
 class _PastAngles:
-    """The steering angle some time ago, by parabolas: straight lines would cut every bend."""
+    """Past steering angles, by parabolas: straight lines would cut every bend."""
 
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
@@ -152,7 +150,7 @@ class _Runs:
         self.past = _PastAngles(world.steer_delay_s, step_s)
 
     def frame(self, at: slice | IntArray) -> FloatArray:
-        """Return what a record has of these runs at this moment, shape (15, n_runs)."""
+        """Return what a record has of these runs now, shape (15, n_runs)."""
         now, counted = self.now, self.angle[:, at] * self.per_rad
         if self.quantise:
             counted = np.floor(counted + self.noise.phase[:, at])
@@ -183,7 +181,7 @@ class _Runs:
         return np.asarray(rolling)
 
     def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
-        """Speed up, or brake for the next stop; return who has arrived and who is held there."""
+        """Return who has arrived at the next stop and who is held there."""
         remaining = self.target_m - self.progress_m
         held = self.pause_s > 0.0
         self.pause_s -= self.step_s
@@ -200,7 +198,7 @@ class _Runs:
         return arrived, held
 
     def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
-        """Move truly, with effects; return turns of the rear wheels (2, n_runs) and the front."""
+        """Return turns of the rear wheels (2, n_runs) and the front."""
         world, now, step_s = self.world, self.now, self.step_s
         now.curvature_per_m = np.tan(rolling) / self.wheelbase_m
         way = self.speed * step_s
@@ -262,7 +260,7 @@ class _Runs:
         return np.asarray(ended | flown)
 
     def halt(self, ended: IntArray) -> None:
-        """Stop the runs at their end; the moment keeps their speed."""
+        # the moment keeps their speed
         self.speed = self.speed.copy()
         self.done[ended], self.speed[ended] = True, 0.0
 

@@ -25,14 +25,8 @@ from calib.plant.world import (
 from calib.types import BoolArray, FloatArray
 
 
-def map_x_m(world: World, now: Moment) -> FloatArray:
-    """Return the hall's x of the runs, along the corridor; ``back`` starts at its far end."""
+def _map_x_m(world: World, now: Moment) -> FloatArray:
     return world.design.start_x_m + world.design.heading_sign * now.x_m
-
-
-def map_y_m(world: World, now: Moment) -> FloatArray:
-    """Return the hall's y of the runs, across the corridor."""
-    return world.design.heading_sign * now.y_m
 
 
 def _slope_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
@@ -51,13 +45,12 @@ def _zone_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 
 def _in_zone(world: World, now: Moment, knobs: Knobs) -> BoolArray:
-    place = map_x_m(world, now) - knobs["at_m"]
+    place = _map_x_m(world, now) - knobs["at_m"]
     return (place > 0) & (place < knobs["long_m"])
 
 
 @while_driving
 def _zone_distance(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Both wheels slip inside a strip across the hall: `size` a metre."""
     now.roll_more(size * _in_zone(world, now, knobs))
 
 
@@ -68,12 +61,11 @@ def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> 
 
 
 def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the second lane is uneven: the wheels roll further than the plan says
+    # the second lane is uneven
     world.rise = world.rise + size * np.char.endswith(world.design.kind, "_b")
 
 
 def _weave(world: World, size: FloatArray, knobs: Knobs) -> None:
-    # `size` is the largest amplitude, run by run another share of it
     shares = np.array([knobs[f"share_{number}"] for number in range(8)])
     world.weave_m = np.where(world.design.corridor, size * shares[np.arange(len(world.design)) % 8], 0.0)
     world.wavelength_m = np.full(len(world.design), knobs["wavelength_m"])
@@ -85,7 +77,6 @@ def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 
 def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Warm *and* loaded wheels shrink, cold and loaded ones grow."""
     world.enlarge(size * (standardised(world.mean_load_N) * standardised(world.design.temperature_C)))
 
 
@@ -102,12 +93,10 @@ def _middle_speed(_rng: np.random.Generator, design: Design) -> dict[str, float]
 
 @while_driving
 def _left_only(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """Only in tight left turns the vehicle turns less than its wheels say."""
     now.track += size * (now.curvature_per_m > 0.05)
 
 
 def _hidden(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """Something nobody wrote down, another in each condition."""
     number = conditions(world.design)
     drawn = np.random.default_rng(int(knobs["seed"])).standard_normal((2, int(number.max()) + 1))
     drawn -= drawn.mean(axis=1, keepdims=True)
@@ -120,9 +109,9 @@ def _seeded(rng: np.random.Generator, _design: Design) -> dict[str, float]:
 
 @while_driving
 def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a pull to the side that changes over the floor
-    wave = np.sin(2 * np.pi * map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
-    now.yaw_radps += size * now.v_mps * wave * np.cos(2 * np.pi * map_y_m(world, now) / knobs["wave_y_m"])
+    wave = np.sin(2 * np.pi * _map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
+    map_y_m = world.design.heading_sign * now.y_m
+    now.yaw_radps += size * now.v_mps * wave * np.cos(2 * np.pi * map_y_m / knobs["wave_y_m"])
 
 
 _PULL_WAVES = drawn(wave_x_m=(5.0, 9.0), wave_y_m=(6.0, 12.0), phase_rad=(-np.pi, np.pi))
@@ -156,7 +145,6 @@ def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 @while_driving
 def _lost_with_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    # with the square of the speed; `size` at 0.5 m/s
     now.lose_counts(size * (now.v_mps / 0.5) ** 2, right=bool(knobs["right"]))
 
 

@@ -19,7 +19,6 @@ from calib.plant.make import make_campaign, random_model
 from calib.plant.world import Cause
 from calib.types import FloatArray, IntArray
 
-#: its columns
 Table = dict[str, FloatArray | IntArray | list[str]]
 
 COUNTS_PER_REV: Final = 4096
@@ -75,7 +74,7 @@ class PlannedFleet:
 
     @property
     def labels(self) -> dict[str, dict[str, str]]:
-        """For the column ``hall``, the hall of each vehicle."""
+        """The hall of each vehicle."""
         hall = np.where(np.isin(np.arange(len(self.names)), self.in_hall), "B", "A")
         return {"hall": dict(zip(self.names, hall.tolist(), strict=True))}
 
@@ -102,7 +101,7 @@ class PlannedFleet:
 
 
 def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
-    """Draw a fleet: outliers, drifts, hall B, every wheel's radius and slope."""
+    """Draw a fleet; see `FleetTruth`."""
     n_vehicles, n_outliers, n_drifting = size.n_vehicles, size.n_outliers, size.n_drifting
     names = tuple(f"v{k:05d}" for k in range(n_vehicles))
     order = rng.permutation(n_vehicles)
@@ -124,10 +123,7 @@ def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
 
 
 def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> FleetTruth:
-    """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, with ``truth.json`` beside it.
-
-    The runs of a vehicle are spread over the months, two sessions in each. Needs pyarrow.
-    """
+    """Write a fleet as a Parquet dataset ``vehicle=ID/month=YYYY-MM/runs.parquet``, two sessions a month."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -178,10 +174,7 @@ class PosedTruth:
 def make_posed_fleet(
     folder: Path, rng: np.random.Generator, n_vehicles: int, n_runs: int, n_outliers: int, n_common: int
 ) -> PosedTruth:
-    """Write a fleet of one type: a folder a vehicle, ``vehicles.csv`` with their halls, and ``truth.json``.
-
-    For the vehicles with a track of their own (`n_outliers`), and in hall B (`n_common`), see `PosedTruth`.
-    """
+    """Write a fleet of one type, a campaign folder a vehicle; `n_outliers`, `n_common`: see `PosedTruth`."""
     refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
     design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})
     model = random_model(design, rng)

@@ -19,10 +19,7 @@ _STEER_STEP_RAD = 5e-4
 
 
 def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
-    """Return the pose reference without reading noise, shape (3, n_frames, n_runs).
-
-    Latency reads an earlier pose; a lever arm carries the target round; a mounting yaw turns the target's start frame.
-    """
+    """Return the pose reference without reading noise, shape (3, n_frames, n_runs)."""
     late = world.latency_s * record.v_mps
     late = np.minimum(late, np.hypot(record.x_m, record.y_m))
     curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
@@ -33,7 +30,7 @@ def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArra
 
 
 def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
-    """Return steering readings, shape (n_frames, n_runs): late, with play, zero and scale."""
+    """Return steering readings, shape (n_frames, n_runs)."""
     steer = record.late_rad
     if world.steer_backlash_rad.any():
         half = 0.5 * world.steer_backlash_rad
@@ -49,8 +46,7 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
     return np.round(steer / _STEER_STEP_RAD) * _STEER_STEP_RAD if quantise else steer
 
 
-def counts_with_blunder(world: World, counts: FloatArray) -> FloatArray:
-    """Return the counters with the world's blunder, shape (3, n_frames, n_runs)."""
+def _with_blunder(world: World, counts: FloatArray) -> FloatArray:
     if not world.blunder or not world.blunder_runs.any():
         return counts
     struck = world.blunder_runs > 0
@@ -67,10 +63,7 @@ def counts_with_blunder(world: World, counts: FloatArray) -> FloatArray:
 
 
 def simulated_poses(world: World, record: Record) -> FloatArray:
-    """Return an outside simulator's end poses, shape (3, n_runs), by the record's counts.
-
-    Exact arcs, or (`world.euler`) the heading at the end of each step.
-    """
+    """Return an outside simulator's end poses, shape (3, n_runs), by exact arcs or (`world.euler`) Euler steps."""
     per_rad = world.design.counts_per_rev / (2 * np.pi)
     left, right = (record.counts[side] / per_rad for side in (0, 1))
     left_m, right_m = left * world.believed_left_m, right * world.believed_right_m
@@ -113,13 +106,12 @@ def _columns(
 
 
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
-    """Return the campaign as read from its folder; see `make_campaign`.
+    """Return the campaign as read from its folder, see `make_campaign`; after `n_runs` names and lines begin again.
 
-    The campaign file states the instruments' noise, not quite truly. After `n_runs` names and lines begin again, where
-    several campaigns stand end to end.
+    The instruments' noise is stated not quite truly.
     """
     design = world.design
-    counts = counts_with_blunder(world, record.counts)
+    counts = _with_blunder(world, record.counts)
     poses = reference_poses(world, draw, record)
     numbers = _columns(world, draw, record, record.last(counts), record.last(poses) + draw.pose.T)
     width = max(3, len(str(n_runs)))
@@ -167,7 +159,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
 
 
 def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
-    """Return what the simulator believes: a calibrated vehicle, with the load law that the design shares."""
+    """Return what the simulator believes: a calibrated vehicle."""
     vehicle = design.vehicle
     radius = vehicle.wheel_radius_m * (1 + 2e-3 * rng.uniform(-1, 1, 2) - 5e-3)
     slopes = design.slope_per_N * radius * np.array([1.0, rng.uniform(0.85, 1.15)])
@@ -199,7 +191,7 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
 def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | None = None) -> World:
     """Let causes change a world in place, and return it.
 
-    `blocks` (n_causes, n_runs) is the share of each cause's size that acts on each run; all of it by default.
+    `blocks` (n_causes, n_runs): share of each cause's size that acts on each run.
     """
     n_runs = len(world.design)
     for number, cause in enumerate(causes):

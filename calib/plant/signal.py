@@ -21,6 +21,7 @@ from calib.types import FloatArray, floats, grouped
 
 #: effects that a recalibration absorbs: their signal is taken without projecting it out
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
+#: these act with the square of their size
 _SQUARED: Final = ("beam_misalignment", "path_weave")
 _ABSORBED = 1e-2  # share of its norm below which a change is taken up by the recalibration
 _LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
@@ -60,12 +61,12 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Levers:
-    """Change of the outputs at the end by a metre of path error and a radian of heading error at each frame."""
-
-    path: FloatArray  # (n_steps, n_runs, 6)
-    turn: FloatArray  # (n_steps, n_runs, 6)
-    way: FloatArray  # (n_steps, n_runs)
-    turned: FloatArray  # (n_steps, n_runs)
+    #: shape (n_steps, n_runs, 6): change of the outputs by a metre of path error, and a radian of heading error
+    path: FloatArray
+    turn: FloatArray
+    #: shape (n_steps, n_runs)
+    way: FloatArray
+    turned: FloatArray
 
 
 def _levers(record: Record) -> _Levers:
@@ -82,7 +83,7 @@ def _levers(record: Record) -> _Levers:
 
 
 def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
-    """Return the covariance of `outputs`, shape (n_runs, 6, 6), by linear propagation along the path driven."""
+    """Return the covariance of `outputs`, shape (n_runs, 6, 6), by linear propagation."""
     levers, track = _levers(record), world.model.track_m
     variance = noise.texture_m**2 * np.abs(levers.way)
     total = np.einsum("kr,krc,krd->rcd", 0.5 * variance, levers.path, levers.path)
@@ -131,23 +132,17 @@ def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -
 
 
 def left_of(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> FloatArray:
-    """Return a change as `strength` takes it, whitened, what is absorbed projected out, shape (6 n_runs,)."""
-    white, directions = whiten(change, cov, absorbed)
-    return white if directions is None else white - directions @ np.linalg.lstsq(directions, white, rcond=1e-10)[0]
-
-
-def whiten(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> tuple[FloatArray, FloatArray | None]:
-    """Return the whitened change, shape (6 n_runs,), and the whitened directions, shape (6 n_runs, n)."""
+    """Return a change as `strength` takes it, whitened and projected, shape (6 n_runs,)."""
     present = np.isfinite(change)
     both = present[:, :, None] & present[:, None, :]
     root = np.linalg.cholesky(np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0)))
     white = np.linalg.solve(root, np.where(present, change, 0.0)[:, :, None])[:, :, 0].ravel()
     if absorbed is None:
-        return floats(white), None
+        return floats(white)
     directions = np.linalg.solve(root, np.where(present[:, :, None], absorbed, 0.0)).reshape(len(white), -1)
     scale = np.linalg.norm(directions, axis=0)
     unit = directions / np.where(scale > 0, scale, 1.0)
-    return floats(white), floats(unit)
+    return floats(white - unit @ np.linalg.lstsq(unit, white, rcond=1e-10)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,14 +167,14 @@ def strengths(
 ) -> Strength:
     """Drive without noise, without any cause and with each; see `Strength`.
 
-    `weigh`: whether to weigh each, alone and beside the others, which is quadratic in the number of causes.
+    `weigh`: whether to fill `alone` and `beside`.
     """
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         # end poses need no fine log
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
-    # the first block of runs without any cause, the next with the first one alone, and so on
+    # the first block without any cause, the next with the first alone, and so on
     blocks = np.repeat(np.eye(n_causes, n_causes + 1, 1), n_runs, axis=1)
     apply_causes(world, causes, blocks)
     still = quiet(n_runs).tile(n_causes + 1)
@@ -211,12 +206,9 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 def to_signal(
     design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
 ) -> tuple[list[Cause], Noise, Strength]:
-    """Scale causes so that each alone has the wanted signal.
+    """Scale causes so that each alone has the wanted signal (NaN: as it is), and return what was reached.
 
-    Where that would take more than about three times the typical size, the noise is lowered first (to a quarter at
-    most); where hardly anything, raised (threefold at most). NaN leaves a cause as it is.
-
-    Returned are the causes at their sizes, the noise, and what was reached; see `Strength`.
+    Where that would take sizes far from the typical one, the noise is changed first; see `Strength`.
     """
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])
@@ -236,7 +228,6 @@ def to_signal(
             if attempt:
                 return scaled, noise, reached_by
             break
-        # these act with the square of their size; everything else in proportion
         sizes = sizes * factor ** np.array([0.5 if cause.effect in _SQUARED else 1.0 for cause in causes])
         scaled = [replace(cause, size=float(f"{size:.5g}")) for cause, size in zip(causes, sizes, strict=True)]
     return scaled, noise, strengths(design, model, noise, scaled, step_s=0.04)
@@ -255,7 +246,7 @@ _KNOBS: Final[dict[str, list[dict[str, float]]]] = {
 
 
 def lacks(design: Design, needs: Iterable[str]) -> list[str]:
-    """Return what a design lacks of an effect's needs; see `calib.plant.world.Form`."""
+    """Return what a design lacks of an effect's needs."""
     turning = bool((~design.corridor).any())
     has = {
         "loads": len(np.unique(design.payload_kg)) > 1,
@@ -317,17 +308,17 @@ class Alternatives:
 
     def families(self) -> dict[tuple[str, str], list[int]]:
         """Return the numbers of the variants that add up to one form of one effect; the cause is number 0."""
-        # one wheel or the other, never both: alternatives, while the other variants of an effect add up
+        # one wheel or the other, never both
         numbered = enumerate(self.variants, start=1)
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)
 
     def left(self, number: int) -> FloatArray:
-        """Return what one leaves, whitened and projected, shape (n_rows,)."""
+        """Return what one leaves; see `left_of`."""
         return left_of(self.driven.change[number], self.driven.cov, self.driven.absorbed)
 
 
 def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> Alternatives:
-    """Drive a cause and every effect that the design can show."""
+    """Drive a cause and all that the design can show."""
     variants = _variants(design, model.slope_left_m_per_N)
     driven = strengths(design, model, noise, [cause, *variants], step_s=0.08, weigh=False)
     return Alternatives(cause, variants, driven)
@@ -336,8 +327,7 @@ def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Caus
 def rivals(among: Alternatives) -> list[tuple[str, float]]:
     """Return the other effects that the design can show, nearest first, each with its distance from the cause.
 
-    The distance, by the best of its forms, is the norm of what it cannot imitate in standard deviations of the noise, a
-    recalibration being free.
+    By the best of its forms: the norm of what it cannot imitate, beside a recalibration.
     """
     driven = among.driven
     nearest: dict[str, float] = {}

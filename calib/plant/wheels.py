@@ -13,9 +13,6 @@ def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.enlarge(-0.5 * size, 0.5 * size)
 
 
-# load laws: size is the relative slope of the left wheel per newton, or what stands in the form's unit
-
-
 def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
     left_N, right_N = world.load_left_N - REFERENCE_LOAD_N, world.load_right_N - REFERENCE_LOAD_N
     world.enlarge(size * left_N, size * knobs["right_ratio"] * right_N)
@@ -37,7 +34,7 @@ def _with_exponent(draw: Draw, exponent: float) -> Draw:
 
 
 def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
-    # the linear law, with the load that rides along in curves and while braking
+    # with the load that shifts in curves and while braking
     _load_linear(world, size, knobs)
     vehicle, weight = world.design.vehicle, world.total_weight_N
     height = vehicle.cog_z_m
@@ -48,9 +45,6 @@ def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
         now.roll_more(size * (-across - along), size * knobs["right_ratio"] * (across - along))
 
     world.during.append(during)
-
-
-# creep: share of the payload's load, after it was put on
 
 
 def _payload_share(world: World) -> tuple[FloatArray, FloatArray]:
@@ -90,15 +84,11 @@ def _eccentric(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> Non
     now.roll_more(share * np.cos(left), share * np.cos(right))
 
 
-# temperature, wear, sessions
-
-
 def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.enlarge(size * np.nan_to_num(world.design.temperature_C - 20.0))
 
 
 def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # exponential in temperature, and a little more under load
     warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
     mean = float(np.mean(world.mean_load_N))
     more = (1 + 0.15 * (load / mean - 1) for load in (world.load_left_N, world.load_right_N))
@@ -111,7 +101,6 @@ def _session_index(design: Design) -> tuple[FloatArray, int]:
 
 
 def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """`size` a session of driving, the right wheel at its own rate."""
     index, _ = _session_index(world.design)
     grown = index ** knobs.get("exponent", 1.0)
     world.enlarge(-size * grown, -size * knobs["right_ratio"] * grown)
@@ -138,7 +127,6 @@ def _session(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 
 def _column(world: World, size: FloatArray, knobs: Knobs) -> None:
-    """`size` a standard deviation of a further column, on both radii."""
     name = next(key for key in knobs if key.startswith("column:")).removeprefix("column:")
     world.enlarge(size * standardised(world.design.columns[name]))
 
@@ -205,7 +193,7 @@ def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _transfer_roll(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the body rolls on its springs first: the transfer lags
+    # the body rolls on its springs first
     lever, roll, before_s = _lever(world), np.zeros(len(world.design)), 0.0
 
     def during(now: Moment) -> None:
@@ -223,7 +211,6 @@ def _loaded_track(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _loaded_track_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the contact patches spread
     low, high = REFERENCE_LOAD_N**0.85, 1100.0**0.85
     world.track = world.track * (1 + size * 800 * (world.mean_load_N**0.85 - low) / (high - low))
 
@@ -234,7 +221,7 @@ def _scrub(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    """By the torque that turns the contact patches: saturates in tight curves."""
+    # the torque that turns the contact patches saturates
     load = (world.mean_load_N / float(np.mean(world.mean_load_N))) ** 0.15
 
     def during(now: Moment) -> None:
@@ -250,7 +237,7 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
 
 @while_driving
 def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # `size` metres a stop from 0.5 m/s, with the square of the speed
+    # `size` metres a stop from 0.5 m/s:
     # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
     now.roll_more(size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25)
 
@@ -267,12 +254,10 @@ def _direction(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 @while_driving
 def _drive_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # rolling resistance and acceleration; `size` at 0.3 m/s^2
     now.drive += size * (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
 
 
 def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the same, rising faster than its traction, and with the payload
     weight = world.total_weight_N / float(np.mean(world.total_weight_N))
 
     def during(now: Moment) -> None:

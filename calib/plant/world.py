@@ -68,7 +68,6 @@ class NoiseDraw:
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> FloatArray:
-    """Draw from Student's t of unit variance; the normal where `tail` is infinite."""
     if np.isinf(tail):
         return rng.standard_normal(shape)
     return np.asarray(rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail))
@@ -112,7 +111,7 @@ _SCALES: Final = {
 
 
 def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
-    """Draw a case's noise: scales over a factor of about four, tails from t(3.5) to normal."""
+    """Draw a case's noise."""
     drawn = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in _SCALES.items()}
     drawn["tail"] = float(rng.choice([3.5, 5.0, 8.0, np.inf]))
     return Noise(**{**drawn, **fixed})
@@ -155,14 +154,13 @@ class Moment:
         return Moment(0.0, *rows)
 
     def roll_more(self, left: FloatArray, right: FloatArray | None = None) -> None:
-        """Add shares to the rolling radii; one share counts for both."""
+        """Add shares to the rolling radii."""
         self.left += left
         self.right += left if right is None else right
 
     def lose_counts(self, share: FloatArray, *, right: bool) -> None:
         """Add a share to what the counter of one side loses."""
-        lost = self.lost_right if right else self.lost_left
-        lost += share
+        self.added[4 if right else 3] += share
 
 
 @dataclass(slots=True)
@@ -208,7 +206,7 @@ class World:
     during: list[Callable[[Moment], None]] = field(default_factory=list)  #: effects that act while driving
 
     def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:
-        """Make the radii larger by shares; one share counts for both."""
+        """Make the radii larger by shares."""
         self.left = self.left * (1 + left)
         self.right = self.right * (1 + (left if right is None else right))
 
@@ -225,7 +223,7 @@ class World:
     def seen_target(
         self, x_m: FloatArray, y_m: FloatArray, theta_rad: FloatArray, turned_rad: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return where the pose reference sees its target: on a lever arm, in a turned start frame."""
+        """Return where the pose reference sees its target."""
         lever_x, lever_y = self.ref_lever_x_m, self.ref_lever_y_m
         cos, sin = np.cos(theta_rad), np.sin(theta_rad)
         x, y = x_m + cos * lever_x - sin * lever_y - lever_x, y_m + sin * lever_x + cos * lever_y - lever_y
@@ -233,7 +231,7 @@ class World:
         return cos * x - sin * y, sin * x + cos * y
 
     def settle(self) -> None:
-        """Put the true payload on: loads, and radii by the law that truth and model share."""
+        """Put the true payload on: loads, and radii."""
         design, payload_kg = self.design, self.payload_scale * self.design.payload_kg
         left_before, right_before = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
         x_m, y_m = design.payload_x_m + self.payload_dx_m, design.payload_y_m + self.payload_dy_m
@@ -250,10 +248,7 @@ def standardised(values: FloatArray) -> FloatArray:
 def wheel_loads(
     vehicle: Vehicle, payload_kg: FloatArray, payload_x_m: FloatArray, payload_y_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the static loads of the left and right rear wheel by moments about the axle and the centre line.
-
-    The payload stands ahead of the rear axle and left of the centre line; all arrays (n_runs,).
-    """
+    """Return the static loads of the left and right rear wheel; the payload stands ahead and left of their middle."""
     length, width = vehicle.wheelbase_m, vehicle.track_m
     rear = vehicle.mass_kg * (1 - vehicle.cog_x_m / length) + payload_kg * (1 - payload_x_m / length)
     moment = vehicle.mass_kg * vehicle.cog_y_m + payload_kg * payload_y_m
@@ -291,7 +286,7 @@ Draw = Callable[[np.random.Generator, Design], dict[str, float]]
 
 
 def drawn(**ranges: tuple[float, float]) -> Draw:
-    """Return a draw of knobs, each evenly from its range, one after the other."""
+    """Return a draw of knobs, each evenly from its range."""
     return lambda rng, _: {name: float(rng.uniform(low, high)) for name, (low, high) in ranges.items()}
 
 
@@ -309,7 +304,7 @@ def added(name: str) -> Act:
 
 
 def scaled(*names: str) -> Act:
-    """Return an act that makes fields of the world larger by its size, a share."""
+    """Return an act that makes fields of the world larger by a share."""
 
     def act(world: World, size: FloatArray, _: Knobs) -> None:
         for name in names:
@@ -332,10 +327,7 @@ class Form:
     typical: float
     unit: str
     act: Act
-    #: what a design must have for the effect to be there at all: ``loads``, ``offsets``, ``turns``, ``speeds``,
-    #: ``temperatures``, ``dwell``, ``sessions``, ``directions``, ``corridor``, ``laser``, ``poses``, ``front``,
-    #: ``flying``, ``stops``, ``slope`` (truth and model share a load law), ``trace``, ``lanes``, ``lengths``,
-    #: ``outside``, ``no_logs``, ``column:<name>``, ``bends`` (several radii of turn)
+    #: what a design must have for the effect to be there at all; see `calib.plant.signal.lacks`
     words: str = ""
     knobs: Draw = _NO_KNOBS  #: further choices, once a case
 

@@ -17,9 +17,8 @@ __all__ = [
     "READERS", "Layout", "RawTable", "Wanted", "holds_recording", "is_bag_folder", "read_recording", "read_table",
 ]  # fmt: skip
 
-#: suffix -> module and function of this package, imported when first needed: ``read…(path, shown, wanted, layout)``
-#: returns a `RawTable`, or ``record…(path, shown, wanted)`` a `Recording`. `shown` is the file's name in messages;
-#: `wanted` picks the columns and makes them numeric, None keeps all as read.
+#: suffix -> module and function of this package: ``read…(path, shown, wanted, layout)`` returns a `RawTable`,
+#: ``record…(path, shown, wanted)`` a `Recording`. `shown` is the file's name in messages
 READERS: Final[dict[str, str]] = {
     ".csv": "delimited.read",
     ".tsv": "delimited.read",
@@ -33,17 +32,15 @@ READERS: Final[dict[str, str]] = {
     ".mat": "daq.record_mat",
     ".tum": "recording.record",
 }
-#: a rosbag2 folder has this file
 BAG_METADATA: Final = "metadata.yaml"
 
 
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
     """Read a table with its suffix's reader; a recording's streams are joined.
 
-    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name as found; True keeps
-    the column and makes it numeric. Without it every column is kept as read, text included. `layout`: sheet and header
-    row where they are known; else they are looked for. Raises BadFileError
-    where the file is missing, of an unknown format or damaged, or a reader's extra is not installed.
+    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name; True keeps the
+    column and makes it numeric; None keeps all as read. Raises BadFileError where the file is missing, of an unknown
+    format or damaged, or a reader's extra is not installed.
     """
     read = _reader(path, shown)
     try:
@@ -60,9 +57,7 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
 def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
     """Read a recording: a ROS bag, TDMS, ``.mat`` or trajectory file.
 
-    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name; True keeps the
-    column. A `WantedColumns` lets whole topics be passed over. Raises BadFileError as `read_table`; and where the file
-    is a table.
+    See `read_table`; a `WantedColumns` lets whole topics be passed over. Raises BadFileError also of a table.
     """
     record = _reader(path, shown)
     if not holds_recording(path):
@@ -75,7 +70,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
 
 
 def holds_recording(path: Path) -> bool:
-    """Return whether a path's format holds streams rather than one table."""
+    """Return whether a path's format holds streams."""
     return ".record" in _name(path)
 
 

@@ -1,8 +1,7 @@
 """Files of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra.
 
-Of MATLAB numeric arrays and structures of them; objects and cells are never loaded, and the element tree is checked
-before a reader in C that trusts every tag gets it. Of TDMS groups, channels, properties at three levels, waveform
-times.
+Objects and cells of MATLAB are never loaded, and the element tree is checked before a reader in C that trusts every tag
+gets it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from calib.campaign.model import Note
 from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import NS_PER_S
 from calib.errors import MATLAB_UNPACKED_BYTES, BadFileError, damage_named, missing_reader
-from calib.types import FloatArray, IntArray, floats
+from calib.types import FloatArray, IntArray, floats, grouped
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel
@@ -46,19 +45,17 @@ _CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15
 _COMPLEX_FLAG: Final = 0x800
 #: cells, structures, objects
 _CONTAINER_CLASSES: Final = range(1, 4)
-#: of nested structures
 _MAX_DEPTH: Final = 32
 
 
 def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read a ``.mat`` file; variables of one length are one stream; see `calib.campaign.readers.read_recording`."""
+    """Read a ``.mat`` file; variables of one length are one stream."""
     notes: list[Note] = []
     loaded = _load(path, shown, wanted, notes)
     columns: dict[str, FloatArray] = {}
     properties: dict[str, str] = {}
 
     def flatten(name: str, value: Any) -> None:
-        """Take an array as columns, a number as property, structures field by field."""
         kind = value.dtype.kind if isinstance(value, np.ndarray) else ""
         if kind == "V" and value.size == 1:
             for part in value.dtype.names or ():
@@ -69,16 +66,16 @@ def record_mat(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
         elif kind in {*"iufb"} and value.size == 1:
             properties[name] = repr(float(value.flat[0]))
         elif kind in {*"iufb"} and value.size:
-            columns.update(matrix_columns(name, value))
+            columns.update(_matrix_columns(name, value))
 
     for name, value in loaded.items():
         flatten(name, value)
-    by_length: dict[int, dict[str, FloatArray]] = {}
-    for name, values in columns.items():
-        if wanted is None or wanted(name):
-            by_length.setdefault(len(values), {})[name] = values
-    longest_first = [by_length[length] for length in sorted(by_length, reverse=True)]
-    streams = [Stream(_numbered("variables", at), "variables", of, None, "none") for at, of in enumerate(longest_first)]
+    kept = {name: values for name, values in columns.items() if wanted is None or wanted(name)}
+    by_length = grouped((len(values), (name, values)) for name, values in kept.items())
+    streams = [
+        Stream(_numbered("variables", at), "variables", dict(by_length[length]), None, "none")
+        for at, length in enumerate(sorted(by_length, reverse=True))
+    ]
     return Recording(tuple(streams), tuple(notes), properties)
 
 
@@ -91,8 +88,7 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
 
     remedy = "save it again with: save('file.mat', '-v7')"
     with damage_named(shown, "a MATLAB file", "a whole one of version 5 to 7.2", remedy):
-        # the reader is machine code that trusts every tag
-        check_elements(path.read_bytes())
+        _check_elements(path.read_bytes())
         try:
             listed = scipy.io.whosmat(str(path))
         except NotImplementedError as error:
@@ -109,8 +105,7 @@ def _load(path: Path, shown: str, wanted: Callable[[str], bool] | None, notes: l
     return {name: loaded[name] for name in kept if name in loaded}
 
 
-def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
-    """Return an array of one or two dimensions as columns ``name`` or ``name[0]``, ``name[1]``, ..."""
+def _matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]:
     matrix = floats(values)
     if matrix.ndim == 1 or (matrix.ndim == 2 and 1 in matrix.shape):
         return {name: matrix.ravel()}
@@ -120,11 +115,8 @@ def matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray]
     return {f"{name}[{index}]": column.copy() for index, column in enumerate(long.T)}
 
 
-def check_elements(data: bytes) -> None:
-    """Raise ValueError where a tag, class or length of a file's elements is wrong.
-
-    `data`: the whole file with its header of 128 bytes. A header of another version than 5 is left to the reader.
-    """
+def _check_elements(data: bytes) -> None:
+    """Raise ValueError where an element is wrong; another version than 5 is left to the reader."""
     if (order := {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])) is None:
         raise ValueError("no header of version 5")
     if struct.unpack(f"{order}H", data[124:126])[0] >> 8 == 1:
@@ -165,7 +157,7 @@ def _array(content: memoryview, order: str, depth: int) -> None:
     kind, is_complex = flags & 0xFF, bool(flags & _COMPLEX_FLAG)
     if kind not in _ARRAY_CLASSES:
         raise ValueError(f"an array of class {kind}")
-    # flags, dimensions, name, then a sparse one's rows and columns, then real and imaginary numbers
+    # flags, dimensions, name, a sparse one's rows and columns, real and imaginary numbers
     wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
     if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
         raise ValueError(f"an array of class {kind} with {len(parts)} of {wanted} elements")
@@ -190,12 +182,11 @@ def _unpacked(content: memoryview) -> bytes:
 
 #: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
-#: no channel is held twice
 _CHUNK_SAMPLES: Final = 1 << 20
 
 
 def record_tdms(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read a TDMS file; columns are called ``group/channel``; see `calib.campaign.readers.read_recording`."""
+    """Read a TDMS file; columns are called ``group/channel``."""
     try:
         from nptdms import TdmsFile
     except ImportError as error:
@@ -250,12 +241,13 @@ def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
-    together: dict[tuple[str | int, ...], dict[str, TdmsChannel]] = {}
-    for name, channel in channels.items():
-        track = tuple(str(channel.properties.get(key)) for key in ("wf_start_time", "wf_increment", "wf_start_offset"))
-        together.setdefault((len(channel), *track), {})[name] = channel
+    keys = ("wf_start_time", "wf_increment", "wf_start_offset")
+    together = grouped(
+        ((len(channel), *(str(channel.properties.get(key)) for key in keys)), (name, channel))
+        for name, channel in channels.items()
+    )
     streams = []
-    for number, members in enumerate(together.values()):
+    for number, members in enumerate(map(dict, together.values())):
         time, clock, columns = _time(next(iter(members.values()))), "waveform properties", {}
         for name, channel in members.items():
             if channel[0:1].dtype.names:
@@ -270,6 +262,7 @@ def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
 
 
 def _values(channel: TdmsChannel) -> FloatArray:
+    # no channel is held twice
     values: FloatArray = np.empty(len(channel))
     for start in range(0, len(channel), _CHUNK_SAMPLES):
         values[start : start + _CHUNK_SAMPLES] = channel[start : min(start + _CHUNK_SAMPLES, len(channel))]

@@ -19,20 +19,18 @@ from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, ta
 from calib.campaign.readers.table import LARGEST_VALUE, Layout, RawTable, Wanted, check_header, find_header, is_number
 from calib.campaign.readers.text import find_delimiter, split_cells, tidy, utf8
 from calib.errors import BadFileError
-from calib.types import FloatArray
+from calib.types import FloatArray, grouped
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 #: searched for the header
 _HEAD_BYTES: Final = 1 << 16
-#: numpy reads tables of numbers up to so many bytes: as fast as pandas, whose import takes as long as two hundred of
-#: them
+#: numpy reads tables of numbers up to so many bytes: importing pandas takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
-#: that show a header
 _FEW_ROWS: Final = 8
-#: keeps a file out of a batch: quotes, other ends of lines, other delimiters, no text, a zero with a sign
+#: keeps a file out of a batch
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 #: beyond it a float64 skips whole numbers
@@ -40,7 +38,7 @@ _EXACT_WHOLE: Final = 2.0**53
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
-    """Read a delimited text file; see `calib.campaign.readers.read_table`."""
+    """Read a delimited text file."""
     if (size := path.stat().st_size) > 4 << 30:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
     data, notes = utf8(path.read_bytes(), shown)
@@ -73,16 +71,10 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
-    """Read the plain ones of many small files, those of one header at once.
-
-    The numbers are those of `calib.campaign.readers.read_table`. `files`: files and their names in messages; `wanted`:
-    called with each column name; True keeps the column. One a file; None where it has to be read by itself.
-    """
+    """Read the plain ones of many small files (with names in messages), those of one header at once; else None."""
     tables: list[RawTable | None] = [None] * len(files)
-    groups: dict[str, list[tuple[int, bytes]]] = {}
-    for index, (path, shown) in enumerate(files):
-        if (plain := _plain_csv(path, shown)) is not None:
-            groups.setdefault(plain[0], []).append((index, plain[1]))
+    plain = ((index, _plain_csv(path, shown)) for index, (path, shown) in enumerate(files))
+    groups = grouped((found[0], (index, found[1])) for index, found in plain if found)
     for header, group in groups.items():
         names = [name.strip() for name in header.split(",")]
         keep = [name for name in names if name and wanted(name)]
@@ -106,7 +98,7 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
     start = data.find(b"\n") + 1
     if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
         return None
-    # one sign is found at the speed of memory, several not
+    # one sign is found faster than several
     if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
         return None
     data = data if data.endswith(b"\n") else data + b"\n"
@@ -130,7 +122,7 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if layout.header_row is None:
-        # most logs begin with their header, which a few rows of numbers as wide show
+        # most logs begin with their header
         lines = _first_lines(data, _FEW_ROWS)
         usual = _first_delimiter(lines)
         rows = split_cells(lines, usual)
@@ -150,16 +142,13 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if delimiter != usual:
         header = find_header(split_cells(lines, delimiter))
     if header is None and layout.lab:
-        # rows of numbers alone, beneath remarks
+        # beneath remarks
         return delimiter, next((at for at, line in enumerate(lines) if line.strip()), 0)
     return (delimiter, header) if header else (usual, 0)
 
 
 def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
-    """Return whether every line of a text without quotes has `width` cells.
-
-    The text without its cells has to be one line over and over, which a row too long beside one too short is not.
-    """
+    """Return whether every line of a text without quotes has `width` cells."""
     line = delimiter.encode() * (width - 1) + b"\n"
     marks = body.translate(None, _CELL_BYTES[delimiter]) + (b"" if body.endswith(b"\n") else b"\n")
     return marks == line * (len(marks) // len(line))
@@ -189,7 +178,7 @@ def _read_numeric(
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):
         return None
     comma = delimiter != "," and b"," in body
-    # with a point or an ambiguous 1,234 among the commas, only reading cell by cell can tell
+    # an ambiguous 1,234 only reading cell by cell can tell
     if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
     if (values := numpy_table(body, rows, len(names), delimiter)) is not None:
@@ -216,10 +205,7 @@ def numpy_table(body: bytes, rows: int, width: int, delimiter: str) -> FloatArra
 def _parsed(
     body: bytes, rows: int, names: Sequence[str], keep: Sequence[str], delimiter: str, decimal: str
 ) -> tuple[FloatArray, list[bool]] | None:
-    """Return the kept columns as pandas reads them, shape (rows, n_kept), and which hold decimals.
-
-    None where a cell is no number or too large, or rows and lines differ in number.
-    """
+    """Return the kept columns, shape (rows, n_kept), and which hold decimals; None where a cell is no number."""
     import pandas as pd
 
     try:

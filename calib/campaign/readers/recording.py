@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,13 +25,13 @@ GAP_STEPS: Final = 5.0
 UNREAD_TYPES: Final = "skipped"
 #: see `planar_pose`
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
-#: squared length: of a unit quaternion 1, of an unset one 0
+#: squared length: of an unset one 0
 _LEAST_QUATERNION: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class StreamContents:
-    """What a stream holds and its clock shows; zeros without a clock."""
+    """What a stream holds; zeros without a clock."""
 
     name: str
     kind: str
@@ -41,7 +41,6 @@ class StreamContents:
     span_s: float = 0.0
     #: by the median step
     rate_Hz: float = 0.0
-    #: steps above `GAP_STEPS`, and the longest
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     #: as recorded
@@ -61,15 +60,13 @@ class StreamContents:
 class Stream:
     """A stream of a recording: a topic, a group of channels, variables of a file."""
 
-    #: topic or group
     name: str
     #: message type, or ``channels``, ``variables``, ``poses``
     kind: str
     #: by names unique in the recording (``/odom:x``), shape (n_samples,)
     columns: Mapping[str, FloatArray]
-    #: nanoseconds as recorded, exact; None without a clock of its own, shape (n_samples,)
+    #: None without a clock of its own, shape (n_samples,)
     time_ns: IntArray | None
-    #: in words
     clock: str
     #: as in the file, by column
     units: Mapping[str, str] = field(default_factory=dict)
@@ -81,27 +78,23 @@ class Stream:
 
     def contents(self) -> StreamContents:
         """Return what the stream holds, and its clock's span, rate and gaps."""
-        names, behind_s = tuple(self.columns), self.behind_arrival_s
-        found = StreamContents(self.name, self.kind, len(self), self.clock, names, behind_arrival_s=behind_s)
+        shown: dict[str, Any] = {}
         if self.time_ns is not None and len(self.time_ns):
             steps_s = np.diff(self.time_ns) / NS_PER_S
             usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
             gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
-            span_s, start_ns = float(np.ptp(self.time_ns)) / NS_PER_S, int(self.time_ns.min())
-            rate_Hz, longest_s = 1.0 / usual_s if usual_s > 0 else 0.0, float(gaps_s.max(initial=0.0))
-            return replace(
-                found, span_s=span_s, rate_Hz=rate_Hz, n_gaps=len(gaps_s), longest_gap_s=longest_s, start_ns=start_ns
-            )
-        return found
+            shown = {"span_s": float(np.ptp(self.time_ns)) / NS_PER_S, "rate_Hz": 1.0 / usual_s if usual_s > 0 else 0.0}
+            shown |= {"n_gaps": len(gaps_s), "longest_gap_s": float(gaps_s.max(initial=0.0))}
+            shown["start_ns"] = int(self.time_ns.min())
+        given = (self.name, self.kind, len(self), self.clock, tuple(self.columns))
+        return StreamContents(*given, behind_arrival_s=self.behind_arrival_s, **shown)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """A recording as read."""
 
-    #: with a wanted column
     streams: tuple[Stream, ...]
-    #: what was recognised or omitted
     notes: tuple[Note, ...] = ()
     #: by place (``/``, ``group``, ``group/channel``)
     properties: Mapping[str, str] = field(default_factory=dict)
@@ -117,7 +110,7 @@ class Recording:
 
 
 class WantedColumns(frozenset[str]):
-    """Names of the columns to keep; whole topics may stay unread."""
+    """Names of the columns to keep."""
 
     def __call__(self, name: str) -> bool:
         """Return whether the column is to be kept."""
@@ -129,16 +122,15 @@ class WantedColumns(frozenset[str]):
 
 
 def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
-    """Return a column at other times, linearly between samples and empty across gaps.
+    """Return a column at other times, shape (n_times,), linear between samples, NaN outside the span and in gaps.
 
-    `stream`: its clock does not run backward; `at_ns` (shape (n_times,)): on the clock of the recording; `shift_ns`:
-    the stream's lag, taken off its times first. Shape (n_times,): NaN outside the stream's span and within its gaps.
+    `shift_ns`: the stream's lag, taken off its times first.
     """
     known = ~np.isnan(stream.columns[column])
     if stream.time_ns is None or not known.any():
         return np.full(len(at_ns), np.nan)
     times, values = stream.time_ns[known] - shift_ns, stream.columns[column][known]
-    # integers first: nanoseconds since 1970 are not exact as float
+    # nanoseconds since 1970 are not exact as float
     origin = int(times[0])
     since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
     out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
@@ -154,8 +146,7 @@ def joined_table(
     """Return the recording as one table on one stream's times, the others interpolated.
 
     `base`: that stream; None: the one with most samples. `shifts_s`: column -> lag, taken off. `clock`: whether `base`
-    has the clock; else columns of its length are taken as they are. The columns by name and, with a clock, ``t_s`` from
-    the first sample with its epoch.
+    has the clock; else columns of its length are taken as they are.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
@@ -176,10 +167,7 @@ def joined_table(
 
 
 def check_not_empty(recording: Recording, shown: str) -> None:
-    """Refuse a recording without numbers that calib reads; the error says what it holds.
-
-    Raises BadFileError where no stream holds a sample.
-    """
+    """Raise BadFileError where no stream holds a sample."""
     if any(len(stream) for stream in recording.streams):
         return
     unread = next((note.text for note in recording.notes if note.code == UNREAD_TYPES), "")
@@ -189,10 +177,7 @@ def check_not_empty(recording: Recording, shown: str) -> None:
 
 
 def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return columns with a quaternion (qx, qy, qz, qw) replaced by its yaw, continuous over the turn.
-
-    `columns` (shape (n_samples,)); those without a quaternion stay.
-    """
+    """Return columns with a quaternion (qx, qy, qz, qw) replaced by its continuous yaw."""
     if "qw" not in columns:
         return dict(columns)
     qx, qy, qz, qw = (columns[name] for name in POSE[3:])
@@ -206,7 +191,7 @@ def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read a TUM trajectory: x, y, z, yaw, times exact to the nanosecond; see `calib.campaign.readers`."""
+    """Read a TUM trajectory."""
     times: list[int] = []
     poses: list[list[float]] = []
     with path.open(encoding="utf-8", errors="replace") as lines:
@@ -235,10 +220,7 @@ def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Reco
 
 
 def decimal_ns(text: str) -> int:
-    """Return decimal seconds as nanoseconds, exactly; further digits are rounded off.
-
-    Raises ValueError where the text is no such number.
-    """
+    """Return decimal seconds as nanoseconds, exactly; raises ValueError."""
     if (match := re.fullmatch(r"([+-]?)(\d+)(?:\.(\d*))?", text.strip(), re.ASCII)) is None:
         return round(float(text) * NS_PER_S)
     digits = (match[3] or "")[:10].ljust(10, "0")

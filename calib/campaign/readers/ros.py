@@ -19,19 +19,16 @@ from calib.campaign.readers.recording import POSE, UNREAD_TYPES, Recording, Stre
 from calib.campaign.readers.table import NS_PER_S
 from calib.errors import BadFileError, error_words, missing_reader
 
-#: messages with stamps, from which these are the clock
+#: of messages, from which stamps are the clock
 _STAMPED_SHARE: Final = 0.99
 _TWIST: Final = ("v_x", "v_y", "omega")
 
-#: part of a message: suffix of its stream, names of its columns, its numbers, the header with its stamp
+#: part of a message: suffix of its stream, columns, numbers, header with a stamp
 Part = tuple[str, tuple[str, ...], Sequence[float], Any]
 
 
 def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read the topics of known message types, message by message; see `calib.campaign.readers.read_recording`.
-
-    Only the wanted numbers are kept, eight bytes each.
-    """
+    """Read the topics of known message types; only the wanted numbers are kept, eight bytes each."""
     with _opened(path, shown) as reader:
         known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
         if isinstance(wanted, WantedColumns):
@@ -71,7 +68,6 @@ class _Buffer:
         self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
 
     def stream(self, shown: str, notes: list[Note]) -> Stream:
-        """Return what came, by stamps, else by arrival."""
         table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
         arrival, stamp = (np.frombuffer(times, dtype=np.int64) for times in (self.arrival, self.stamp))
         stamped = self.unstamped < (1.0 - _STAMPED_SHARE) * len(arrival)
@@ -94,7 +90,7 @@ class _Buffer:
 
 
 def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
-    """Rename a topic's streams of different joints; the largest keeps its name."""
+    # of a topic's streams of different joints the largest keeps its name
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1
@@ -115,7 +111,6 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         raise _damaged(shown, "the file is empty")
     with _damage_named(shown):
         try:
-            # definitions come from the file, else from the library
             reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
         except OSError as error:
@@ -132,7 +127,7 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @contextmanager
 def _damage_named(shown: str) -> Iterator[None]:
-    """Turn the library's many errors on damage into one."""
+    # the library's errors on damage are many
     try:
         yield
     except (MemoryError, BadFileError):
@@ -219,7 +214,7 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     ),
 }
 
-#: by the last part of a column's name; only its driver knows what a JointState's position counts
+#: by the last part of a column's name
 COLUMN_UNITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
     **dict.fromkeys(("v_x", "v_y"), "mps"),

@@ -47,18 +47,17 @@ _COUNT_SPELLINGS: Final = (
     ("rpm", r"(1|u|rev)/min"),
     ("rad/s", r"(radian|rad)s/s"),
 )
-#: units of what calib does not use, and forms of times as hh:mm:ss,f: they show a row of units, nothing is converted
+#: units of what calib does not use, and forms of times as hh:mm:ss,f
 _OTHER_UNITS: Final = re.compile(
     r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²|[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE
 )
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
 #: longest unknown unit in a row of units
 _SHORT: Final = 8
-#: of columns of numbers with a text in a header row
 _TEXT_SHARE: Final = 0.6
 #: groups, names, further names, units
 _HEADER_ROWS: Final = 4
-#: rows searched for names, units and numbers
+#: rows searched
 LOOKED_AT: Final = 20
 #: of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
@@ -78,19 +77,9 @@ _SUMMARY: Final = re.compile(
 def heading(
     rows: Sequence[Sequence[Any]], lines: Sequence[int], layout: Layout, shown: str, above: Sequence[Any] = ()
 ) -> tuple[list[str], int, list[Note]]:
-    """Return the columns' names, with units in brackets, from the header rows.
+    """Return the columns' names, with units in brackets, how many rows they take, and what was recognised.
 
-    Returned are the names as found (``column 1``, ``column 2``, ... where no row names them), how many of the rows they
-    take, and what was recognised.
-
-    Parameters
-    ----------
-    rows, lines
-        The header row first, then some of those beneath it, cells as read; the row of each in the file, counted from 1.
-    layout
-        Rows that the mapping names; several header rows only in a laboratory's file.
-    shown, above
-        The file's name in messages, and the row above the header.
+    `rows`: the header first; `above`: the row over it; else see `table_rows`.
     """
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
@@ -128,7 +117,7 @@ def heading(
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:
-    """Return whether a row holds units: texts, some known or in brackets, the others short."""
+    """Return whether a row holds units: some known or in brackets, the others short."""
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
@@ -139,7 +128,7 @@ def looks_like_units(row: Sequence[Any]) -> bool:
 
 
 def unit_spelled(text: str) -> str:
-    """Return a unit as calib writes it, if it knows it: ``mm/s`` is ``mmps``, ``ticks`` are ``counts``."""
+    """Return a unit as calib writes it, if it knows it."""
     clean = text.strip()
     if clean in COUNT_UNITS:
         return clean
@@ -219,17 +208,7 @@ def finished(
 ) -> RawTable:
     """Return a table of cells as read; where `wanted` is given of numbers, times of the clock in s since the first.
 
-    Raises BadFileError where a cell is no number.
-
-    Parameters
-    ----------
-    columns, lines
-        Cells as read, of the wanted columns; the row of each in the file, counted from 1.
-    wanted
-        As `calib.campaign.readers.read_table` takes it.
-    notes, shown
-        What was recognised so far, to which is added where commas were read as points, and in which format times were
-        read; the file's name in messages.
+    Raises BadFileError where a cell is no number; for the parameters see `table_rows`.
     """
     line, notes = np.asarray(lines, dtype=np.int64), list(notes)
     if wanted is None:
@@ -267,16 +246,15 @@ def table_rows(
 ) -> tuple[list[str], Rows, list[int], list[Note]]:
     """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
-    A row of one text is a remark, unless it is written as other cells of its column are; one that begins with
-    ``mean``, ``sum``, ... is a summary; so is a repeated header none. A unit that all cells of a column repeat goes
-    into its name.
+    A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
+    column repeat goes into its name.
 
     Parameters
     ----------
     names, n_rows
         Of the columns, and how many of the rows are the header.
     rows, lines
-        Cells as read, the header's first; their rows in the file.
+        Cells as read, the header's first; their rows in the file, counted from 1.
     layout, shown
         Whether the file is a laboratory's, and its name in messages.
     """

@@ -17,7 +17,6 @@ from calib.errors import COLUMNS, BadFileError, refuse_beyond
 from calib.types import BoolArray, FloatArray, IntArray
 
 Wanted = Callable[[str], bool]
-#: as read, shape (n_rows,), and what takes notes
 Cells = npt.NDArray[Any]
 Notes = list[Note] | None
 
@@ -26,10 +25,10 @@ NS_PER_S: Final = 1_000_000_000
 LARGEST_VALUE: Final = 1e30
 #: rows searched for the header; loggers' preambles are shorter
 HEADER_ROWS: Final = 60
-#: of the usual width that a header fills, and of its texts
+#: of the usual width, and of texts
 _HEADER_SHARE: Final = 0.6
 
-#: say that nothing was measured: read as empty, with a note
+#: read as empty, with a note
 _NOT_MEASURED: Final = frozenset({"n.a.", "n/a", "k.a.", "k. a.", "--", "?"})
 EMPTY: Final = frozenset({"", "nan", "na", "#n/a", "null", "none", "-"}) | _NOT_MEASURED
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -37,7 +36,7 @@ _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 #: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
-#: thousands with a mark before each three digits: 39.287,5 and 39 287,5; whole numbers of base 16
+#: thousands with marks: 39.287,5 and 39 287,5
 _GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
 _HEX: Final = re.compile(r"0x[\da-f]+", re.ASCII | re.IGNORECASE)
 
@@ -45,7 +44,6 @@ _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,
 _ZONE: Final = r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 _HALF_DAY_NS: Final = 43_200 * NS_PER_S
 _DAYS_TO_1970: Final = date(1970, 1, 1).toordinal()
-#: name -> form
 _TIMES: Final = {
     "iso8601": re.compile(
         rf"(?P<year>\d{{4}})(?P<mark>[-/])(?P<month>\d{{2}})(?P=mark)(?P<day>\d{{2}})[T ]{_CLOCK}{_ZONE}", re.ASCII
@@ -68,7 +66,6 @@ TIME_FORMATS: Final = {
     "time_of_day": "10:15:30.250",
 }
 
-#: name -> words
 FORMAT_NAMES: Final = {
     "iso8601": "ISO 8601 (year-month-day, hours:minutes:seconds)",
     "day_first": "day.month.year hours:minutes:seconds",
@@ -95,11 +92,10 @@ class Layout:
 class RawTable:
     """A table as read."""
 
-    #: in the file's order, shape (n_rows,): float64 where numeric, else str, float and None
+    #: shape (n_rows,): float64 where numeric, else str, float and None
     columns: Mapping[str, npt.NDArray[Any]]
     #: in the file, from 1, header included, shape (n_rows,)
     line: IntArray
-    #: what was recognised
     notes: tuple[Note, ...] = ()
     #: column of clock times, in s since its first cell -> that cell in ns since 1970 or midnight
     epochs: Mapping[str, int] = field(default_factory=dict)
@@ -113,7 +109,7 @@ class RawTable:
 
 
 def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:
-    """Return cells of any kind as an array of objects, shape (n_rows,)."""
+    """Return cells as an array of objects, shape (n_rows,)."""
     out = np.empty(len(cells), dtype=object)
     out[:] = list(cells)
     return out
@@ -155,25 +151,20 @@ def is_number(cell: Any) -> bool:
 
 
 def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Return a table of a run a column as one of a run a row, without titles."""
+    """Return a table with a run a row, without titles."""
     columns = map(list, itertools.zip_longest(*(row for row in rows if len(filled_cells(row)) > 1)))
     return [column for column in columns if filled_cells(column)]
 
 
 def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
-    """Return in words how times are written, the first of which names the format; empty for no time."""
+    """Return in words how times are written; empty for no time."""
     form = time_format(str(cells[0]))
-    month_first = form == "slashes" and month_before_day(cells)
+    month_first = form == "slashes" and _month_before_day(cells)
     return FORMAT_NAMES.get(form or "", "").replace("day/month", "month/day" if month_first else "day/month")
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
-    """Return the index of the header, or None where no row is better than the first.
-
-    The header is the first row of texts about as wide as those below it, with a number soon beneath.
-
-    `rows`: the file's first rows, cells as read.
-    """
+    """Return the index of the first row of texts about as wide as those below it, with a number soon beneath."""
     filled = [filled_cells(row) for row in rows]
     for index, cells in enumerate(filled):
         below = sorted(len(row) for row in filled[index + 1 :] if row)
@@ -193,24 +184,20 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 def numbers(
     cells: Cells, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None, notes: Notes = None
 ) -> tuple[FloatArray, bool]:
-    """Turn cells into numbers without guessing.
-
-    Returned are the values, NaN where a cell is empty, and whether a decimal comma was read.
+    """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
     Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
 
     Parameters
     ----------
-    cells : array, shape (n_rows,)
-        Text, numbers or None.
+    cells, line : array, shape (n_rows,)
+        Text, numbers or None, and their lines.
     shown, column
         File and column, for messages.
-    line : array of int, shape (n_rows,)
-        Line of each cell.
     decimal_comma
         What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
     notes : list of Note
-        Takes how many cells have marks between thousands, or base 16, or say that nothing was measured.
+        Added to.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
@@ -284,7 +271,7 @@ def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
-    """Return whether a file writes decimal commas, by cells that can be read in one way only; else None."""
+    """Return whether a file writes decimal commas, if its cells tell."""
     comma = point = False
     for cells in columns:
         for cell in cells if cells.dtype == object else ():
@@ -299,10 +286,7 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
 
 
 def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
-    """Return a note where a table has both decimal commas and points: which, and where.
-
-    `columns` (shape (n_rows,)): cells as text, by name; `line` (shape (n_rows,)): line of each row in the file.
-    """
+    """Return a note where a table has both decimal commas and points."""
     first: dict[str, tuple[int, str, str]] = {}
     for name, cells in columns.items():
         for mark, form in ((",", _COMMA), (".", _POINT)):
@@ -327,10 +311,9 @@ def time_format(text: str) -> str | None:
 
 
 def moment_ns(text: str, *, month_first: bool = False) -> int:
-    """Return a time in ns since 1970 (UTC without a zone), a time of day since midnight.
+    """Return a time in ns since 1970 (UTC without a zone), a time of day since midnight; raises ValueError.
 
-    `month_first`: whether the month stands before the day between slashes. Raises ValueError where the text is none of
-    `TIME_FORMATS`, or names no day of the calendar.
+    `month_first`: whether the month stands before the day between slashes.
     """
     clean = text.strip()
     if (match := next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)) is None:
@@ -354,28 +337,23 @@ def moment_ns(text: str, *, month_first: bool = False) -> int:
     return (days * 86_400 - zone_s) * NS_PER_S + since_midnight
 
 
-def month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
-    """Return whether times with slashes name the month first: a second number exceeds 12."""
+def _month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
     matches = (_TIMES["slashes"].fullmatch(str(cell).strip()) for cell in cells)
     return any(int(match["month"]) > 12 for match in matches if match)
 
 
 def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
-    """Return a column of times as nanoseconds.
-
-    `cells` (shape (n_rows,)): all in one of `TIME_FORMATS`. Returns `time_ns` (shape (n_rows,)): nanoseconds since
-    1970, or since the first midnight; `bad`: index of the first cell that is no time; None where all are.
-    """
+    """Return times of one format as nanoseconds, see `moment_ns`, and the index of the first cell that is no time."""
     out = np.zeros(len(cells), dtype=np.int64)
     passed_ns = 0
-    month_first = len(cells) > 0 and time_format(str(cells[0])) == "slashes" and month_before_day(cells)
+    month_first = len(cells) > 0 and time_format(str(cells[0])) == "slashes" and _month_before_day(cells)
     for index, cell in enumerate(cells):
         try:
             out[index] = moment_ns(str(cell), month_first=month_first) + passed_ns
         except ValueError:
             return out, index
         if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIMES["time_of_day"].fullmatch(str(cell).strip()):
-            # a time of day that falls by half a day or more has passed midnight
+            # past midnight
             passed_ns += 2 * _HALF_DAY_NS
             out[index] += 2 * _HALF_DAY_NS
     return out, None

@@ -17,14 +17,12 @@ from calib.errors import BadFileError
 
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
-#: that show how cells are separated
 _HEAD_BYTES: Final = 1 << 16
-#: of numbers, that show blanks between cells
 _LEAST_LINES: Final = 2
 
 
 def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without byte order mark, with line feeds only, and notes of changes."""
+    """Return the file as UTF-8 without byte order mark, and notes of changes."""
     notes: list[Note] = []
     encoding = None
     if data.startswith(codecs.BOM_UTF8):
@@ -57,8 +55,7 @@ def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
     """Return a text with empty lines for those without cells, so that rows keep their numbers, and notes.
 
-    Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns. Blanks
-    become tabs where nothing else separates the cells; a table of a run a column is turned.
+    Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns.
     """
     notes: list[Note] = []
     if layout.skip_rows:
@@ -125,10 +122,7 @@ def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 
 
 def find_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that splits the most consecutive lines into one number of cells, above one.
-
-    `lines`: the file's first.
-    """
+    """Return the delimiter that splits the most consecutive lines into one number of cells, above one."""
     filled = [line for line in lines if line.strip()][:HEADER_ROWS]
     # first of equals: commas as regular as semicolons are decimal
     regular = {}

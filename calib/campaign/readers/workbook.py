@@ -1,7 +1,6 @@
 """Excel workbooks (``.xlsx``), and Parquet tables with the ``parquet`` extra.
 
-Of a workbook the first sheet with a table, or the one asked for; its unpacked size is counted before a library lays out
-every empty place between its cells.
+A workbook's unpacked size is counted before a library lays out every empty place between its cells.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ _OTHER_BYTES: Final = 8 << 20
 _BLOCK_BYTES: Final = 1 << 20
 #: column, row, and whether the cell ends at once: empty
 _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9]{1,7})[\"'][^<>]*?(/?)>")
-#: first column and row, last column and row of merged cells
 _MERGED: Final = re.compile(
     rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):([A-Z]{1,3})([0-9]{1,7})[\"']"
 )
@@ -47,7 +45,7 @@ _REMEDY: Final = "export the table as CSV or Parquet"
 
 
 def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
-    """Read a sheet of a workbook; see `calib.campaign.readers.read_table`."""
+    """Read a workbook's first sheet with a table, or the one asked for."""
     last_row = check_size(path, shown)
     notes: list[Note] = []
     with _opened(path, shown) as book:
@@ -145,10 +143,7 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
 
 
 def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, *, across: bool) -> list[Note]:
-    """Fill cells merged over several rows with their first, in place, and note where.
-
-    `across`: over several columns, but for titles, which stand alone in their rows.
-    """
+    """Fill cells merged over rows with their first, in place; `across`: over columns, but for titles."""
     from openpyxl.utils import column_index_from_string
 
     n_filled = 0
@@ -201,11 +196,7 @@ def _dated(cells: list[Any]) -> list[Any]:
 
 
 def check_size(path: Path, shown: str) -> int:
-    """Refuse a workbook beyond `calib.errors`, or of few cells widely spread.
-
-    Returns the last row, of any sheet, with a filled cell; nothing below need be read. Raises BadFileError where it is
-    no zip archive, or beyond the limits.
-    """
+    """Return the last row, of any sheet, with a filled cell; raises BadFileError beyond limits of `calib.errors`."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _check_parts(archive, shown)
@@ -245,10 +236,7 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
 
 
 def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int, int]:
-    """Return a sheet's filled cells, the empty places and rows before the last, and its row.
-
-    Counted without a parser: elements written in an unusual way are left to the library.
-    """
+    """Return a sheet's filled cells, the empty places and rows before the last, and its row."""
     from openpyxl.utils import column_index_from_string
 
     cells = rows = places = last_row = waiting = 0
@@ -282,12 +270,11 @@ def _blocks(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]
 
 
 _MAX_ROWS: Final = 200_000_000
-#: below, threads cost more than they save
 _THREADS_ROWS: Final = 100_000
 
 
 def _filled(column: Any, empty: float) -> np.ndarray[Any, Any]:
-    """Return a column of numbers of eight bytes, `empty` for none; Arrow's own conversion imports pandas."""
+    # Arrow's own conversion imports pandas
     whole = (column.fill_null(empty) if column.null_count else column).combine_chunks()
     dtype = np.dtype(str(whole.type).replace("double", "float64"))
     if not len(whole):
@@ -304,7 +291,6 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         return _filled(column.cast(pa.float64(), safe=False), np.nan), None
     if pa.types.is_timestamp(column.type):
-        # exact: nanoseconds as recorded, known by the note of their epoch
         moments = _filled(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.iinfo(np.int64).min)
         epoch = int(moments[0]) if len(moments) else 0
         return (moments - epoch) / table.NS_PER_S, epoch
@@ -320,7 +306,7 @@ def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFile
 
 
 def read_parquet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
-    """Read a parquet file; see `calib.campaign.readers.read_table`."""
+    """Read a parquet file."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
