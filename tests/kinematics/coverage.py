@@ -52,9 +52,12 @@ def arcs(rng: np.random.Generator) -> tuple[Truth, Campaign]:
 
 
 def windows(rng: np.random.Generator) -> tuple[Truth, Campaign]:
-    """One recording of 60 legs along the way, with a sensor off the axle and noise that stays alike."""
+    """One recording of 60 legs along the way, with a sensor off the axle and noise that stays alike.
+
+    Legs of unlike lengths: turns that change at once just where windows of equal travel meet would bias the track.
+    """
     truth = replace(_truth(rng), sensor=(0.1, 0.02, 0.05), delay_s=0.05)
-    legs: list[Leg] = [(1.0, turn) for turn in rng.uniform(-1.5, 1.5, 60)]
+    legs: list[Leg] = list(zip(rng.uniform(0.6, 1.4, 60), rng.uniform(-1.5, 1.5, 60), strict=True))
     made = campaign(
         [("free", legs)], truth, rng, sigma=(1e-4, 1e-4), walk=5e-4, along=True, duration_s=200.0, samples=2000
     )
