@@ -143,8 +143,7 @@ def diagnose_in_full(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    diagnosis = with_left(decide(evidence))
-    diagnosis = replace(diagnosis, undetectable=undetectable(recalibrated, effects, searched.forms))
+    diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
     if not plan or not diagnosis.groups:
         return diagnosis
     from calib.gap.plan.next_runs import next_runs

@@ -223,7 +223,7 @@ def loaded_and_slipping(run: Run, now: Motion) -> None:
 
 
 def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -> None:
-    """Of a load law and slip the law alone is no fix, no matter what both together close; both are one as they are."""
+    """A load law beside slip is judged by what the law alone closes, not by what both do; both are a fix as they are."""
     loads = [(300.0, 500.0, 700.0)[(number + number // 3) % 3] for number in range(24)]
     runs = [replace(run, load_left_N=load, load_right_N=load) for run, load in zip(driven_hard(), loads, strict=True)]
     verdict = diagnosing(campaign(runs, truth=noisy(loaded_and_slipping, 10), vehicle=DIFFERENTIAL))
@@ -231,7 +231,9 @@ def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -
     evidence, law = verdict.evidence, [cause for cause in verdict.causes if cause.effect == "load_radius"]
     assert evidence is not None
     alone = as_delivered(evidence, Finding(law, {}), replace(verdict.fix, corrects=None))
-    assert not alone.recommended and all("without wheel_slip" in reason for reason in alone.why)
+    both, law_alone = verdict.fix.held_out, alone.held_out
+    assert both is not None and law_alone is not None and alone.corrects == ("load_radius",)
+    assert law_alone.after_rms > 2.0 * both.after_rms and law_alone.closed_ci95[1] < both.closed_ci95[0]
     assert as_delivered(evidence, Finding(verdict.causes, {}), verdict.fix) == verdict.fix
     # a track is named by neither, and is left as it is
     assert verdict.correction.calibration[2] == 0.0

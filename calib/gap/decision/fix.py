@@ -174,7 +174,7 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
 
     Radii and track have a bound of their own, `beyond_vehicles`.
     """
-    if improvement is None or improvement.closed_ci95[0] > ADEQUATE_CLOSURE:
+    if improvement is None or improvement.closed_ci95[0] > HALF_CLOSURE:
         return
     low, high = (100 * share for share in improvement.closed_ci95)
     for cause in causes:
@@ -182,7 +182,7 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
         if not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
-                f"% of the gap, where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain; {PLAN}"
+                f"% of the gap, where {100 * HALF_CLOSURE:.0f} % are to be certain; {PLAN}"
             )
 
 
