@@ -223,7 +223,7 @@ def loaded_and_slipping(run: Run, now: Motion) -> None:
 
 
 def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -> None:
-    """A load law beside slip is judged by what the law alone closes, not by what both do; both are a fix as they are."""
+    """A load law beside slip is judged by what the law alone closes, not by what both do; both together are a fix."""
     loads = [(300.0, 500.0, 700.0)[(number + number // 3) % 3] for number in range(24)]
     runs = [replace(run, load_left_N=load, load_right_N=load) for run, load in zip(driven_hard(), loads, strict=True)]
     verdict = diagnosing(campaign(runs, truth=noisy(loaded_and_slipping, 10), vehicle=DIFFERENTIAL))
