@@ -38,7 +38,8 @@ from calib.types import FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: a radius further from nominal, relative, is one of wrong counts or units
+#: a radius further from nominal, relative, is one of wrong counts or units: the least, a factor of two, halves it; a
+#: tenth of that less for the tyre
 GROSS: Final = 0.45
 #: of two wheels, where data leave it open
 MEAN_RADIUS: Final = "mean_radius_m"
