@@ -219,7 +219,7 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     for name in COMMANDS:
         group, _, inner = name.rpartition(" ")
         if group not in parents:
-            parents[group] = typer.Typer(no_args_is_help=True, rich_markup_mode=None, epilog=GROUPS[group])
+            parents[group] = typer.Typer(rich_markup_mode=None, epilog=GROUPS[group])
             application.add_typer(parents[group], name=group, help=SUMMARIES[group])
         if words is None or words[: len(name.split())] == name.split():
             parents[group].command(inner, cls=Guarded)(function_of(name))

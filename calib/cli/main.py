@@ -112,6 +112,8 @@ def _usage(error: Exception) -> str:
     message, context = _message(error), getattr(error, "ctx", None)
     if context is None:
         return message
+    if message == "Missing command.":
+        message = f"Missing command: one of {', '.join(context.command.list_commands(context))}"
     words = context.command_path.split()
     option = getattr(error, "option_name", "")
     own = " ".join(words[1:])

@@ -164,9 +164,9 @@ def test_the_schemes_differ_in_replay_as_their_order_says(
     assert gap[0] < 1e-3 * gap[1]
 
 
-def test_the_list_of_simulations_is_shown_where_none_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_of_simulations_is_shown_in_one_line_where_none_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["simulate"]) == 2
-    shown = capsys.readouterr().err
+    (shown,) = capsys.readouterr().err.splitlines()
     assert all(name in shown for name in ("route", "journey", "study", "replay"))
 
 

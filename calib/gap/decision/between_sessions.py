@@ -13,8 +13,10 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, MOST_SESSION_FOLDS, improvement_of, left_with_others
+from calib.gap.effects.effect import Family
 from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
-from calib.gap.inference.fit import whitened_rows
+from calib.gap.inference.fit import fit, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.types import FloatArray
 
@@ -25,6 +27,8 @@ _STEP_PRECISION: Final = 1e-6
 #: log variances searched, in squares of the unit: steps of 1e-6 to 1e-2
 _LOG_VARIANCES: Final = (-12.4, 6.0)
 _SIDES: Final = ("left", "right")
+#: chance that a true cause fails any test of constancy, or steps pass for one, the usual level
+FALSE_REJECTION: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,14 +95,52 @@ def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[f
     return variance, float(np.sum((variance / (variances + variance)) ** 2))
 
 
-def beside_named_steps(causes: Sequence[Cause]) -> Iterator[Cause]:
+def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return groups of confounded effects, the named one first, without session steps that its predictions refute."""
+    kept = []
+    for group in groups:
+        steps = {name for name in group[1:] if name in evidence.effects and evidence.effects[name].per_session}
+        refuted = steps if steps and _is_predicted(evidence, group[0]) else set()
+        kept.append([name for name in group if name not in refuted])
+    return kept
+
+
+def _is_predicted(evidence: Evidence, effect: str) -> bool:
+    """Return whether a cause closes sessions left out whole, paired with the fit of the others alone.
+
+    No session tells of another's step. By F of so many sessions, as what few of them share may be chance; not of a
+    drift, which goes with the order of the sessions, as steps that last do.
+    """
+    from scipy.special import fdtrc
+
+    improvement, by = evidence.held_out.improvement, evidence.held_out.closure.held_out
+    drifts = evidence.effects[effect].family is Family.DRIFT
+    if drifts or by != "session" or improvement is None or improvement.closed_ci95[0] < ADEQUATE_CLOSURE:
+        return False
+    forms = [form for form in evidence.fitted.forms if form.effect != effect]
+    along = DIRECTIONS[[name != effect for name in NAMES]]
+    others = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
+    known = (evidence.nominal, evidence.noise, evidence.search.weighting)
+    left, by = left_with_others(HeldOutFit(others, *known, along), sessions=True)
+    closed = improvement_of(HeldOutFit(evidence.fitted, *known), sessions=True, stated=left).closed_ci95[0]
+    k = len(evidence.fitted.parameters) - sum(len(form.parameters) for form in forms) or 1
+    free = min(len(np.unique(evidence.observations.labels["session"])), MOST_SESSION_FOLDS) - 1 - k
+    ratio = max(closed, 0.0) / max(1.0 - closed, 1e-9)
+    return by == "session" and free > 0 and float(fdtrc(k, free, ratio * free / k)) < FALSE_REJECTION
+
+
+def beside_named_steps(causes: Sequence[Cause], later: Sequence[str] = ()) -> Iterator[Cause]:
     """Yield causes; radii beside session steps with an interval that holds their scatter.
 
-    They are means of the sessions driven, no promise for others.
+    They are means of the sessions driven, no promise for others. `later`: names of all but the first.
     """
-    steps = next((cause.parameters for cause in causes if cause.effect == SessionStep.id), {})
+    step = next((cause for cause in causes if cause.effect == SessionStep.id), None)
+    steps = {} if step is None else step.parameters
     # the first session's is not stated: the others count from it
     by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
+    if step is not None and step.form:
+        before = next(k for k, name in enumerate(later, 1) if step.form == SessionStep.LASTING.format(name))
+        by_session = [[0.0] * before + [own[-1]] * (len(later) + 1 - before) for own in by_session]
     for cause in causes:
         if steps and cause.effect in SessionStep.shifts:
             direction = DIRECTIONS[NAMES.index(cause.effect), : len(_SIDES)]

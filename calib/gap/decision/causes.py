@@ -12,12 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.between_sessions import SessionScatter, beside_named_steps, session_scatter
+from calib.gap.decision.between_sessions import FALSE_REJECTION, SessionScatter, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
@@ -38,8 +39,6 @@ LOCATED_SD: Final = 4.0
 #: places and covariates named of it
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
-#: chance that a true cause fails any test of constancy, the usual level
-FALSE_REJECTION: Final = 0.05
 #: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
 LEAST_SQUARE: Final = 4.0
 #: spread of one size over groups: sizes a tenth apart leave a hundredth of the squares
@@ -96,7 +95,7 @@ def causes_of(
         for sized, (share, half) in zip(every, _shares(evidence, every, variance_factor, coverage), strict=True)
     ]
     classes = {name: int(np.digitize(probability, PROBABILITY_CLASSES)) for name, probability in certain.items()}
-    causes = list(beside_named_steps(causes))
+    causes = list(beside_named_steps(causes, [name for name, _ in session_steps(evidence.observations)]))
     return sorted(causes, key=lambda cause: (-classes[cause.effect], -cause.signal))
 
 

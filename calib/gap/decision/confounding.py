@@ -168,17 +168,19 @@ def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]
     """Return effects at least a tenth as probable as the named one of their group.
 
     A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: runs do not tell
-    them apart, but what the evidence charges for parameters does.
+    them apart, but what the evidence charges for parameters does. Beside the named one it is no alternative to it.
     """
-    inclusion, least = evidence.search.inclusion(), float(np.exp(-LOG_EVIDENCE_WINDOW))
+    weighed = list(zip(evidence.search.models, evidence.search.probabilities.tolist(), strict=True))
 
-    def probability(name: str) -> float:
-        return max(inclusion.get(name, 0.0), evidence.recalibration.probability(name) if name in NAMES else 0.0)
+    def probability(name: str, named: set[str]) -> float:
+        apart = sum(p for model, p in weighed if name in model and (name in named or named.isdisjoint(model)))
+        return float(max(apart, evidence.recalibration.probability(name) if name in NAMES else 0.0))
 
     probable: set[str] = set()
     for group in groups:
-        named = max((probability(name) for name in group if name in evidence.named), default=0.0)
-        probable.update(name for name in group if probability(name) >= least * named)
+        named = set(evidence.named).intersection(group)
+        least = np.exp(-LOG_EVIDENCE_WINDOW) * max((probability(name, named) for name in named), default=0.0)
+        probable.update(name for name in group if probability(name, named) >= least)
     return probable
 
 

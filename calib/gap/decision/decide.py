@@ -12,6 +12,7 @@ import numpy as np
 from calib.campaign.check import implausible, notes_for_results
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
+from calib.gap.decision.between_sessions import without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
 from calib.gap.decision.kind import (
@@ -43,7 +44,7 @@ MOST_SAID: Final = 3
 
 def decide(evidence: Evidence) -> Diagnosis:
     """Return the diagnosis with its sentence; the caller adds detection limits and runs to drive next."""
-    confounded = confounding.groups_of(evidence)
+    confounded = without_refuted(evidence, confounding.groups_of(evidence))
     groups, forms_open = _by_family(evidence, confounded)
     unexplained = naming.unexplained_of(evidence)
     stated = confounding.effect_probabilities(evidence, confounded)
@@ -169,7 +170,8 @@ def _kind(
     improvement = evidence.held_out.improvement
     if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
         causes = []
-    if not evidence.noise.supported:
+    off = _misfit(evidence)
+    if not evidence.noise.supported and off < BLUNDER_MISFIT:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
         # differing runs hold all their noise, windows but what neighbours do not share: beyond the first is a gap
@@ -187,7 +189,7 @@ def _kind(
         unexplained_share=unexplained_share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),
         supported=evidence.noise.supported,
-        misfit=_misfit(evidence),
+        misfit=off,
     )
 
 

@@ -170,14 +170,14 @@ def measure_closure(
     """
     nominal, noise = left_out.nominal, left_out.noise
     before = residuals(nominal, nominal)
-    after, by = _after(left_out, sessions=sessions)
+    after, by = left_with_others(left_out, sessions=sessions)
     stated = measured_gap(nominal, nominal) if as_counted is None else as_counted
     held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
     before = before if as_counted is None else as_counted
     return replace(held_out, improvement=_improvement(left_out, before, after, floor_factor))
 
 
-def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
+def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
     """Return residuals with the other folds' correction (n_units, n_channels), and what folds are."""
     observations = left_out.observations
     fold, by = folds(observations, sessions=sessions)
@@ -200,7 +200,7 @@ def _after(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:
 
 def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) -> Improvement:
     """Return what a correction does on held-out runs to a gap (n_units, n_channels); see `measure_closure`."""
-    after, _ = _after(left_out, sessions=sessions)
+    after, _ = left_with_others(left_out, sessions=sessions)
     return _improvement(left_out, stated, after, 1.0)
 
 

@@ -49,9 +49,10 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     # what dropped causes explain is left by design: the closure is that of all
     if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):
         return whole
-    # a radius is the mean of the sessions: sessions held out with their steps say whether it helps the next
-    beside = {name for name in steps if names.isdisjoint(evidence.effects[name].shifts)}
     sure = replace(found, causes=kept, tied=[group for group in found.tied if names.intersection(group)])
+    # a radius, or what looks like one, is the mean of the sessions: held out with their steps they say if it helps
+    alike = names.union(*sure.tied)
+    beside = {name for name in steps if alike.isdisjoint(evidence.effects[name].shifts)}
     apart_m = confounding.agreement_m(evidence, sure.tied)
     others = rule.elsewhere(names, rule.alternatives(evidence, sure))
     apart = rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, sure.tied)

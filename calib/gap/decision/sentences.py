@@ -66,7 +66,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if kind is VerdictKind.PARTLY_EXPLAINED:
         causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
         return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
-    explained = f"The gap is explained by {_listed(diagnosis.causes)}"
+    doubt = ", of a doubtful size" if _implausible(diagnosis) else ""
+    explained = f"The gap is explained by {_listed(diagnosis.causes)}{doubt}"
     words = _ambiguous(diagnosis) if kind is VerdictKind.AMBIGUOUS else explained
     return f"{lead}{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"
 

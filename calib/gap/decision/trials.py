@@ -136,7 +136,8 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
         quantities["balance"] = _binned(np.nan_to_num(left - right), load_width, "{:+.0f} N left over right")
         halves = np.array(["the first half of the runs", "the second half of the runs"])
         quantities["time"] = halves[2 * np.arange(len(load)) // len(load)]
-    return {name: _joined(values) for name, values in quantities.items() if len(np.unique(values)) > 1}
+    stated = {name: np.where(values == "", "not stated", values) for name, values in quantities.items()}
+    return {name: _joined(values) for name, values in stated.items() if len(np.unique(values)) > 1}
 
 
 def _binned(values: FloatArray, width: float, words: str) -> StrArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, Final
 
 import numpy as np
@@ -152,7 +153,7 @@ class Wear(Effect):
 
 
 class SessionStep(Effect):
-    """A relative step of each radius in every session but the first, counted from the campaign's mean."""
+    """A relative step of each radius in every session but the first, or one that lasts, about the campaign's mean."""
 
     id = "session_step"
     title = "wheel radii that step from session to session"
@@ -163,13 +164,27 @@ class SessionStep(Effect):
     per_session = True
     not_transferable = "what steps from session to session says nothing of the next one; calibrate in each"
     shifts = ("radius_scale", "unequal_radii")
+    #: label of a step that is in all sessions from one on
+    LASTING: ClassVar[str] = "from {} on"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form, a left and a right step a session but the first; none with one session."""
-        steps = [(side, *step) for step in session_steps(observations) for side in ("left", "right")]
-        parameters = [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side, name, _ in steps]
-        perturbations = [Perturbation(**{side: step}) for side, _, step in steps]
-        return [Form(self.id, "", tuple(parameters), always(*perturbations))] if steps else []
+        """Return a form with a left and a right step a session but the first, and of three and more, of one that lasts.
+
+        None with one session.
+        """
+        steps = session_steps(observations)
+        n = len(steps)
+        if n < 2:
+            return [self._form("", steps)] if steps else []
+        lasting = [(name, np.sum([step for _, step in steps[k:]], axis=0)) for k, (name, _) in enumerate(steps)]
+        later = [self._form(self.LASTING.format(one[0]), [one], 2 * n) for one in lasting]
+        return [self._form("", steps, 2), *later]
+
+    def _form(self, label: str, steps: Sequence[tuple[str, FloatArray]], tries: int = 1) -> Form:
+        each = [(side, *step) for step in steps for side in ("left", "right")]
+        parameters = [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side, name, _ in each]
+        perturbations = [Perturbation(**{side: step}) for side, _, step in each]
+        return Form(self.id, label, tuple(parameters), always(*perturbations), tries=tries)
 
 
 class SteeringZeroStep(Effect):

@@ -84,7 +84,7 @@ def angle_error(observations: Observations, error_rad: FloatArray, exact_at: flo
 
 
 class SteeringZero(Effect):
-    """The logged angle is too large by delta_0: e_delta = S delta_0 / L on a straight."""
+    """The logged angle is too large by delta_0, minus the zero of `geometry`: e_delta = S delta_0 / L on a straight."""
 
     id = "steering_zero"
     title = "a steering angle whose zero is off"

@@ -263,9 +263,9 @@ class DriveSlip(Effect):
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
                 slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
-            if share_shows:
+            if weight_varies:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
-        if weight_varies and not observations.by_front:
+        if not observations.by_front:
             slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
 
         def form(

@@ -9,9 +9,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from calib.gap.decision import decide
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.decide import stands_off
-from calib.gap.decision.diagnosis import Cause, Evidence, Unexplained, VerdictKind
+from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of
 from calib.gap.decision.trials import Trial
@@ -194,3 +195,21 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("off", "kind"), [(0.03, VerdictKind.PARTLY_EXPLAINED), (0.98, VerdictKind.UNKNOWN)])
+def test_no_cause_is_shown_where_runs_end_off_as_no_vehicle_does(
+    monkeypatch: pytest.MonkeyPatch, off: float, kind: VerdictKind
+) -> None:
+    """Exchanged wheels made a radius of -160 % a certain cause, as it closed 84 % where nothing supports the noise."""
+    monkeypatch.setattr(decide, "_misfit", lambda _: off)
+    shown = Cause("radius_scale", "", "", 0.96, 0.7, 2850.0, {"relative": Quantity(-1.6, (-1.61, -1.59), "1")})
+    improvement = Improvement(240.0, 97.0, (142.0, 143.0), (0.83, 0.84))
+    evidence = SimpleNamespace(
+        noise=SimpleNamespace(supported=False, dof=39.0),
+        observations=SimpleNamespace(windowed=True),
+        held_out=SimpleNamespace(improvement=improvement, closure=Closure(fraction=0.84, ci95=(0.75, 0.88))),
+        trials=(),
+    )
+    given = (cast(Evidence, evidence), 1.0, [shown], None, [], {}, False)
+    assert decide._kind(*given) is kind

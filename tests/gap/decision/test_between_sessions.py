@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from calib.gap.decision import between_sessions
 from calib.gap.decision.between_sessions import SessionScatter, variance_component
+from calib.gap.decision.held_out import Improvement
+from calib.gap.effects.radii import SessionStep, TemperatureRadius
+from calib.gap.effects.turning import CurveScrub
 
 #: degrees of freedom of the noise, as many as of fifty repeats
 NOISE_DOF = 50.0
@@ -52,3 +59,41 @@ def test_the_interval_of_a_mean_holds_it_in_95_of_100_campaigns(n_sessions: int)
                 half *= float(scatter.widening(np.eye(1), NOISE_DOF)[0])
             held += abs(left.mean()) <= half
         assert held / DRAWS >= 0.95 - SHARE_ERROR
+
+
+@pytest.mark.parametrize(
+    ("effect", "closed", "sessions", "by", "refuted"),
+    [
+        ("curve_scrub", 0.6, 8, "session", True),  # F of 9 with 1 and 6 degrees of freedom: p = 0.02
+        ("curve_scrub", 0.4, 8, "session", False),  # F of 4: p = 0.09
+        ("curve_scrub", 0.9, 4, "session", False),  # F of 18 with 1 and 2: p = 0.051
+        ("curve_scrub", 0.97, 3, "session", False),
+        ("curve_scrub", 0.97, 2, "session", False),
+        ("curve_scrub", -0.2, 8, "session", False),
+        ("temperature_radius", 0.9, 8, "session", False),  # what drifts goes with the order, as steps that last do
+        ("curve_scrub", 0.6, 8, "run", False),
+    ],
+)
+def test_steps_are_no_alternative_to_what_predicts_the_sessions_left_out(
+    monkeypatch: pytest.MonkeyPatch, effect: str, closed: float, sessions: int, by: str, *, refuted: bool
+) -> None:
+    """A session's own step is not told by the others; what few sessions agree on may be chance."""
+    whole = Improvement(5.0, 1.1, (1.0, 6.0), (0.8, 1.1))
+    form = SimpleNamespace(effect=effect, parameters=(None,))
+    families = {"curve_scrub": CurveScrub, "temperature_radius": TemperatureRadius, "session_step": SessionStep}
+    evidence = SimpleNamespace(
+        held_out=SimpleNamespace(improvement=whole, closure=SimpleNamespace(held_out=by)),
+        effects={name: kind() for name, kind in families.items()},
+        fitted=SimpleNamespace(forms=[form], parameters=np.ones(1)),
+        observations=SimpleNamespace(labels={"session": np.repeat(np.arange(sessions), 3)}),
+        nominal=None,
+        noise=None,
+        search=SimpleNamespace(weighting=None),
+    )
+    monkeypatch.setattr(between_sessions, "fit", lambda *_, **__: evidence.fitted)
+    monkeypatch.setattr(between_sessions, "HeldOutFit", lambda *_: None)
+    monkeypatch.setattr(between_sessions, "left_with_others", lambda *_, **__: (np.ones(1), by))
+    without = replace(whole, closed_ci95=(closed, 1.2))
+    monkeypatch.setattr(between_sessions, "improvement_of", lambda *_, **__: without)
+    groups = between_sessions.without_refuted(evidence, [[effect, "session_step", "track_width"]])  # type: ignore[arg-type]
+    assert groups == [[effect, "track_width"] if refuted else [effect, "session_step", "track_width"]]

@@ -161,7 +161,9 @@ LEFT = Unexplained(0.2, 12.0, ())
 def test_an_alternative_that_holds_nowhere_else_counts_where_it_is_probable_or_odds_mean_nothing(
     floor_zone: float, unexplained: Unexplained | None, differing: dict[str, SizeDifference], *, counted: bool
 ) -> None:
-    search = SimpleNamespace(inclusion=lambda: {"steering_scale": 0.95, "floor_zone": floor_zone})
+    # beside the named cause it is no alternative
+    models = (("steering_scale",), ("floor_zone",), ("floor_zone", "steering_scale"))
+    search = SimpleNamespace(models=models, probabilities=np.array([0.75, floor_zone, 0.2]))
     evidence = SimpleNamespace(search=search, named=("steering_scale",), effects={})
     instead = alternatives(evidence, Finding((), {}, unexplained, differing, TIED))  # type: ignore[arg-type]
     assert bool(elsewhere(["steering_scale"], instead)) is counted

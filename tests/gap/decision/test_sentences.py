@@ -39,6 +39,13 @@ def test_the_channels_above_the_noise_level_come_first_the_largest_ratio_first()
     assert "lateral" not in text
 
 
+def test_an_explanation_of_a_doubtful_size_says_so() -> None:
+    times = replace(CAUSE, plausible=False, remark="1.9 times what is physically plausible: suspect a gear ratio")
+    text = sentence(Diagnosis(VerdictKind.EXPLAINED, "", (times,), closure=Closure(channels=(DISTANCE,))))
+    assert "explained by a wrong track (track_width), of a doubtful size. " in text
+    assert "doubtful" not in words(VerdictKind.EXPLAINED, DISTANCE)
+
+
 def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:
     assert "lateral 10.1 -> 10.1 mm (noise level 10)" in words(VerdictKind.EXPLAINED, STILL)
 

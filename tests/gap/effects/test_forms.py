@@ -186,8 +186,27 @@ def test_runs_that_all_end_elsewhere_in_their_wave_turn_alike() -> None:
 def test_session_steps_count_from_the_first_session_driven() -> None:
     runs = [Run(STRAIGHT, session=("zeta", "alpha", "mid")[i // 4]) for i in range(12)]
     s = situation(runs)
-    (form,) = next(e for e in library(s) if e.id == "session_step").forms(s)
+    form, *lasting = next(e for e in library(s) if e.id == "session_step").forms(s)
     assert [p.name for p in form.parameters] == ["left_alpha", "right_alpha", "left_mid", "right_mid"]
+    # one that lasts is in all sessions from one on, and pays for where it was sought
+    assert [(one.label, [p.name for p in one.parameters], one.tries) for one in lasting] == [
+        ("from alpha on", ["left_alpha", "right_alpha"], 4),
+        ("from mid on", ["left_mid", "right_mid"], 4),
+    ]
+    path = predict(s)
+    alpha, mid = (form.perturbations(path)[k].left for k in (0, 2))
+    assert np.allclose(lasting[0].perturbations(path)[0].left, alpha + mid)
+    of_two = situation([run for run in runs if run.session != "mid"])
+    (single,) = next(e for e in library(of_two) if e.id == "session_step").forms(of_two)
+    assert (single.label, single.tries) == ("", 1)
+
+
+def test_a_slip_alike_in_all_runs_is_said_to_be_perhaps_the_front_wheels_radius() -> None:
+    """Without payloads no force varies: a share by the force is a constant one."""
+    alike = offered(situation([Run(STRAIGHT, front=True) for _ in range(4)]), "drive_slip")
+    assert [label for label in alike if label.endswith(("radius", ", rolling"))] == [
+        "a constant share, or the front wheel's radius"
+    ]
 
 
 def test_all_payloads_at_once_are_asked_of_only_where_the_model_follows_the_load() -> None:
