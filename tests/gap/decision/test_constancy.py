@@ -181,3 +181,16 @@ def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
             elif name in radii:
                 assert one.parameters["relative"].ci95 == pytest.approx((9e-4, 1.1e-3))
     assert [one.remark for one in beside_named_steps(list(radii.values()))] == ["", "", ""]
+
+
+def test_of_a_step_that_lasts_the_mean_is_that_of_all_sessions() -> None:
+    """The first two of four sessions are as before."""
+    step = {f"{side}_c": Quantity(4e-4, (3e-4, 5e-4), "1") for side in ("left", "right")}
+    causes = [
+        Cause("radius_scale", "", "", 0.9, 0.5, 30.0, {"relative": Quantity(1e-3, (9e-4, 1.1e-3), "1")}),
+        Cause("session_step", "", "from c on", 0.9, 0.5, 30.0, step),
+    ]
+    radius, _ = beside_named_steps(causes, ["b", "c", "d"])
+    half = float(np.hypot(1e-4, half_of_mean(np.array([0.0, 0.0, 4e-4, 4e-4]))))
+    assert radius.parameters["relative"].ci95 == pytest.approx((1e-3 - half, 1e-3 + half))
+    assert "mean of 4 sessions" in radius.remark

@@ -236,3 +236,14 @@ def test_an_excluded_effect_is_in_no_hypothesis_and_leaves_an_unknown_behind() -
     assert "temperature_radius" not in found.forms
     assert found.effects or found.rest > 0.5
     assert found.nothing < 0.5
+
+
+def test_a_step_that_lasts_is_two_sizes_and_no_wear() -> None:
+    """A step for each session has as many sizes as sessions, and wear, which has two, took its place."""
+
+    def lasting(run: Run, now: Motion) -> None:
+        now.left = now.right = 1e-3 * (run.session != rich_runs()[0].session)
+
+    (form,) = searched(lasting).fitted.forms
+    assert (form.effect, len(form.parameters)) == ("session_step", 2)
+    assert form.label.startswith("from ")
