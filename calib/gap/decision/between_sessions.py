@@ -98,24 +98,22 @@ def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[f
 def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return groups of confounded effects, the named one first, without session steps that its predictions refute."""
     kept = []
-    for group in groups:
-        steps = {name for name in group[1:] if name in evidence.effects and evidence.effects[name].per_session}
-        refuted = steps if steps and _is_predicted(evidence, group[0]) else set()
-        kept.append([name for name in group if name not in refuted])
+    for named, *others in groups:
+        lasting = [name for name in others if not (name in evidence.effects and evidence.effects[name].per_session)]
+        kept.append([named, *(lasting if lasting != others and _is_predicted(evidence, named) else others)])
     return kept
 
 
 def _is_predicted(evidence: Evidence, effect: str) -> bool:
-    """Return whether a cause closes sessions left out whole, paired with the fit of the others alone.
+    """Return whether a cause closes whole sessions held out, paired with the fit of the others alone.
 
-    No session tells of another's step. By F of so many sessions, as what few of them share may be chance; not of a
-    drift, which goes with the order of the sessions, as steps that last do.
+    No session tells of another's step. By F, as what few sessions share may be chance; not of a drift, which follows
+    their order, as steps that last do.
     """
     from scipy.special import fdtrc
 
-    improvement, by = evidence.held_out.improvement, evidence.held_out.closure.held_out
-    drifts = evidence.effects[effect].family is Family.DRIFT
-    if drifts or by != "session" or improvement is None or improvement.closed_ci95[0] < ADEQUATE_CLOSURE:
+    improvement, drifts = evidence.held_out.improvement, evidence.effects[effect].family is Family.DRIFT
+    if drifts or improvement is None or improvement.closed_ci95[0] < ADEQUATE_CLOSURE:
         return False
     forms = [form for form in evidence.fitted.forms if form.effect != effect]
     along = DIRECTIONS[[name != effect for name in NAMES]]
@@ -125,8 +123,8 @@ def _is_predicted(evidence: Evidence, effect: str) -> bool:
     closed = improvement_of(HeldOutFit(evidence.fitted, *known), sessions=True, stated=left).closed_ci95[0]
     k = len(evidence.fitted.parameters) - sum(len(form.parameters) for form in forms) or 1
     free = min(len(np.unique(evidence.observations.labels["session"])), MOST_SESSION_FOLDS) - 1 - k
-    ratio = max(closed, 0.0) / max(1.0 - closed, 1e-9)
-    return by == "session" and free > 0 and float(fdtrc(k, free, ratio * free / k)) < FALSE_REJECTION
+    ratio = max(closed, 0.0) / max(1.0 - closed, 1e-9) * free / k
+    return by == evidence.held_out.closure.held_out == "session" and float(fdtrc(k, free, ratio)) < FALSE_REJECTION
 
 
 def beside_named_steps(causes: Sequence[Cause], later: Sequence[str] = ()) -> Iterator[Cause]:
@@ -139,7 +137,7 @@ def beside_named_steps(causes: Sequence[Cause], later: Sequence[str] = ()) -> It
     # the first session's is not stated: the others count from it
     by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
     if step is not None and step.form:
-        before = next(k for k, name in enumerate(later, 1) if step.form == SessionStep.LASTING.format(name))
+        before = 1 + later.index(next(iter(steps)).partition("_")[2])
         by_session = [[0.0] * before + [own[-1]] * (len(later) + 1 - before) for own in by_session]
     for cause in causes:
         if steps and cause.effect in SessionStep.shifts:

@@ -167,16 +167,15 @@ def _other_laws(evidence: Evidence, effect: str) -> list[str]:
 def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
     """Return effects at least a tenth as probable as the named one of their group.
 
-    A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: runs do not tell
-    them apart, but what the evidence charges for parameters does. Beside the named one it is no alternative to it.
+    A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: what the evidence
+    charges for parameters tells them apart. Beside the named one it is no alternative to it.
     """
-    weighed = list(zip(evidence.search.models, evidence.search.probabilities.tolist(), strict=True))
+    models, probable = [*zip(evidence.search.models, evidence.search.probabilities, strict=True)], set[str]()
 
     def probability(name: str, named: set[str]) -> float:
-        apart = sum(p for model, p in weighed if name in model and (name in named or named.isdisjoint(model)))
+        apart = sum(p for model, p in models if name in model and (name in named or named.isdisjoint(model)))
         return float(max(apart, evidence.recalibration.probability(name) if name in NAMES else 0.0))
 
-    probable: set[str] = set()
     for group in groups:
         named = set(evidence.named).intersection(group)
         least = np.exp(-LOG_EVIDENCE_WINDOW) * max((probability(name, named) for name in named), default=0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
-from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, stopping, turning
+from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
 from calib.gap.effects.columns import Covariate, column_of, covariate_columns, declared_effects, entry_point_effects
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
@@ -30,7 +30,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     encoder.WheelEccentricity,
     turning.CurveLoadTransfer,
     turning.LoadDependentTrack,
-    stopping.BrakingSkid,
+    path.BrakingSkid,
     radii.SpeedRadius,
     radii.TemperatureRadius,
     radii.Wear,

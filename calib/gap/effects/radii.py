@@ -164,23 +164,18 @@ class SessionStep(Effect):
     per_session = True
     not_transferable = "what steps from session to session says nothing of the next one; calibrate in each"
     shifts = ("radius_scale", "unequal_radii")
-    #: label of a step that is in all sessions from one on
-    LASTING: ClassVar[str] = "from {} on"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form with a left and a right step a session but the first, and of three and more, of one that lasts.
-
-        None with one session.
-        """
+        """Return left and right steps a session but the first, and of three or more one that lasts; none with one."""
         steps = session_steps(observations)
         n = len(steps)
-        if n < 2:
-            return [self._form("", steps)] if steps else []
-        lasting = [(name, np.sum([step for _, step in steps[k:]], axis=0)) for k, (name, _) in enumerate(steps)]
-        later = [self._form(self.LASTING.format(one[0]), [one], 2 * n) for one in lasting]
-        return [self._form("", steps, 2), *later]
+        lasting = [
+            self._form(f"from {name} on", [(name, np.sum([step for _, step in steps[k:]], axis=0))], 2 * n)
+            for k, (name, _) in enumerate(steps)
+        ]
+        return [self._form("", steps, 2), *lasting] if n > 1 else [self._form("", steps, 1)] if steps else []
 
-    def _form(self, label: str, steps: Sequence[tuple[str, FloatArray]], tries: int = 1) -> Form:
+    def _form(self, label: str, steps: Sequence[tuple[str, FloatArray]], tries: int) -> Form:
         each = [(side, *step) for step in steps for side in ("left", "right")]
         parameters = [Parameter(f"{side}_{name}", "1", typical=5e-4, largest=1e-2) for side, name, _ in each]
         perturbations = [Perturbation(**{side: step}) for side, _, step in each]

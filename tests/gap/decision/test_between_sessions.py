@@ -70,11 +70,11 @@ def test_the_interval_of_a_mean_holds_it_in_95_of_100_campaigns(n_sessions: int)
         ("curve_scrub", 0.97, 3, "session", False),
         ("curve_scrub", 0.97, 2, "session", False),
         ("curve_scrub", -0.2, 8, "session", False),
-        ("temperature_radius", 0.9, 8, "session", False),  # what drifts goes with the order, as steps that last do
+        ("temperature_radius", 0.9, 8, "session", False),  # what drifts follows the order, as steps that last do
         ("curve_scrub", 0.6, 8, "run", False),
     ],
 )
-def test_steps_are_no_alternative_to_what_predicts_the_sessions_left_out(
+def test_steps_are_no_alternative_to_what_predicts_the_held_out_sessions(
     monkeypatch: pytest.MonkeyPatch, effect: str, closed: float, sessions: int, by: str, *, refuted: bool
 ) -> None:
     """A session's own step is not told by the others; what few sessions agree on may be chance."""
