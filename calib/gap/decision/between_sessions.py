@@ -27,6 +27,8 @@ _STEP_PRECISION: Final = 1e-6
 #: log variances searched, in squares of the unit: steps of 1e-6 to 1e-2
 _LOG_VARIANCES: Final = (-12.4, 6.0)
 _SIDES: Final = ("left", "right")
+#: families of causes that follow what may go together with the sessions
+SET_WITH_SESSIONS: Final = (Family.DRIFT, Family.LOAD, Family.SPEED)
 #: chance that a true cause fails any test of constancy, or steps pass for one, the usual level
 FALSE_REJECTION: Final = 0.05
 
@@ -107,13 +109,13 @@ def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list
 def _is_predicted(evidence: Evidence, effect: str) -> bool:
     """Return whether a cause closes whole sessions held out, paired with the fit of the others alone.
 
-    No session tells of another's step. By F, as what few sessions share may be chance; not of a drift, which follows
-    their order, as steps that last do.
+    No session tells of another's step. By F, as what few sessions share may be chance. Not of what may have been set
+    with the session, or follows their order as steps that last do.
     """
     from scipy.special import fdtrc
 
-    improvement, drifts = evidence.held_out.improvement, evidence.effects[effect].family is Family.DRIFT
-    if drifts or improvement is None or improvement.closed_ci95[0] < ADEQUATE_CLOSURE:
+    improvement, family = evidence.held_out.improvement, evidence.effects[effect].family
+    if family in SET_WITH_SESSIONS or improvement is None or improvement.closed_ci95[0] < ADEQUATE_CLOSURE:
         return False
     forms = [form for form in evidence.fitted.forms if form.effect != effect]
     along = DIRECTIONS[[name != effect for name in NAMES]]

@@ -8,6 +8,7 @@ from math import inf, prod
 from typing import Final
 
 from calib.gap.decision import confounding
+from calib.gap.decision.between_sessions import SET_WITH_SESSIONS
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
@@ -25,7 +26,7 @@ TAPE: Final = "the length of one run by tape or laser (distance_m) tells"
 REPEAT: str = "drive one route several times under the same conditions"
 #: family of a cause -> those of causes that follow something else, which may have gone together with it
 PARTING: Final = {
-    Family.DRIFT: (Family.DRIFT, Family.LOAD, Family.SPEED),
+    Family.DRIFT: SET_WITH_SESSIONS,
     Family.DIRECTION: (Family.SPEED,),
 }
 #: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld

@@ -11,6 +11,7 @@ import pytest
 from calib.gap.decision import between_sessions
 from calib.gap.decision.between_sessions import SessionScatter, variance_component
 from calib.gap.decision.held_out import Improvement
+from calib.gap.effects.load import LoadRadius
 from calib.gap.effects.radii import SessionStep, TemperatureRadius
 from calib.gap.effects.turning import CurveScrub
 
@@ -71,6 +72,7 @@ def test_the_interval_of_a_mean_holds_it_in_95_of_100_campaigns(n_sessions: int)
         ("curve_scrub", 0.97, 2, "session", False),
         ("curve_scrub", -0.2, 8, "session", False),
         ("temperature_radius", 0.9, 8, "session", False),  # what drifts follows the order, as steps that last do
+        ("load_radius", 0.98, 8, "session", False),  # one load a session confounds the two by design
         ("curve_scrub", 0.6, 8, "run", False),
     ],
 )
@@ -80,10 +82,10 @@ def test_steps_are_no_alternative_to_what_predicts_the_held_out_sessions(
     """A session's own step is not told by the others; what few sessions agree on may be chance."""
     whole = Improvement(5.0, 1.1, (1.0, 6.0), (0.8, 1.1))
     form = SimpleNamespace(effect=effect, parameters=(None,))
-    families = {"curve_scrub": CurveScrub, "temperature_radius": TemperatureRadius, "session_step": SessionStep}
+    kinds = (CurveScrub, TemperatureRadius, LoadRadius, SessionStep)
     evidence = SimpleNamespace(
         held_out=SimpleNamespace(improvement=whole, closure=SimpleNamespace(held_out=by)),
-        effects={name: kind() for name, kind in families.items()},
+        effects={kind.id: kind() for kind in kinds},
         fitted=SimpleNamespace(forms=[form], parameters=np.ones(1)),
         observations=SimpleNamespace(labels={"session": np.repeat(np.arange(sessions), 3)}),
         nominal=None,
