@@ -12,7 +12,7 @@ from calib.gap.decision.between_sessions import SET_WITH_SESSIONS
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
-from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree
+from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree, fails
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
@@ -51,7 +51,7 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
     unnamed = [name for name in fitted if name not in {cause.effect for cause in found.causes}]
     improvement = evidence.held_out.improvement
     why = (
-        *reasons(found, improvement, evidence.trials),
+        *reasons(found, improvement, evidence.trials, evidence.held_out.closure),
         *disagreement(apart_m, on, evidence.held_out.closure, found.tied),
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, found)),
@@ -61,15 +61,18 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
     return replace(fix, recommended=not why, transfer=evidence.trials, held_out=improvement, why=why)
 
 
-def reasons(found: Finding, improvement: Improvement | None, trials: Sequence[Trial] = ()) -> list[str]:
+def reasons(
+    found: Finding, improvement: Improvement | None, trials: Sequence[Trial] = (), closure: Closure | None = None
+) -> list[str]:
     """Return what keeps a fix of some causes back, with figures and what settles it.
 
-    `improvement`: on held-out runs; `trials`: on each value of what varies, held out.
+    `improvement`, `closure`: on held-out runs; `trials`: on each value of what varies, held out.
     """
     single = (text for cause in found.causes for text in doubts(cause, found))
+    left = any(map(fails, trials)) or (closure is not None and closure.leaves_part)
     helpful = [
         *unhelpful(improvement),
-        *remaining(improvement, found.unexplained),
+        *remaining(improvement, found.unexplained, left=left),
         *oversized(found.causes, improvement),
     ]
     measured = without_length(cause.effect for cause in found.causes)
@@ -191,12 +194,14 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
 REST: Final = "the rest has a cause of its own; look where the residual lies"
 
 
-def remaining(improvement: Improvement | None, unexplained: Unexplained | None, rest: str = REST) -> Iterator[str]:
-    """Yield where part of the gap, `rest`, is certainly left, and where too little of it closes."""
+def remaining(
+    improvement: Improvement | None, unexplained: Unexplained | None, rest: str = REST, *, left: bool = False
+) -> Iterator[str]:
+    """Yield where part of the gap, `rest`, is certainly left, and where too little of it closes; `left`: it shows."""
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
     large = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
-    wanted = ADEQUATE_CLOSURE if large else HALF_CLOSURE if unexplained is not None else 0.0
+    wanted = ADEQUATE_CLOSURE if large else HALF_CLOSURE if unexplained is not None or left else 0.0
     if wanted and improvement.closed_ci95[0] <= wanted:
         low, high = (100 * share for share in improvement.closed_ci95)
         yield (

@@ -11,11 +11,12 @@ import pytest
 from calib.gap.decision.causes import Finding, SizeDifference, _means
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, reasons
-from calib.gap.decision.held_out import Improvement
+from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Form, Parameter, always
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.radii import NAMES
+from calib.gap.observations.arrays import Channel
 from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain
@@ -61,6 +62,17 @@ def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_fo
         reasons(Finding([cause(signal=156.0)], {"load_radius": 0.95}, small), replace(barely, closed_ci95=(0.64, 1.3)))
         == []
     )
+
+
+def test_beside_a_channel_that_stays_above_its_noise_more_than_half_of_the_gap_closes_for_certain() -> None:
+    """A residual may show on held-out runs that no lack of fit of all runs is probable for."""
+    third = replace(CLOSES, closed_ci95=(0.34, 1.04))
+    line = ChannelClosure(Channel.DISTANCE, 6.2e-3, 7.3e-3, 2.5e-3, 0.14)
+    finding = Finding([cause(signal=156.0)], {"load_radius": 0.95})
+    (why,) = reasons(finding, third, closure=Closure(channels=(line,)))
+    assert "closes 34 to 104 % of the gap, where 50 % are to be certain" in why
+    assert reasons(finding, third, closure=Closure(channels=(replace(line, after_rms=2.6e-3),))) == []
+    assert reasons(finding, CLOSES, closure=Closure(channels=(line,))) == []
 
 
 @pytest.mark.parametrize(
