@@ -201,7 +201,7 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
     timed = "delay_s" in fitted.parameters.free_names
     for departure in _departures(fitted.model, timed=timed, misfit=misfit):
         share, size, std = score(fitted, departure)
-        clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
+        clear = abs(size) >= departure.clear * std and LEAST_SIZE < size / departure.step < LARGEST_SIZE
         if clear and share >= departure.share and share > most:
             most, found = share, (departure, size)
     return found
@@ -244,6 +244,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
+#: so many times the one tried, a third of an axis or seconds of steering, no linear step reaches
+LARGEST_SIZE: Final = 30.0
 
 
 def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:

@@ -21,6 +21,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
+from calib.kinematics.blunders import CLEARLY_LESS
 from calib.kinematics.drives import (
     GYRO_SCALE,
     NOMINAL_STD,
@@ -117,6 +118,10 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     return drives.Differential(model.radius_left_m, model.radius_right_m, model.track_m, varied, *slopes)
 
 
+def _squares(whitener: FloatArray, solution: Solution) -> float:
+    return float(np.square(np.einsum("nij,nj->ni", whitener, solution.prediction.residuals)).sum())
+
+
 def fit_parameters(
     campaign: Campaign,
     drive: Drive,
@@ -143,14 +148,19 @@ def fit_parameters(
     alone = np.array([item.nominal for item in items])
     # nominal values pull only where data leave something open: what these determine is theirs alone
     for parameters in (Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)):
-        values = parameters.nominal
+        values, far = parameters.nominal, None
         if start is not None and start.parameters.pulled == parameters.pulled:
             values = np.where(parameters.free, start.solution.values, values)
         elif parameters.pulled and np.any(np.abs(alone[radii] / values[radii] - 1.0) > GROSS):
             # counts or units are wrong: nominal lengths are no place to begin from
-            values = alone
+            far = alone
         if known is None:
             solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
+            if far is not None:
+                other = solve(model, parameters, far, drives.first_scales(campaign.reference))
+                near, off = (_squares(solution.whitener, one) for one in (solution, other))
+                # closed loops fit lengths of nothing as well
+                solution = other if off < CLEARLY_LESS * near else solution
         else:
             solution = planned(model, parameters, values, known)
         alone = solution.values
