@@ -201,7 +201,7 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
     timed = "delay_s" in fitted.parameters.free_names
     for departure in _departures(fitted.model, timed=timed, misfit=misfit):
         share, size, std = score(fitted, departure)
-        clear = abs(size) >= departure.clear * std and LEAST_SIZE < size / departure.step < LARGEST_SIZE
+        clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:
             most, found = share, (departure, size)
     return found

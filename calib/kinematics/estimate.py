@@ -15,7 +15,7 @@ from calib.errors import RefusedError
 from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import geometry_of, of_kinds
-from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
+from calib.kinematics.blunder_search import LARGEST_SIZE, find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected, times_fault
 from calib.kinematics.drives import SENSOR, Drive, nominal_turn
 from calib.kinematics.factors import implausible_lengths
@@ -225,7 +225,8 @@ def _without_departure(fit: _Fit) -> Geometry:
         other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
         still = hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
         more = still[1] if still else score(other.fitted, departure)[1]
-        corrected, settled = other.geometry, abs(more) < SIZE_FOUND * abs(size)
+        corrected, most = other.geometry, min(abs(size), LARGEST_SIZE * abs(departure.step))
+        settled = abs(more) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
         # near its size, and something else is left all the same; delays that it leaves are what it hid behind
         if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
