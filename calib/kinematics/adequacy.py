@@ -18,7 +18,7 @@ from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.solve import solve
-from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within, whitened
+from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
@@ -34,6 +34,8 @@ WORTH_SHARE: Final = 0.5
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
+#: of fewer runs one is held out where the others keep this part of what is told of every direction: twice the spread
+LEAST_TOLD: Final = 0.25
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
 REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
@@ -106,7 +108,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     """
     found = residuals
     sizes = (found.before, found.after, found.held_out, found.expected)
-    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" for value in sizes)
+    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" if value == value else "an unknown" for value in sizes)
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
@@ -260,21 +262,22 @@ def _replicates(whole: Model, path: FloatArray) -> IntArray:
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
-    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3)."""
+    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3); NaN where the others do not tell."""
     model, solution = fitted.model, fitted.solution
     runs = np.unique(model.segments.run)
-    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
-    if not by_run and whole.segments.are_runs_of(whole.recording):
-        return after
+    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS) or whole.segments.are_runs_of(whole.recording)
     units, ours = (model.segments.run, whole.segments.run) if by_run else (model.segments.block, whole.segments.block)
     fold = {unit: number % FOLDS for number, unit in enumerate(np.unique(units))}
     of_fit, of_whole = (np.array([fold.get(unit, 0) for unit in part]) for part in (units, ours))
-    residuals = after.copy()
+    residuals, jacobian = np.full_like(after, np.nan), whitened(solution, fitted.parameters.free)[0]
     logged = replace(whole, recording=fitted.logged)
     for number in range(FOLDS):
         rest: Segments = model.segments.select(of_fit != number)
         away = of_whole == number
-        if len(rest) and away.any():
+        told = (flattened(jacobian[of_fit != out]) for out in (FOLDS, number))
+        whole_told, rest_told = (part.T @ part + solution.pull for part in told)
+        least = np.linalg.eigvals(np.linalg.lstsq(whole_told, rest_told)[0]).real.min()
+        if len(rest) and away.any() and (len(runs) >= FOLDS or not by_run or least > LEAST_TOLD):
             # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
             seen = Model(model.drive, model.recording, rest)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
