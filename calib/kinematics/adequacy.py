@@ -44,6 +44,8 @@ REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
 #: a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
+#: chance of an outlier: one in a hundred campaigns
+OUTLIER_CHANCE: Final = 0.01
 #: share of single bad runs, which take no part; one always may be
 FEW_OUTLIERS: Final = 0.1
 #: share of runs beyond noise that makes a result doubtful
@@ -175,7 +177,7 @@ def judged(
     faults, outliers
         Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
     """
-    used, seen = _used(whole, outliers), whole.segments.seen
+    used, seen = _used(whole, outliers) & ~bad_windows(fitted, whole), whole.segments.seen
     after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
     logged = replace(whole, recording=fitted.logged)
     before = np.where(seen, logged.predict(fitted.parameters.nominal).residuals, 0.0)
@@ -227,6 +229,18 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
     alone = all((recording.kind == kind).sum() > (kinds == kind).sum() or not kind for kind in set(kinds.tolist()))
     few = bad[runs].sum() <= max(1.0, FEW_OUTLIERS * len(runs))
     return used if few and alone and used.sum() >= 2 else np.ones_like(used)
+
+
+def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
+    """Return the windows that noise cannot explain, where they are few: single poses of a tracker are off."""
+    from scipy.special import chdtri
+
+    longest = fitted.model.segments.level == 0
+    if whole.segments.are_runs_of(whole.recording) or longest.sum() != len(whole.segments):
+        return np.zeros(len(whole.segments), dtype=np.bool_)
+    size = np.maximum(whole.segments.seen.sum(axis=1), 1)
+    bad: BoolArray = fitted.solution.squares[longest] > chdtri(size, OUTLIER_CHANCE / len(size))
+    return bad & (bad.mean() <= FEW_OUTLIERS)
 
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,7 +18,7 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
-from calib.kinematics.adequacy import LENGTHS_ALONE, judged
+from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
 from calib.kinematics.blunders import Fault, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, first_scales
 from calib.kinematics.factors import factor_faults
@@ -63,8 +63,6 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
     return campaign.select(np.isin(kind, sorted(wanted)))
 
 
-#: chance of an outlier: one in a hundred campaigns
-OUTLIER_CHANCE: Final = 0.01
 #: no run is driven slower: a metre takes a quarter of an hour
 SLOWEST_MPS: Final = 1e-3
 
@@ -110,7 +108,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=tuple(_notes(fitted, campaign.vehicle.drive)),
+        notes=tuple(_notes(fitted, whole, campaign.vehicle.drive)),
         inputs=campaign.hashes,
         judgement=judgement,
     )
@@ -150,7 +148,7 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
+def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     if name in {"session", "route"}:
         yield (
@@ -180,6 +178,8 @@ def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
             f"Times (t_s) make {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: ms, "
             "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
+    if n_bad := int(bad_windows(fitted, whole).sum()):
+        yield f"{n_bad} of {len(whole.segments)} windows are outliers, down-weighted: single poses of the reference are off."
     if not fitted.solution.converged:
         yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:

@@ -49,3 +49,17 @@ def test_runs_of_another_sensor_are_told(other: Truth | None) -> None:
     assert found.passed is (other is None)
     before, after = (listed(made.runs.run_id[part]) for part in (FIRST, ~FIRST))
     assert not other or f"sensor_x_m, for one, is less in {before} than in {after}:" in found.why[0]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_single_poses_that_are_off_are_no_motion_of_the_vehicle(seed: int) -> None:
+    """Few windows end at a spike of the tracker: they take no part in the verdict, and a note says so."""
+    rng = np.random.default_rng(seed)
+
+    def spiked(log: Columns) -> Columns:
+        hit = rng.random(len(log["t_s"])) < 0.02
+        return log | {name: log[name] + hit * rng.normal(0.0, 0.3, len(hit)) for name in ("ref_x_m", "ref_y_m")}
+
+    made = campaign(LOOPS[:5], Truth(), rng, along=True, duration_s=60.0, samples=400)
+    found = estimate_geometry(changed(made, spiked))
+    assert found.passed and any("windows are outliers" in note for note in found.notes)
