@@ -20,9 +20,9 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
 from calib.kinematics.blunders import Fault, still_counters
-from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, first_scales
+from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, first_scales
 from calib.kinematics.factors import factor_faults
-from calib.kinematics.joint_fit import MEAN_RADIUS, Fitted, drive_of, fit_parameters
+from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, Umbmark
@@ -180,6 +180,12 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
         )
     if n_bad := int(bad_windows(fitted, whole).sum()):
         yield f"{n_bad} of {len(whole.segments)} windows are outliers, down-weighted: single poses of the reference are off."
+    step_s = float(np.median(np.diff(recording.t_s)))
+    if SENSOR[-1] in fitted.undetermined and step_s > LONGEST_STEP_S:
+        yield (
+            f"Samples are {step_s:.2g} s apart: too coarse for a delay of the reference, which is taken for 0 and shifts "
+            f"the other values where it is not; log at {1.0 / LONGEST_STEP_S:.0f} Hz or faster."
+        )
     if not fitted.solution.converged:
         yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:

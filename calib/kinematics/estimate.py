@@ -24,7 +24,7 @@ from calib.kinematics.model import Model, Segments, end_pose_segments, window_se
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
-from calib.types import Progress, silent, stepped
+from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
@@ -192,7 +192,11 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         chosen = other
     common, delays = chosen, tuple[Delay, ...]()
     if task.way == "windows":
-        chosen, delays = _with_own_delays(task, common)
+        losses = joint_fit.delay_losses(common)
+        if start := joint_fit.at_best_delay(common, losses):
+            common = task.fit(drive, recording, common.model.segments, start)
+            losses = joint_fit.delay_losses(common)
+        chosen, delays = _with_own_delays(task, common, losses)
     chosen = _with_own_zeros(task, chosen)
     geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*found, *faults))
     return _Fit(task, chosen, replace(geometry, delays=delays), common)
@@ -294,13 +298,13 @@ def _bends(fitted: Fitted) -> bool:
     return rms(rest) > BENT_RAD
 
 
-def _with_own_delays(task: _Task, common: Fitted) -> tuple[Fitted, tuple[Delay, ...]]:
+def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:
     if implausible_lengths(common, task.campaign.vehicle.drive):
         # no delay makes a vehicle of these
         return common, ()
     fitted = common
     delays: tuple[Delay, ...] = ()
-    added = joint_fit.sought_delays(common)
+    added = joint_fit.sought_delays(common, losses)
     for number in range(DELAY_ROUNDS):
         if number or not added.any():
             delays, added = joint_fit.own_delays(fitted)

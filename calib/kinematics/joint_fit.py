@@ -184,8 +184,10 @@ def fit_parameters(
 #: of taking one delay for several
 CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps
-REACH_S: Final = 0.5
 TRIED: Final = 51
+OFFSETS_S: Final = np.linspace(-0.5, 0.5, TRIED)
+#: gain of log likelihood from which another common delay is begun from: three standard deviations
+CLEARLY_LIKELIER: Final = 4.5
 #: for a recording's own delay
 FEWEST_BLOCKS: Final = 4
 
@@ -199,24 +201,44 @@ class Delay:
     std_s: float = field(metadata={"json": "sd"})
 
 
-def sought_delays(fitted: Fitted) -> FloatArray:
-    """Return each run's delay from the common one, shape (n_runs,), by grid search.
+def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
+    """Return a start at the common delay that leaves clearly less, by `delay_losses`; None where the fit's does.
 
-    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Zero where
-    the common delay fits best.
+    Runs that begin on the move have delays between which the prediction jumps: the gradient stays where it began.
+    """
+    total = losses.sum(axis=1)
+    if not total.size or total.min() > total[TRIED // 2] - CLEARLY_LIKELIER:
+        return None
+    values = fitted.solution.values.copy()
+    values[-1] += OFFSETS_S[np.argmin(total)]
+    return replace(fitted, solution=replace(fitted.solution, values=values))
+
+
+def delay_losses(fitted: Fitted) -> FloatArray:
+    """Return each recording's negative log likelihood at delays about the common one, shape (TRIED, n_groups).
+
+    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Empty
+    where the delay is not estimated.
     """
     model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
-    nothing = model.recording.delay_added_s
-    if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined or not group.any():
-        return nothing
-    offsets, delay = np.linspace(-REACH_S, REACH_S, TRIED), np.eye(len(solution.values))[-1]
-    losses = []
-    for offset in offsets:
+    if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined:
+        return np.zeros((0, 1))
+    delay, size, losses = np.eye(len(solution.values))[-1], model.segments.seen.sum(axis=1), []
+    for offset in OFFSETS_S:
         residuals = model.predict(solution.values + offset * delay).residuals
         loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
+        loss *= 0.5 * (DEGREES + size)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
-    best = offsets[np.argmin(losses, axis=0)]
-    return nothing if np.ptp(best) < 1.5 * (offsets[1] - offsets[0]) else nothing + best[group]
+    return np.array(losses)
+
+
+def sought_delays(fitted: Fitted, losses: FloatArray) -> FloatArray:
+    """Return each run's delay from the common one, shape (n_runs,), by `delay_losses`; zero where that fits best."""
+    nothing, group = fitted.model.recording.delay_added_s, fitted.model.recording.group
+    if not group.any() or not losses.size:
+        return nothing
+    best = OFFSETS_S[np.argmin(losses, axis=0)]
+    return nothing if np.ptp(best) < 1.5 * (OFFSETS_S[1] - OFFSETS_S[0]) else nothing + best[group]
 
 
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
