@@ -52,8 +52,6 @@ FEW_OUTLIERS: Final = 0.1
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
-#: of dividing runs into two groups
-ROUNDS: Final = 10
 #: heading residuals are not held against a smaller turn, mostly chance in the reference's heading
 LEAST_ROTATION_RAD: Final = 1.0
 
@@ -110,7 +108,9 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     """
     found = residuals
     sizes = (found.before, found.after, found.held_out, found.expected)
-    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" if value == value else "an unknown" for value in sizes)
+    before, after, held_out, noise = (
+        f"{1e3 * value:.3g} {unit}" if value == value else "an unknown" for value in sizes
+    )
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
@@ -309,56 +309,56 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     return np.asarray(logged.predict(values).residuals - common)
 
 
-def _along(fitted: Fitted, outliers: Sequence[str]) -> Iterator[str]:
-    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise."""
+def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:
+    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise.
+
+    `noise_m`: usual one of a position.
+    """
     segments, solution, free = fitted.model.segments, fitted.solution, fitted.parameters.free
     used = _used(fitted.model, outliers) & (segments.level > 0) & segments.seen.all(axis=1)
     if not used.any():
         return
-    way_m, rotation_rad = travelled(fitted.model, solution.values)
-    rest, of_way, run_id = solution.prediction.residuals, rms(way_m[used, None]), fitted.model.recording.run_id
-    left = rms(rest[used, :2]), rms(rest[used, 2:])
-    off = float(np.median(np.hypot(*rest[used, :2].T)))
-    if off > WRONG_SHARE * of_way:
+    sizes, rest = travelled(fitted.model, solution.values), solution.prediction.residuals[used]
+    way_m, rotation_rad = (rms(size[used, None]) for size in sizes)
+    off_m = float(np.median(np.hypot(rest[:, 0], rest[:, 1])))
+    if off_m > max(WRONG_SHARE * way_m, LACK_OF_FIT * noise_m):
         yield (
-            f"position: within runs {1e3 * off:.3g} mm are left of {of_way:.2g} m, wherever the runs end: the path does "
-            "not bend as the wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
+            f"position: within runs {1e3 * off_m:.3g} mm are left of {way_m:.2g} m: the path does not bend as the wheels "
+            "turn; is an axis of the reference mirrored, or are x and y exchanged?"
         )
         return
-    own = left_within(solution, free, segments, run_id, used)
-    small = SMALL_SHARE * of_way, SMALL_SHARE * max(rms(rotation_rad[used, None]), LEAST_ROTATION_RAD)
-    if not any(one > max(LACK_OF_FIT * alone, least) for one, alone, least in zip(left, own, small, strict=True)):
-        return
-    name, sides = _parted(fitted, used)
-    yield (
-        f"runs differ: {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left within them, {1e3 * own[0]:.3g} mm "
-        f"and {1e3 * own[1]:.3g} mrad by parameters of each run; {name}, for one, is less in {sides[0]} than in "
-        f"{sides[1]}: vehicle, sensor or reference changed; calibrate these runs by themselves"
-    )
+    own = left_within(solution, free, segments, fitted.model.recording.run_id, used)
+    left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
+    if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):
+        name, sides = _parted(fitted, used)
+        yield (
+            f"runs differ: {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left within them, {1e3 * own[0]:.3g} "
+            f"mm and {1e3 * own[1]:.3g} mrad by parameters of each run; {name}, for one, is less in {sides[0]} than in "
+            f"{sides[1]}: vehicle, sensor or reference changed; calibrate these runs by themselves"
+        )
 
 
 def _parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
     """Return the parameter that differs most clearly between two groups of runs, and the runs where it is less and more.
 
-    Each run is of the group whose parameters fit it better (k-means by squares of residuals), if any does clearly.
+    Each run is of the group whose parameters fit it better (k-means), if any does clearly.
     """
-    jacobian, white = whitened(fitted.solution, fitted.parameters.free)
+    jacobian, white = (part[used] for part in whitened(fitted.solution, fitted.parameters.free))
     number = fitted.model.segments.run[used]
-    runs, at = np.unique(number, return_inverse=True)
-    flat = jacobian[used]
-    normal, pull = np.zeros((len(runs), *[flat.shape[2]] * 2)), np.zeros((len(runs), flat.shape[2]))
-    np.add.at(normal, at, np.einsum("nij,nik->njk", flat, flat))
-    np.add.at(pull, at, np.einsum("nij,ni->nj", flat, white[used]))
+    runs = np.unique(number)
+    each = [(flattened(jacobian[number == run]), white[number == run].ravel()) for run in runs]
+    normal, pull = (np.array([part.T @ part for part, _ in each]), np.array([part.T @ rest for part, rest in each]))
     alone = np.square(pull) / np.maximum(np.einsum("nii->ni", normal), 1e-300)
-    group = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
-    for _ in range(ROUNDS):
-        inverse = [np.linalg.pinv(normal[group == side].sum(axis=0)) for side in (True, False)]
-        step = [part @ pull[group == side].sum(axis=0) for part, side in zip(inverse, (True, False), strict=True)]
-        loss = [one @ (normal @ one - 2.0 * pull).T for one in step]
-        group = loss[0] < loss[1]
-    apart = (step[1] - step[0]) / np.sqrt(np.diag(inverse[0] + inverse[1]))
+    less = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
+    for _ in runs:
+        inverse = [np.linalg.pinv(normal[side].sum(axis=0)) for side in (less, ~less)]
+        step = [part @ pull[side].sum(axis=0) for part, side in zip(inverse, (less, ~less), strict=True)]
+        gain = np.diff([one @ (normal @ one - 2.0 * pull).T for one in step], axis=0)[0]
+        less = gain > 0.0
+    apart = (step[1] - step[0]) / np.sqrt(np.diag(sum(inverse)))
     most = int(np.argmax(np.abs(apart)))
-    gain, run_id = (loss[1] - loss[0]) * np.sign(apart[most]), fitted.model.recording.run_id[runs]
+    gain *= np.sign(apart[most])
+    run_id = fitted.model.recording.run_id[runs]
     return fitted.parameters.free_names[most], [listed(run_id[side * gain > LACK_OF_FIT**2]) for side in (1.0, -1.0)]
 
 
@@ -378,7 +378,7 @@ def _further(
     `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
     """
     n_runs = len(np.unique(whole.segments.run))
-    yield from _along(fitted, outliers)
+    yield from _along(fitted, outliers, position.usual_noise)
     numbers, n_free = int(fitted.model.segments.seen.sum()), int(fitted.parameters.free.sum())
     if numbers <= n_free:
         yield f"{numbers} measured numbers for {n_free} parameters are fitted exactly and show nothing: drive more runs"

@@ -179,13 +179,10 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
             "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
     if n_bad := int(bad_windows(fitted, whole).sum()):
-        yield f"{n_bad} of {len(whole.segments)} windows are outliers, down-weighted: single poses of the reference are off."
+        yield f"{n_bad} of {len(whole.segments)} windows are outliers, down-weighted: single poses are off."
     step_s = float(np.median(np.diff(recording.t_s)))
     if SENSOR[-1] in fitted.undetermined and step_s > LONGEST_STEP_S:
-        yield (
-            f"Samples are {step_s:.2g} s apart: too coarse for a delay of the reference, which is taken for 0 and shifts "
-            f"the other values where it is not; log at {1.0 / LONGEST_STEP_S:.0f} Hz or faster."
-        )
+        yield f"Samples are {step_s:.2g} s apart: too coarse for a delay of the reference, which is taken for 0."
     if not fitted.solution.converged:
         yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:

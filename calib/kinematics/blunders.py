@@ -90,8 +90,8 @@ def rear_faults(recording: Recording, segments: Segments) -> Corrected:
 def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray, far: float = 0.0) -> float:
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
-    `segments`: whose displacement was measured, those taken that are longer than the part `far` of their way; `turn_rad`,
-    `rolled` (shape (n_steps,)): turn in each step by the measured headings, and the wheels' own way.
+    `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
+    measured headings, and the wheels' own way, of which a displacement is the part `far` at least.
     """
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))

@@ -309,8 +309,8 @@ def left_within(
 ) -> tuple[float, float]:
     """Return root mean squares of position (m) and heading (rad) left by a fit of each session.
 
-    Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has its
-    own parameters, start heading and axes' yaw. `labels`: of runs; `among`: segments to take, None: the longest.
+    Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
+    its parameters, start heading and axes' yaw. `labels`: of runs; `among`: segments to take, None: the longest.
     """
     from scipy.special import fdtrc
 

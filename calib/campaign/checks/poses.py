@@ -347,7 +347,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
 
 
 def _logged_headings(campaign: Campaign) -> Iterator[Note]:
-    """Compare headings along the path with the counts, where these turn fastest: wraps are single steps there."""
+    """Compare headings along the path with the counts where these turn fastest: wraps are single steps."""
     ratios = []
     for _, log in campaign.logs.each():
         if log.keys() >= {"ref_theta_rad", "counts_left", "counts_right"}:
@@ -358,8 +358,7 @@ def _logged_headings(campaign: Campaign) -> Iterator[Note]:
             if np.nansum(np.abs(turned)) >= 1.0:
                 ratios.append(float(np.nanmedian(np.diff(heading)[fast] / turned[fast])))
     if len(ratios) >= LEAST_RUNS and abs(abs(ratio := float(np.median(ratios))) * math.pi / 180 - 1) < 0.3:
-        text = f"""headings along the path turn {ratio:.3g} times as far as the counts; expected about as far; are they in
-            degrees?"""
+        text = f"headings along the path turn {ratio:.3g} times as far as the counts; are they in degrees?"
         yield implausible_column("ref_theta_rad", text, of="logs")
 
 
