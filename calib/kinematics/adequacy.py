@@ -10,13 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import listed
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
-from calib.kinematics.factors import implausible_lengths
-from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.joint_fit import Fitted, parted
 from calib.kinematics.model import Model, Segments
+from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
 from calib.types import BoolArray, FloatArray, IntArray
@@ -108,9 +107,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     """
     found = residuals
     sizes = (found.before, found.after, found.held_out, found.expected)
-    before, after, held_out, noise = (
-        f"{1e3 * value:.3g} {unit}" if value == value else "an unknown" for value in sizes
-    )
+    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" for value in sizes)
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
@@ -240,7 +237,7 @@ def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
         return np.zeros(len(whole.segments), dtype=np.bool_)
     size = np.maximum(whole.segments.seen.sum(axis=1), 1)
     bad: BoolArray = fitted.solution.squares[longest] > chdtri(size, OUTLIER_CHANCE / len(size))
-    return bad & (bad.mean() <= FEW_OUTLIERS)
+    return bad if bad.mean() <= FEW_OUTLIERS else np.zeros_like(bad)
 
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -323,43 +320,19 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
     off_m = float(np.median(np.hypot(rest[:, 0], rest[:, 1])))
     if off_m > max(WRONG_SHARE * way_m, LACK_OF_FIT * noise_m):
         yield (
-            f"position: within runs {1e3 * off_m:.3g} mm are left of {way_m:.2g} m: the path does not bend as the wheels "
-            "turn; is an axis of the reference mirrored, or are x and y exchanged?"
+            f"position: {1e3 * off_m:.3g} mm of {way_m:.2g} m are left within runs: the path does not bend as the "
+            "wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
         )
         return
     own = left_within(solution, free, segments, fitted.model.recording.run_id, used)
     left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
     if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):
-        name, sides = _parted(fitted, used)
+        name, sides = parted(fitted, used)
         yield (
-            f"runs differ: {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left within them, {1e3 * own[0]:.3g} "
-            f"mm and {1e3 * own[1]:.3g} mrad by parameters of each run; {name}, for one, is less in {sides[0]} than in "
-            f"{sides[1]}: vehicle, sensor or reference changed; calibrate these runs by themselves"
+            f"runs differ: within them {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left, "
+            f"{1e3 * own[0]:.3g} mm and {1e3 * own[1]:.3g} mrad by parameters of each; {name}, for one, is less in "
+            f"{sides[0]} than in {sides[1]}: vehicle, sensor or reference changed; calibrate these runs by themselves"
         )
-
-
-def _parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
-    """Return the parameter that differs most clearly between two groups of runs, and the runs where it is less and more.
-
-    Each run is of the group whose parameters fit it better (k-means), if any does clearly.
-    """
-    jacobian, white = (part[used] for part in whitened(fitted.solution, fitted.parameters.free))
-    number = fitted.model.segments.run[used]
-    runs = np.unique(number)
-    each = [(flattened(jacobian[number == run]), white[number == run].ravel()) for run in runs]
-    normal, pull = (np.array([part.T @ part for part, _ in each]), np.array([part.T @ rest for part, rest in each]))
-    alone = np.square(pull) / np.maximum(np.einsum("nii->ni", normal), 1e-300)
-    less = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
-    for _ in runs:
-        inverse = [np.linalg.pinv(normal[side].sum(axis=0)) for side in (less, ~less)]
-        step = [part @ pull[side].sum(axis=0) for part, side in zip(inverse, (less, ~less), strict=True)]
-        gain = np.diff([one @ (normal @ one - 2.0 * pull).T for one in step], axis=0)[0]
-        less = gain > 0.0
-    apart = (step[1] - step[0]) / np.sqrt(np.diag(sum(inverse)))
-    most = int(np.argmax(np.abs(apart)))
-    gain *= np.sign(apart[most])
-    run_id = fitted.model.recording.run_id[runs]
-    return fitted.parameters.free_names[most], [listed(run_id[side * gain > LACK_OF_FIT**2]) for side in (1.0, -1.0)]
 
 
 #: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side

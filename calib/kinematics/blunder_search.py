@@ -26,10 +26,9 @@ from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import Drive, Parameters, moved_between, nominal_turn
-from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.readings import Change, Reading, readings, unchanged
+from calib.kinematics.readings import Change, Reading, implausible, readings, unchanged
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -14,13 +14,13 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
-from calib.kinematics.assemble import geometry_of, of_kinds
+from calib.kinematics.assemble import divisions, geometry_of, of_kinds
 from calib.kinematics.blunder_search import LARGEST_SIZE, find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected, times_fault
 from calib.kinematics.drives import SENSOR, Drive, nominal_turn
-from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
-from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
+from calib.kinematics.model import Model, Segments, end_pose_segments
+from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
@@ -28,8 +28,6 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
-#: blocks for windows of a few long recordings, coarse to fine; many runs are blocks themselves
-BLOCKS: Final = (40, 160, 640)
 #: a finer division is taken where its intervals are at most this much wider: a bad measurement then spoils less, and a
 #: standard deviation from some dozens of blocks is itself known to 15 %
 AS_GOOD: Final = 1.25
@@ -330,20 +328,6 @@ def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
     solution = replace(again.solution, prediction=model.predict(again.solution.values))
     again = joint_fit.with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
     return own if again.undetermined else again
-
-
-def divisions(recording: Recording, using: str) -> Iterator[Segments]:
-    """Yield whole runs (``end_poses``), or ever finer windows, of many runs a block each first."""
-    if using == "end_poses":
-        yield end_pose_segments(recording)
-        return
-    before = 0
-    for blocks in (len(recording), *BLOCKS) if len(recording) >= ENOUGH_RUNS else BLOCKS:
-        segments = window_segments(recording, blocks)
-        count = len(np.unique(segments.block))
-        if count > before:
-            yield segments
-        before = count
 
 
 def _transfer(

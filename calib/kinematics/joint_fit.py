@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.checks.design import listed
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
@@ -35,7 +36,7 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
 from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
@@ -239,6 +240,31 @@ def sought_delays(fitted: Fitted, losses: FloatArray) -> FloatArray:
         return nothing
     best = OFFSETS_S[np.argmin(losses, axis=0)]
     return nothing if np.ptp(best) < 1.5 * (OFFSETS_S[1] - OFFSETS_S[0]) else nothing + best[group]
+
+
+def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
+    """Return the parameter that differs most clearly between two groups of runs, and where it is less and more.
+
+    Each run is of the group whose parameters fit it better (k-means), if any does clearly; `used`: segments.
+    """
+    jacobian, white = (part[used] for part in whitened(fitted.solution, fitted.parameters.free))
+    number = fitted.model.segments.run[used]
+    runs = np.unique(number)
+    each = [(flattened(jacobian[number == run]), white[number == run].ravel()) for run in runs]
+    normal, pull = (np.array([part.T @ part for part, _ in each]), np.array([part.T @ rest for part, rest in each]))
+    alone = np.square(pull) / np.maximum(np.einsum("nii->ni", normal), 1e-300)
+    less = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
+    for _ in runs:
+        inverse = [np.linalg.pinv(normal[side].sum(axis=0)) for side in (less, ~less)]
+        step = [part @ pull[side].sum(axis=0) for part, side in zip(inverse, (less, ~less), strict=True)]
+        gain = np.diff([one @ (normal @ one - 2.0 * pull).T for one in step], axis=0)[0]
+        less = gain > 0.0
+    apart = (step[1] - step[0]) / np.sqrt(np.diag(sum(inverse)))
+    most = int(np.argmax(np.abs(apart)))
+    gain, run_id = gain * np.sign(apart[most]), fitted.model.recording.run_id[runs]
+    return fitted.parameters.free_names[most], [
+        listed(run_id[side * gain > 2.0 * CLEARLY_LIKELIER]) for side in (1.0, -1.0)
+    ]
 
 
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
