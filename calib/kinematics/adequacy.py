@@ -324,7 +324,8 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
             "wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
         )
         return
-    own = left_within(solution, free, segments, fitted.model.recording.run_id, used)
+    # of these instead of the longest
+    own = left_within(solution, free, replace(segments, level=~used), fitted.model.recording.run_id)
     left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
     if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):
         name, sides = parted(fitted, used)

@@ -304,13 +304,13 @@ SESSIONS_CHANCE: Final = 1e-4
 DEPENDENT: Final = 1e-6
 
 
-def left_within(
-    solution: Solution, free: BoolArray, segments: Segments, labels: StrArray, among: BoolArray | None = None
-) -> tuple[float, float]:
+def left_within(solution: Solution, free: BoolArray, segments: Segments, labels: StrArray) -> tuple[float, float]:
     """Return root mean squares of position (m) and heading (rad) left by a fit of each session.
 
     Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
-    its parameters, start heading and axes' yaw. `labels`: of runs; `among`: segments to take, None: the longest.
+    its own parameters, start heading of the reference, and yaw of its axes.
+
+    `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
     """
     from scipy.special import fdtrc
 
@@ -321,10 +321,10 @@ def left_within(
     columns = np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2)
     rest = solution.prediction.residuals
     white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
-    session, among = labels[segments.run], segments.level == 0 if among is None else among
+    session, longest = labels[segments.run], segments.level == 0
     squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
-    for label in np.unique(session[among]):
-        at = (session == label) & among
+    for label in np.unique(session[longest]):
+        at = (session == label) & longest
         flat, seen = white[at].reshape(-1, columns.shape[2]), segments.seen[at]
         scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
         step, _, rank, _ = np.linalg.lstsq(flat / scale, white_rest[at].ravel(), rcond=DEPENDENT)

@@ -1,4 +1,4 @@
-"""The delay of the reference's stamps: sought over a grid, and said to be left out where logs are too coarse."""
+"""The delay of the reference's stamps: sought over a grid, and said not to be sought where logs are too coarse."""
 
 from __future__ import annotations
 
