@@ -191,8 +191,8 @@ def geometry(
         Where no run has both wheels and a reference.
     """
     from calib.campaign.check import assumed_notes
+    from calib.kinematics.assemble import traces_of
     from calib.kinematics.estimate import estimate_geometry
-    from calib.kinematics.traces import traces_of
 
     campaign = opened(campaign)
     estimated = estimate_geometry(campaign, using=using, kinds=kinds, leave_out=leave_out)

@@ -137,7 +137,7 @@ def geometry(
     document = geometry_document(estimated, read, accept)
     terminal.save(result, document)
     if figures is not None:
-        from calib.kinematics.traces import traces_of
+        from calib.kinematics.assemble import traces_of
         from calib.reporting.figures.calibration import draw_paths
 
         paths = traces_of(read, estimated)

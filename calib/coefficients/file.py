@@ -142,7 +142,7 @@ class CoefficientFile(Section):
 
         Drive and counts a revolution are stated; radii and track may differ as far as calibration moves them.
         """
-        from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE, implausible
+        from calib.kinematics.readings import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE, implausible
 
         own, theirs, encoder = self.geometry, campaign.vehicle, campaign.encoder
         found = []

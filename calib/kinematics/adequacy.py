@@ -13,11 +13,11 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO, nominal_values
-from calib.kinematics.factors import implausible_lengths
-from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.joint_fit import Fitted, parted
 from calib.kinematics.model import Model, Segments
+from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
-from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
+from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
@@ -33,6 +33,8 @@ WORTH_SHARE: Final = 0.5
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
+#: of fewer runs one is held out where the others keep this part of what is told of every direction: twice the spread
+LEAST_TOLD: Final = 0.25
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
 REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
@@ -41,6 +43,8 @@ REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
 #: a share of the rotation and in rad per metre
 USUAL_DRIFT: Final = 0.003
+#: chance of an outlier: one in a hundred campaigns
+OUTLIER_CHANCE: Final = 0.01
 #: share of single bad runs, which take no part; one always may be
 FEW_OUTLIERS: Final = 0.1
 #: share of runs beyond noise that makes a result doubtful
@@ -170,7 +174,7 @@ def judged(
     faults, outliers
         Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
     """
-    used, seen = _used(whole, outliers), whole.segments.seen
+    used, seen = _used(whole, outliers) & ~bad_windows(fitted, whole), whole.segments.seen
     after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
     logged = replace(whole, recording=fitted.logged)
     before = np.where(seen, logged.predict(fitted.parameters.nominal).residuals, 0.0)
@@ -224,6 +228,18 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
     return used if few and alone and used.sum() >= 2 else np.ones_like(used)
 
 
+def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
+    """Return the windows that noise cannot explain, where they are few: single poses of a tracker are off."""
+    from scipy.special import chdtri
+
+    longest = fitted.model.segments.level == 0
+    if whole.segments.are_runs_of(whole.recording) or longest.sum() != len(whole.segments):
+        return np.zeros(len(whole.segments), dtype=np.bool_)
+    size = np.maximum(whole.segments.seen.sum(axis=1), 1)
+    bad: BoolArray = fitted.solution.squares[longest] > chdtri(size, OUTLIER_CHANCE / len(size))
+    return bad if bad.mean() <= FEW_OUTLIERS else np.zeros_like(bad)
+
+
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
     body = model.motion(values).body
@@ -257,21 +273,22 @@ def _replicates(whole: Model, path: FloatArray) -> IntArray:
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
-    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3)."""
+    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3); NaN where the others do not tell."""
     model, solution = fitted.model, fitted.solution
     runs = np.unique(model.segments.run)
-    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS)
-    if not by_run and whole.segments.are_runs_of(whole.recording):
-        return after
+    by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS) or whole.segments.are_runs_of(whole.recording)
     units, ours = (model.segments.run, whole.segments.run) if by_run else (model.segments.block, whole.segments.block)
     fold = {unit: number % FOLDS for number, unit in enumerate(np.unique(units))}
     of_fit, of_whole = (np.array([fold.get(unit, 0) for unit in part]) for part in (units, ours))
-    residuals = after.copy()
+    residuals, jacobian = np.full_like(after, np.nan), whitened(solution, fitted.parameters.free)[0]
     logged = replace(whole, recording=fitted.logged)
     for number in range(FOLDS):
         rest: Segments = model.segments.select(of_fit != number)
         away = of_whole == number
-        if len(rest) and away.any():
+        told = (flattened(jacobian[of_fit != out]) for out in (FOLDS, number))
+        whole_told, rest_told = (part.T @ part + solution.pull for part in told)
+        least = np.linalg.eigvals(np.linalg.lstsq(whole_told, rest_told)[0]).real.min()
+        if len(rest) and away.any() and (len(runs) >= FOLDS or not by_run or least > LEAST_TOLD):
             # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
             seen = Model(model.drive, model.recording, rest)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
@@ -287,6 +304,36 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     common = logged.predict(values).residuals
     values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.zero_spread_rad
     return np.asarray(logged.predict(values).residuals - common)
+
+
+def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:
+    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise.
+
+    `noise_m`: usual one of a position.
+    """
+    segments, solution, free = fitted.model.segments, fitted.solution, fitted.parameters.free
+    used = _used(fitted.model, outliers) & (segments.level > 0) & segments.seen.all(axis=1)
+    if not used.any():
+        return
+    sizes, rest = travelled(fitted.model, solution.values), solution.prediction.residuals[used]
+    way_m, rotation_rad = (rms(size[used, None]) for size in sizes)
+    off_m = float(np.median(np.hypot(rest[:, 0], rest[:, 1])))
+    if off_m > max(WRONG_SHARE * way_m, LACK_OF_FIT * noise_m):
+        yield (
+            f"position: {1e3 * off_m:.3g} mm of {way_m:.2g} m are left within runs: the path does not bend as the "
+            "wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
+        )
+        return
+    # of these instead of the longest
+    own = left_within(solution, free, replace(segments, level=(~used).astype(np.int64)), fitted.model.recording.run_id)
+    left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
+    if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):
+        name, sides = parted(fitted, used)
+        yield (
+            f"runs differ: within them {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left, "
+            f"{1e3 * own[0]:.3g} mm and {1e3 * own[1]:.3g} mrad by parameters of each; {name}, for one, is less in "
+            f"{sides[0]} than in {sides[1]}: vehicle, sensor or reference changed; calibrate these runs by themselves"
+        )
 
 
 #: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side
@@ -305,6 +352,7 @@ def _further(
     `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
     """
     n_runs = len(np.unique(whole.segments.run))
+    yield from _along(fitted, outliers, position.usual_noise)
     numbers, n_free = int(fitted.model.segments.seen.sum()), int(fitted.parameters.free.sum())
     if numbers <= n_free:
         yield f"{numbers} measured numbers for {n_free} parameters are fitted exactly and show nothing: drive more runs"

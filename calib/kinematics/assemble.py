@@ -18,17 +18,17 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
-from calib.kinematics.adequacy import LENGTHS_ALONE, judged
-from calib.kinematics.blunders import Fault, still_counters
-from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, first_scales
-from calib.kinematics.factors import factor_faults
-from calib.kinematics.joint_fit import MEAN_RADIUS, Fitted, drive_of, fit_parameters
-from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments
+from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
+from calib.kinematics.blunders import Fault, corrected, still_counters
+from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
+from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
+from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
+from calib.kinematics.readings import factor_faults
 from calib.kinematics.recording import Recording, recording_of
-from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, Umbmark
+from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 
 def route_table(
@@ -63,8 +63,6 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
     return campaign.select(np.isin(kind, sorted(wanted)))
 
 
-#: chance of an outlier: one in a hundred campaigns
-OUTLIER_CHANCE: Final = 0.01
 #: no run is driven slower: a metre takes a quarter of an hour
 SLOWEST_MPS: Final = 1e-3
 
@@ -110,7 +108,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
         routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
-        notes=tuple(_notes(fitted, campaign.vehicle.drive)),
+        notes=tuple(_notes(fitted, whole, campaign.vehicle.drive)),
         inputs=campaign.hashes,
         judgement=judgement,
     )
@@ -150,7 +148,7 @@ def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
     return tuple(str(model.recording.run_id[run]) for run in runs if beyond[model.segments.run == run].mean() > 0.5)
 
 
-def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
+def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
     recording, name, n = fitted.model.recording, fitted.uncertainty.by, fitted.uncertainty.clusters
     if name in {"session", "route"}:
         yield (
@@ -180,6 +178,11 @@ def _notes(fitted: Fitted, kind: str) -> Iterator[str]:
             f"Times (t_s) make {1e3 * mps:.2g} mm/s on average, samples {took_s / len(recording.t_s):.2g} s apart: ms, "
             "or us, taken for s? Radii and track hold all the same; a delay of the reference needs right times."
         )
+    if n_bad := int(bad_windows(fitted, whole).sum()):
+        yield f"{n_bad} of {len(whole.segments)} windows are outliers, down-weighted: single poses are off."
+    step_s = float(np.median(np.diff(recording.t_s)))
+    if SENSOR[-1] in fitted.undetermined and step_s > LONGEST_STEP_S:
+        yield f"Samples are {step_s:.2g} s apart: too coarse for a delay of the reference, which is taken for 0."
     if not fitted.solution.converged:
         yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:
@@ -294,3 +297,83 @@ def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, 
     beta = 0.5 * ((x_ccw - x_cw) - (y_ccw + y_cw)) / (4.0 * side_m)
     half = track_m * np.sin(0.5 * beta) / side_m
     return float((1.0 + half) / (1.0 - half)), float(0.5 * np.pi / (0.5 * np.pi + alpha))
+
+
+#: blocks for windows of a few long recordings, coarse to fine; many runs are blocks themselves
+BLOCKS: Final = (40, 160, 640)
+
+
+def divisions(recording: Recording, using: str) -> Iterator[Segments]:
+    """Yield whole runs (``end_poses``), or ever finer windows, of many runs a block each first."""
+    if using == "end_poses":
+        yield end_pose_segments(recording)
+        return
+    before = 0
+    for blocks in (len(recording), *BLOCKS) if len(recording) >= ENOUGH_RUNS else BLOCKS:
+        segments = window_segments(recording, blocks)
+        count = len(np.unique(segments.block))
+        if count > before:
+            yield segments
+        before = count
+
+
+def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
+    """Return paths and residuals of runs by the nominal and the calibrated vehicle."""
+    source, recording = geometry.source, recording_of(campaign, geometry.source)
+    coarse = next(divisions(recording, geometry.using))
+    recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
+    drive = drive_of(campaign, source, recording)
+    nominal = {item.name: item.nominal for item in parameters_of(drive, campaign.reference)}
+    # a gyro's scale is no part of the path
+    found = geometry.values | {GYRO_SCALE: 1.0}
+    calibrated = np.array([found.get(name, value) for name, value in nominal.items()])
+    own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
+    labels = zip(recording.run_id, recording.session, strict=True)
+    added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])
+    before = _sensor_paths(drive, recording, np.array([*nominal.values()]))
+    after = _sensor_paths(drive, replace(recording, own_delay_s=added), calibrated)
+    return tuple(_trace(recording, run, [before, after]) for run in range(len(recording)))
+
+
+def _sensor_paths(drive: Drive, recording: Recording, values: FloatArray) -> FloatArray:
+    """Return the sensor's pose at each sample since the start of its run, shape (3, n_samples)."""
+    run, n = recording.run, len(recording.t_s)
+    seen, no_gyro = np.ones((n, 3), dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    segments = Segments(run, recording.offsets[run], np.arange(n), np.zeros((n, 3)), seen, run, 0 * run, no_gyro)
+    return -Model(drive, recording, segments).predict(values).residuals.T
+
+
+def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
+    part = slice(int(recording.offsets[run]), int(recording.offsets[run + 1]))
+    reference = recording.reference[:, part]
+    seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
+    before, after = paths = [path[:, part] for path in paths]
+    if len(seen) > 1:
+        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
+        measured = _aligned(reference[:, seen], after[:, seen], np.arange(len(seen)))
+        aligned = [_aligned(before, measured, seen), after]
+    else:
+        seen = np.array([reference.shape[1] - 1], dtype=np.int64)
+        measured, aligned = recording.end_pose[run][:, None], paths
+    residuals = [in_frame(measured - path[:, seen], path[2, seen]) for path in aligned]
+    names = str(recording.run_id[run]), str(recording.kind[run])
+    before_m, after_m = (path[:2].T for path in aligned)
+    return RunTrace(*names, before_m, after_m, seen, recording.t_s[part][seen], measured[:2].T, *residuals)
+
+
+def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
+    """Return a path (3, n) moved as a whole so that samples `seen` lie nearest to those of `onto`."""
+    good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
+    if good.sum() < 2:
+        turn = float(np.nanmean(onto[2] - path[2, seen]))
+        return np.asarray(path + np.array([0.0, 0.0, turn])[:, None])
+    own, other = path[:2, seen][:, good], onto[:2, good]
+    own_mean, other_mean = own.mean(axis=1), other.mean(axis=1)
+    a, b = own - own_mean[:, None], other - other_mean[:, None]
+    turn = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
+    apart = onto[2] - path[2, seen]
+    if np.isfinite(apart).any():
+        turn += 2.0 * np.pi * float(np.rint((np.nanmedian(apart) - turn) / (2.0 * np.pi)))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    place = np.array([[cosine, -sine], [sine, cosine]]) @ (path[:2] - own_mean[:, None]) + other_mean[:, None]
+    return np.concatenate([place, path[2:] + turn])

@@ -26,10 +26,9 @@ from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import Drive, Parameters, moved_between, nominal_turn
-from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.readings import Change, Reading, readings, unchanged
+from calib.kinematics.readings import Change, Reading, implausible, readings, unchanged
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened
@@ -244,6 +243,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
+#: so many times the one tried, a third of an axis or seconds of steering, no linear step reaches
+LARGEST_SIZE: Final = 30.0
 
 
 def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:

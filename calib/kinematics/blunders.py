@@ -44,6 +44,8 @@ OR_MIRRORED: Final = (
 TWIST: Final = "omega_radps"
 #: displacements within 60 degrees of the wheels' way, or of its opposite, tell its sense
 ALONG: Final = 0.5
+#: where turns are not told, a displacement below this part of the way, of a loop that nearly closes, tells nothing
+FAR: Final = 0.1
 Between = Callable[[FloatArray], FloatArray]
 
 
@@ -85,17 +87,18 @@ def rear_faults(recording: Recording, segments: Segments) -> Corrected:
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
 
-def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray) -> float:
+def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray, far: float = 0.0) -> float:
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
     `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
-    measured headings, and the wheels' own way.
+    measured headings, and the wheels' own way, of which a displacement is the part `far` at least.
     """
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
     seen = segments.seen[:, :2].all(axis=1)
     told = (segments.between(steps) * np.exp(-1j * heading[segments.first]))[seen]
     measured = segments.measured[seen, 0] + 1j * segments.measured[seen, 1]
+    measured[np.abs(measured) < far * segments.between(np.abs(rolled))[seen]] = 0.0
     return float(np.vdot(told, measured).real / max(float(np.sum(np.abs(told) * np.abs(measured))), 1e-12))
 
 
@@ -122,12 +125,12 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
     return np.asarray(slope) if np.all(np.abs(slope[told]) > _clear(dof) * std[told]) else None
 
 
-def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = False) -> Corrected:
+def front_faults(recording: Recording, segments: Segments, radius_m: float, *, by_shaft: bool = False) -> Corrected:
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
-    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's. `by_shaft`: the counter
-    tells the way of the rear axle, at any steering angle.
+    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's. `radius_m`: nominal;
+    `by_shaft`: the counter tells the way of the rear axle, at any steering angle.
     """
     faults: list[Fault] = []
     steer, headed, rolled = recording.steps.steer_rad, segments.seen[:, 2], recording.steps.turned_rad[0]
@@ -149,12 +152,13 @@ def front_faults(recording: Recording, segments: Segments, *, by_shaft: bool = F
     ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
     by_ways = segments.between(ways)[:, headed]
     turning, *_ = np.linalg.lstsq(by_ways.T, turned, rcond=None)
-    backwards = sense(segments, turning @ ways, ways[1]) < -ALONG
+    clear = _regression(by_ways, turned, told=slice(1)) is not None
+    backwards = sense(segments, turning @ ways, radius_m * ways[1], 0.0 if clear else FAR) < -ALONG
     if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
         recording = recording.with_turned(-recording.steps.turned_rad)
     # straight runs hardly tell which way the angle turns
-    if (turning[0] < 0.0) != backwards and _regression(by_ways, turned, told=slice(1)) is not None:
+    if (turning[0] < 0.0) != backwards and clear:
         text = f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"
         faults.append(Fault("reversed_steering", text))
         recording = recording.with_steering(-steer)
@@ -265,7 +269,7 @@ def corrected(recording: Recording, segments: Segments, source: str, drive: Driv
     """
     faults: tuple[Fault, ...] | None = None
     if source in STEERED:
-        recording, faults = front_faults(recording, segments, by_shaft=source == "shaft")
+        recording, faults = front_faults(recording, segments, drive.parameters[0].nominal, by_shaft=source == "shaft")
     # with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]

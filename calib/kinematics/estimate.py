@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -14,27 +14,27 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
 from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
-from calib.kinematics.assemble import geometry_of, of_kinds
-from calib.kinematics.blunder_search import find_blunder, find_departure, hidden_clock, score
+from calib.kinematics.assemble import divisions, geometry_of, of_kinds
+from calib.kinematics.blunder_search import LARGEST_SIZE, find_blunder, find_departure, hidden_clock, score
 from calib.kinematics.blunders import Fault, corrected, times_fault
 from calib.kinematics.drives import SENSOR, Drive, nominal_turn
-from calib.kinematics.factors import implausible_lengths
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
-from calib.kinematics.model import Model, Segments, end_pose_segments, window_segments
+from calib.kinematics.model import Model, Segments, end_pose_segments
+from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
-from calib.types import Progress, silent, stepped
+from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
-#: blocks for windows of a few long recordings, coarse to fine; many runs are blocks themselves
-BLOCKS: Final = (40, 160, 640)
 #: a finer division is taken where its intervals are at most this much wider: a bad measurement then spoils less, and a
 #: standard deviation from some dozens of blocks is itself known to 15 %
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path between two poses by more than a linear model of them allows
 BENT_RAD: Final = 0.1
+#: blunders of which ends need show nothing
+MIRRORED: Final = {"x_mirrored", "y_mirrored", "axes_exchanged"}
 #: fits that find each recording's own delay
 DELAY_ROUNDS: Final = 3
 #: fits that find a departure's size; its last change
@@ -99,7 +99,9 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     except RefusedError:
         return estimated("end_poses")
     with suppress(RefusedError):
-        return by_windows if by_windows.passed else estimated("end_poses")
+        # closed loops end alike in a mirror
+        told = by_windows.passed or MIRRORED & {fault.code for fault in by_windows.faults}
+        return by_windows if told else estimated("end_poses")
     return by_windows
 
 
@@ -188,7 +190,11 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
         chosen = other
     common, delays = chosen, tuple[Delay, ...]()
     if task.way == "windows":
-        chosen, delays = _with_own_delays(task, common)
+        losses = joint_fit.delay_losses(common)
+        if start := joint_fit.at_best_delay(common, losses):
+            common = task.fit(drive, recording, common.model.segments, start)
+            losses = joint_fit.delay_losses(common)
+        chosen, delays = _with_own_delays(task, common, losses)
     chosen = _with_own_zeros(task, chosen)
     geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*found, *faults))
     return _Fit(task, chosen, replace(geometry, delays=delays), common)
@@ -221,7 +227,8 @@ def _without_departure(fit: _Fit) -> Geometry:
         other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
         still = hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
         more = still[1] if still else score(other.fitted, departure)[1]
-        corrected, settled = other.geometry, abs(more) < SIZE_FOUND * abs(size)
+        corrected, most = other.geometry, min(abs(size), LARGEST_SIZE * abs(departure.step))
+        settled = abs(more) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
         # near its size, and something else is left all the same; delays that it leaves are what it hid behind
         if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
             break
@@ -289,13 +296,13 @@ def _bends(fitted: Fitted) -> bool:
     return rms(rest) > BENT_RAD
 
 
-def _with_own_delays(task: _Task, common: Fitted) -> tuple[Fitted, tuple[Delay, ...]]:
+def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:
     if implausible_lengths(common, task.campaign.vehicle.drive):
         # no delay makes a vehicle of these
         return common, ()
     fitted = common
     delays: tuple[Delay, ...] = ()
-    added = joint_fit.sought_delays(common)
+    added = joint_fit.sought_delays(common, losses)
     for number in range(DELAY_ROUNDS):
         if number or not added.any():
             delays, added = joint_fit.own_delays(fitted)
@@ -321,20 +328,6 @@ def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
     solution = replace(again.solution, prediction=model.predict(again.solution.values))
     again = joint_fit.with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))
     return own if again.undetermined else again
-
-
-def divisions(recording: Recording, using: str) -> Iterator[Segments]:
-    """Yield whole runs (``end_poses``), or ever finer windows, of many runs a block each first."""
-    if using == "end_poses":
-        yield end_pose_segments(recording)
-        return
-    before = 0
-    for blocks in (len(recording), *BLOCKS) if len(recording) >= ENOUGH_RUNS else BLOCKS:
-        segments = window_segments(recording, blocks)
-        count = len(np.unique(segments.block))
-        if count > before:
-            yield segments
-        before = count
 
 
 def _transfer(

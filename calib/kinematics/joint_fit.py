@@ -17,10 +17,12 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.checks.design import listed
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
+from calib.kinematics.blunders import CLEARLY_LESS
 from calib.kinematics.drives import (
     GYRO_SCALE,
     NOMINAL_STD,
@@ -34,7 +36,7 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
 from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
@@ -117,6 +119,10 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     return drives.Differential(model.radius_left_m, model.radius_right_m, model.track_m, varied, *slopes)
 
 
+def _squares(whitener: FloatArray, solution: Solution) -> float:
+    return float(np.square(np.einsum("nij,nj->ni", whitener, solution.prediction.residuals)).sum())
+
+
 def fit_parameters(
     campaign: Campaign,
     drive: Drive,
@@ -143,14 +149,19 @@ def fit_parameters(
     alone = np.array([item.nominal for item in items])
     # nominal values pull only where data leave something open: what these determine is theirs alone
     for parameters in (Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)):
-        values = parameters.nominal
+        values, far = parameters.nominal, None
         if start is not None and start.parameters.pulled == parameters.pulled:
             values = np.where(parameters.free, start.solution.values, values)
         elif parameters.pulled and np.any(np.abs(alone[radii] / values[radii] - 1.0) > GROSS):
             # counts or units are wrong: nominal lengths are no place to begin from
-            values = alone
+            far = alone
         if known is None:
             solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
+            if far is not None:
+                other = solve(model, parameters, far, drives.first_scales(campaign.reference))
+                near, off = (_squares(solution.whitener, one) for one in (solution, other))
+                # closed loops fit lengths of nothing as well
+                solution = other if off < CLEARLY_LESS * near else solution
         else:
             solution = planned(model, parameters, values, known)
         alone = solution.values
@@ -174,8 +185,10 @@ def fit_parameters(
 #: of taking one delay for several
 CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps
-REACH_S: Final = 0.5
 TRIED: Final = 51
+OFFSETS_S: Final = np.linspace(-0.5, 0.5, TRIED)
+#: gain of log likelihood from which another common delay is begun from: three standard deviations
+CLEARLY_LIKELIER: Final = 4.5
 #: for a recording's own delay
 FEWEST_BLOCKS: Final = 4
 
@@ -189,24 +202,69 @@ class Delay:
     std_s: float = field(metadata={"json": "sd"})
 
 
-def sought_delays(fitted: Fitted) -> FloatArray:
-    """Return each run's delay from the common one, shape (n_runs,), by grid search.
+def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
+    """Return a start at the common delay that leaves clearly less, by `delay_losses`; None where the fit's does.
 
-    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Zero where
-    the common delay fits best.
+    Runs that begin on the move have delays between which the prediction jumps: the gradient stays where it began.
+    """
+    total = losses.sum(axis=1)
+    if not total.size or total.min() > total[TRIED // 2] - CLEARLY_LIKELIER:
+        return None
+    values = fitted.solution.values.copy()
+    values[-1] += OFFSETS_S[np.argmin(total)]
+    return replace(fitted, solution=replace(fitted.solution, values=values))
+
+
+def delay_losses(fitted: Fitted) -> FloatArray:
+    """Return each recording's negative log likelihood at delays about the common one, shape (TRIED, n_groups).
+
+    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Empty
+    where the delay is not estimated.
     """
     model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
-    nothing = model.recording.delay_added_s
-    if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined or not group.any():
-        return nothing
-    offsets, delay = np.linspace(-REACH_S, REACH_S, TRIED), np.eye(len(solution.values))[-1]
-    losses = []
-    for offset in offsets:
+    if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined:
+        return np.zeros((0, 1))
+    delay, size, losses = np.eye(len(solution.values))[-1], model.segments.seen.sum(axis=1), []
+    for offset in OFFSETS_S:
         residuals = model.predict(solution.values + offset * delay).residuals
         loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
+        loss *= 0.5 * (DEGREES + size)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
-    best = offsets[np.argmin(losses, axis=0)]
-    return nothing if np.ptp(best) < 1.5 * (offsets[1] - offsets[0]) else nothing + best[group]
+    return np.array(losses)
+
+
+def sought_delays(fitted: Fitted, losses: FloatArray) -> FloatArray:
+    """Return each run's delay from the common one, shape (n_runs,), by `delay_losses`; zero where that fits best."""
+    nothing, group = fitted.model.recording.delay_added_s, fitted.model.recording.group
+    if not group.any() or not losses.size:
+        return nothing
+    best = OFFSETS_S[np.argmin(losses, axis=0)]
+    return nothing if np.ptp(best) < 1.5 * (OFFSETS_S[1] - OFFSETS_S[0]) else nothing + best[group]
+
+
+def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
+    """Return the parameter that differs most clearly between two groups of runs, and where it is less and more.
+
+    Each run is of the group whose parameters fit it better (k-means), if any does clearly; `used`: segments.
+    """
+    jacobian, white = (part[used] for part in whitened(fitted.solution, fitted.parameters.free))
+    number = fitted.model.segments.run[used]
+    runs = np.unique(number)
+    each = [(flattened(jacobian[number == run]), white[number == run].ravel()) for run in runs]
+    normal, pull = (np.array([part.T @ part for part, _ in each]), np.array([part.T @ rest for part, rest in each]))
+    alone = np.square(pull) / np.maximum(np.einsum("nii->ni", normal), 1e-300)
+    less = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
+    for _ in runs:
+        inverse = [np.linalg.pinv(normal[side].sum(axis=0)) for side in (less, ~less)]
+        step = [part @ pull[side].sum(axis=0) for part, side in zip(inverse, (less, ~less), strict=True)]
+        gain = np.diff([one @ (normal @ one - 2.0 * pull).T for one in step], axis=0)[0]
+        less = gain > 0.0
+    apart = (step[1] - step[0]) / np.sqrt(np.diag(sum(inverse)))
+    most = int(np.argmax(np.abs(apart)))
+    gain, run_id = gain * np.sign(apart[most]), fitted.model.recording.run_id[runs]
+    return fitted.parameters.free_names[most], [
+        listed(run_id[side * gain > 2.0 * CLEARLY_LIKELIER]) for side in (1.0, -1.0)
+    ]
 
 
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:

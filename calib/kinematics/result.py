@@ -11,8 +11,8 @@ import numpy as np
 from calib.documents import Result, plain_fields
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
-from calib.kinematics.factors import implausible
 from calib.kinematics.joint_fit import Delay
+from calib.kinematics.readings import implausible
 from calib.kinematics.uncertainty import Freedom
 from calib.types import FloatArray, IntArray
 

@@ -321,10 +321,10 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     columns = np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2)
     rest = solution.prediction.residuals
     white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
-    session = labels[segments.run]
+    session, longest = labels[segments.run], segments.level == 0
     squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
-    for label in np.unique(session):
-        at = (session == label) & (segments.level == 0)
+    for label in np.unique(session[longest]):
+        at = (session == label) & longest
         flat, seen = white[at].reshape(-1, columns.shape[2]), segments.seen[at]
         scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
         step, _, rank, _ = np.linalg.lstsq(flat / scale, white_rest[at].ravel(), rcond=DEPENDENT)

@@ -144,8 +144,8 @@ def _without_law(
 ) -> Report:
     from calib.coefficients.build import from_geometry
     from calib.gap.diagnose import diagnose_in_full
+    from calib.kinematics.assemble import traces_of
     from calib.kinematics.estimate import estimate_geometry
-    from calib.kinematics.traces import traces_of
 
     diagnosis = None if seed is None else diagnose_in_full(campaign, seed=seed, progress=progress)
     geometry, file = None, None

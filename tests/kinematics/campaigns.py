@@ -163,21 +163,31 @@ def mixed(n: int) -> list[tuple[str, list[Leg]]]:
 
 
 def tricycle(
-    rng: np.random.Generator, *, sign_front: float = 1.0, sign_steer: float = 1.0, hooks: bool = False
+    rng: np.random.Generator,
+    *,
+    sign_front: float = 1.0,
+    sign_steer: float = 1.0,
+    hooks: bool = False,
+    eights: bool = False,
 ) -> Campaign:
     """A steered front wheel of radius 0.102 m, wheelbase 1.03 m, zero 0.012 rad: lines, arcs both ways, weaves.
 
-    `hooks`: instead of arcs and weaves, two opposite bends about a straight: they end behind the start.
+    `hooks`: instead of arcs and weaves, two opposite bends about a straight: they end behind the start; `eights`:
+    nothing but eights, which end where they began.
     """
     radius, wheelbase, zero, per_rev = 0.102, 1.03, 0.012, 4096.0
     logs, ends = [], []
     kinds = [("line", 0.0), ("left", 0.5), ("right", -0.5), ("weave", 0.3)] * 3
     if hooks:
         kinds = [("line", 0.0), *([("hook", 0.9), ("hook", -0.9)] * 2)] * 2
+    if eights:
+        kinds = [("eight", 0.5), ("eight", -0.5)] * 5
+    of_eight = 4.0 * np.pi * wheelbase / np.sin(0.5)
     for kind, angle in kinds:
-        phi = np.full(FINE, (14.0 if kind == "hook" else 6.0) / radius / FINE)
+        phi = np.full(FINE, {"hook": 14.0, "eight": of_eight}.get(kind, 6.0) / radius / FINE)
         bends = np.linspace(0.0, np.pi, FINE)
         shape = {"weave": np.sin(4.0 * bends), "hook": np.clip(1.5 * np.cos(bends), -1.0, 1.0) + 0.15}
+        shape["eight"] = np.sign(np.cos(bends))
         angles = angle * shape.get(kind, np.ones(FINE))
         pose = path(radius * phi * np.cos(angles), radius * phi * np.sin(angles) / wheelbase)
         at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)

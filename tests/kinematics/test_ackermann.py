@@ -163,7 +163,7 @@ def test_runs_that_are_steered_straight_tell_no_sign(seed: int) -> None:
             between=lambda steps: np.add.reduceat(steps, np.arange(0, 400, 10), axis=-1),
             measured=measured, seen=seen, first=np.arange(0, 400, 10), level=np.zeros(40), run=np.arange(40),
         )  # fmt: skip
-        faults = front_faults(recording, segments, by_shaft=True)[1]  # type: ignore[arg-type]
+        faults = front_faults(recording, segments, 1.0, by_shaft=True)[1]  # type: ignore[arg-type]
         assert {fault.code for fault in faults} == names
 
 

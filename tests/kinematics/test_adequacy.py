@@ -18,6 +18,7 @@ from calib.reporting.topics.geometry import verdict_sentences
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
 from tests.kinematics import steered
+from tests.kinematics.campaigns import Truth, campaign, square
 
 TRUTH = {
     "radius_left_m": plant.RADIUS_LEFT_M,
@@ -158,3 +159,15 @@ def test_a_calibration_that_gains_nothing_says_so(radius_m: float, gained: bool,
     found = estimate_geometry(read_campaign(steered.write(tmp_path / "c", lambda angle, _: angle, radius_m=radius_m)))
     assert found.passed
     assert any("no better than the nominal values" in each for each in verdict_sentences(found)) is not gained
+
+
+@pytest.mark.parametrize(("senses", "told"), [((1, -1), False), ((1, -1, 1), False), ((1, -1, 1, -1), True)])
+def test_few_runs_are_held_out_only_where_the_others_tell_as_much(senses: tuple[int, ...], told: bool) -> None:
+    """The only square of its sense leaves radii and track to the nominal values: its error is no one's but theirs."""
+    routes = [("square", square(2.0, sense)) for sense in senses]
+    found = estimate_geometry(campaign(routes, Truth(), np.random.default_rng(1)))
+    adequacy = found.to_dict()["adequacy"]
+    assert found.passed and adequacy["held_out_rms_m"] != adequacy["after_rms_m"]
+    assert (adequacy["held_out_rms_m"] is not None) is told
+    assert ("too few runs to hold one out" in verdict_sentences(found)[0]) is not told
+    assert "nothing is gained" not in " ".join(verdict_sentences(found))

@@ -15,9 +15,9 @@ from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import rear_faults, still_counters
 from calib.kinematics.drives import nominal_turn
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.factors import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments
+from calib.kinematics.readings import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
 from calib.kinematics.recording import recording_of
 from calib.kinematics.result import Geometry
 from tests.kinematics.campaigns import Truth, campaign, mixed

@@ -39,6 +39,14 @@ def test_signs_of_a_steered_wheel_are_told_by_runs_that_end_behind_their_start(f
     assert near(found, front_radius_m=0.102, wheelbase_m=1.03)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_eights_of_a_steered_wheel_have_no_blunder(seed: int) -> None:
+    """They end where they began with any radius and sign: noise alone says nothing of them."""
+    found = estimate_geometry(tricycle(np.random.default_rng(seed), eights=True))
+    assert found.passed and not codes(found)
+    assert found.values["front_radius_m"] == pytest.approx(0.1, rel=0.05)
+
+
 def hooked(sign: float) -> Campaign:
     """Return runs of two wheels along hooks of either sense whose counters count with a sign."""
     mirrored = [(way, -turn) for way, turn in HOOK]

@@ -297,6 +297,7 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
                 are the headings in degrees?"""
             yield implausible_column("ref_theta_rad", text)
     yield from _headings(campaign, distance)
+    yield from _logged_headings(campaign)
 
 
 def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
@@ -343,6 +344,22 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     text = f"""the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' counts
         swapped, or is ref_theta_rad positive to the right?"""
     yield implausible_column("counts_left, counts_right", text)
+
+
+def _logged_headings(campaign: Campaign) -> Iterator[Note]:
+    """Compare headings along the path with the counts where these turn fastest: wraps are single steps."""
+    ratios = []
+    for _, log in campaign.logs.each():
+        if log.keys() >= {"ref_theta_rad", "counts_left", "counts_right"}:
+            known = np.isfinite(log["ref_theta_rad"])
+            left, right, heading = (log[name][known] for name in ("counts_left", "counts_right", "ref_theta_rad"))
+            turned = np.diff(design.turned_rad(campaign, left, right))
+            fast = np.abs(turned) > 0.5 * np.nanmax(np.abs(turned), initial=0.0)
+            if np.nansum(np.abs(turned)) >= 1.0:
+                ratios.append(float(np.nanmedian(np.diff(heading)[fast] / turned[fast])))
+    if len(ratios) >= LEAST_RUNS and abs(abs(ratio := float(np.median(ratios))) * math.pi / 180 - 1) < 0.3:
+        text = f"headings along the path turn {ratio:.3g} times as far as the counts; are they in degrees?"
+        yield implausible_column("ref_theta_rad", text, of="logs")
 
 
 def _partial_slope(measured: FloatArray, counted: FloatArray, nuisance: Sequence[FloatArray]) -> tuple[float, float]:

@@ -62,9 +62,10 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
         if of.before:
             sizes = (of.before, of.after, of.held_out, of.expected)
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
-            parts.append(f"{what} {before} before, {after} after, {held_out} on held-out runs; noise {noise}")
+            tried = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
+            parts.append(f"{what} {before} before, {after} after, {tried}; noise {noise}")
     measured = [of for of in (judgement.position, judgement.heading) if of.before]
-    gained = any(of.held_out <= USELESS_SHARE * of.before for of in measured)
+    gained = not all(of.held_out > USELESS_SHARE * of.before for of in measured)
     idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] if not gained else []
     why = (*(idle if geometry.passed else ()), *geometry.why)
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in why)]

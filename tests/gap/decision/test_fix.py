@@ -17,7 +17,7 @@ from calib.gap.effects.effect import Form, Parameter, always
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.radii import NAMES
 from calib.gap.observations.arrays import Channel
-from calib.kinematics.factors import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
+from calib.kinematics.readings import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain
 CLOSES = Improvement(5.0, 1.2, (3.5, 4.1), (0.9, 1.0))
