@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
-from calib.campaign.wheels import on_one_axle, without_rear_wheels
+from calib.campaign.wheels import odometry_source, on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
@@ -134,8 +134,9 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     model = model or campaign.model
     stands_in = without_rear_wheels(campaign)
     if stands_in:
-        # wheels that represent others have no load of their own
-        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        if odometry_source(campaign) != "shaft":
+            # no column gives the load of a front wheel or of four
+            model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     logs = campaign.logs
     for name, load in zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True):
@@ -183,7 +184,9 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
     if any(each.course is not None for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")
-    units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
+    # a front wheel that drives the odometry is compared with nothing
+    alone = [setup.stands_in or unit.front_rad is None for unit in units]
+    units = [unit for unit, bare in zip(units, alone, strict=True) if np.isfinite(unit.measured).any() or not bare]
     if not units:
         raise RefusedError(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
