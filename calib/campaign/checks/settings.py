@@ -122,6 +122,8 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     odd = near & (turns != 0.0)
     # headings all within half a turn are wrapped by their instrument: no fault
     wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
+    # headings in a map are not turns
+    wrapped |= campaign.reference.frame == "map"
     for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
         text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
         yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")

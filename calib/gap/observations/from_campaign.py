@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
 from calib.campaign.wheels import odometry_source, on_one_axle, without_rear_wheels
@@ -216,13 +216,25 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     distance = runs.number("distance_m")[run]
     if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
         distance = log["range_m"][-1]
-    # an end pose in a map means nothing without the start
-    names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
-    read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
+    read = np.array([[runs.number(name)[run] for name in REFERENCE_POSE]])
+    if setup.in_map:
+        # an end pose in a map means nothing without the start, which the log alone has
+        log = _with_end(log, read[0]) if campaign.reference.frame == "map" else log
+        read[:] = np.nan
     pose = poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)
+
+
+def _with_end(log: Mapping[str, FloatArray], end: FloatArray) -> Mapping[str, FloatArray]:
+    """Return a log that has a start pose alone with the run table's end pose (3,) at its end."""
+    if not set(REFERENCE_POSE) <= log.keys():
+        return log
+    poses = np.stack([log[name] for name in REFERENCE_POSE])
+    if np.isfinite(poses).all(axis=0).sum() == 1:
+        poses[:, log_rows(log)[-1:]] = end[:, None]
+    return {**log, **dict(zip(REFERENCE_POSE, poses, strict=True))}
 
 
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
