@@ -251,8 +251,8 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius, and so is one that follows
-        # the load: rubber gives way by more than it slips when it rolls steadily
+        # where the driven wheel drives the odometry, a share in all runs alike is its radius, and so is one that
+        # follows the load: rubber gives way by more than it slips when it rolls steadily
         share_shows = not observations.by_front
         # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
@@ -263,10 +263,10 @@ class DriveSlip(Effect):
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
-                braking = f"{name}, speeding up, braking and rolling", [with_acceleration, with_way], both
+                label, parts = f"{name}, speeding up", [with_acceleration, with_way]
+                slips.append((f"{label}, braking and rolling", force, parts, both))
                 if not share_shows:
-                    braking = f"{name}, speeding up and braking", [with_acceleration], both[:1]
-                slips.append((braking[0], force, *braking[1:]))
+                    slips[-1] = (f"{label} and braking", force, parts[:1], (per_acceleration,))
             if share_shows:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
         if weight_varies and share_shows:

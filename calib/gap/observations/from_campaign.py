@@ -184,13 +184,19 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
     if any(each.course is not None for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")
+    ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
+    if lacking := sum(bool(ends[unit.run] and np.isnan(unit.measured[1:]).all()) for unit in units):
+        notes.append(
+            f"{lacking} runs have an end pose in a map, which is not used: their logs lack ref_x_m, ref_y_m and "
+            "ref_theta_rad where they begin"
+        )
     # a front wheel that drives the odometry is compared with nothing
     alone = [setup.stands_in or unit.front_rad is None for unit in units]
     units = [unit for unit, bare in zip(units, alone, strict=True) if np.isfinite(unit.measured).any() or not bare]
     if not units:
         raise RefusedError(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
-            "nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad"
+            + "; ".join(["nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad", *notes])
         )
     return assemble(setup, units, notes)
 
@@ -227,7 +233,7 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)
 
 
-def _with_end(log: Mapping[str, FloatArray], end: FloatArray) -> Mapping[str, FloatArray]:
+def _with_end(log: dict[str, FloatArray], end: FloatArray) -> dict[str, FloatArray]:
     """Return a log that has a start pose alone with the run table's end pose (3,) at its end."""
     if not set(REFERENCE_POSE) <= log.keys():
         return log
