@@ -18,7 +18,7 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted
-from calib.kinematics.drives import SIDE_SLIP, STEERING_SCALE, STEERING_ZERO, UNDERSTEER
+from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
@@ -81,9 +81,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         # one counter and the steering: a radius for both, and what is believed of the angle
         source, name = ("shaft", "rear_radius_m") if observations.by_shaft else ("front", "front_radius_m")
         radius_m, *lengths = astuple(model.front or FrontModel.of(observations.vehicle))
-        scaled = radius_m * (1.0 + float(fitted.calibration[:2].mean()))
-        steering = ("wheelbase_m", STEERING_ZERO, STEERING_SCALE, UNDERSTEER, SIDE_SLIP)
-        found = {name: scaled, **dict(zip(steering, lengths, strict=True))}
+        steering = ["wheelbase_m", "steering_zero_rad", STEERING_SCALE, "understeer_s2_per_m2", "side_slip_s2_per_m"]
+        found = {name: radius_m * (1.0 + float(fitted.calibration[0]))} | dict(zip(steering, lengths, strict=True))
         spread = radius_m**2 * fitted.covariance[:1, :1]
         return file.changed(joint_geometry=joint_section(file.vehicle.drive, source, found, [name], spread))
     known = np.flatnonzero(np.diag(covariance))

@@ -103,9 +103,9 @@ def library(observations: Observations, *, exclude: Collection[str] = (), declar
     """
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
-    # a counted drive shaft tells the mean of both rear wheels, and with it what their load does
-    told = {Family.LOAD} if observations.by_shaft else set()
-    hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family not in told]
+    # a counted drive shaft tells what the load does to the mean of both rear wheels
+    told = Family.LOAD if observations.by_shaft else None
+    hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != told]
     searched = [e for e in registered if not (e.found_before_search or e in hidden)]
     candidates = [*searched, *(effect for effect in covariates if effect.column not in taken), *own]
     return [effect for effect in candidates if effect.id not in exclude]

@@ -263,10 +263,9 @@ class DriveSlip(Effect):
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
-                label, parts = f"{name}, speeding up", [with_acceleration, with_way]
-                slips.append((f"{label}, braking and rolling", force, parts, both))
-                if not share_shows:
-                    slips[-1] = (f"{label} and braking", force, parts[:1], (per_acceleration,))
+                label = f"{name}, speeding up, braking{' and rolling' if share_shows else ''}"
+                parts = [with_acceleration, with_way]
+                slips.append((label, force, parts[: 1 + share_shows], both[: 1 + share_shows]))
             if share_shows:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
         if weight_varies and share_shows:

@@ -58,10 +58,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     # a front wheel that drives the odometry is not compared with it
     usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
-    read: BoolArray = np.asarray(usable.any(axis=1))
-    if read.any() and not read.all():
-        # an effect is asked of where a reading would show it
-        return assemble(setup, [unit for unit, on in zip(units, read, strict=True) if on], notes)
     numbers, carried_N = _numbers(campaign, units, steps, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -187,18 +187,19 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
     ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
     if lacking := sum(bool(ends[unit.run] and np.isnan(unit.measured[1:]).all()) for unit in units):
         notes.append(
-            f"{lacking} runs have an end pose in a map, which is not used: their logs lack ref_x_m, ref_y_m and "
+            f"{lacking} runs have an end pose in a map, which is not used: their logs lack ref_x_m, ref_y_m, "
             "ref_theta_rad where they begin"
         )
-    # a front wheel that drives the odometry is compared with nothing
-    alone = [setup.stands_in or unit.front_rad is None for unit in units]
-    units = [unit for unit, bare in zip(units, alone, strict=True) if np.isfinite(unit.measured).any() or not bare]
+    units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
     if not units:
         raise RefusedError(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
             + "; ".join(["nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad", *notes])
         )
-    return assemble(setup, units, notes)
+    made = assemble(setup, units, notes)
+    # an effect is asked of where a reading would show it
+    read: list[bool] = np.asarray(made.usable.any(axis=1)).tolist()
+    return made if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
