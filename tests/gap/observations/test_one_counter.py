@@ -113,3 +113,16 @@ def test_runs_that_nothing_measured_offer_nothing(drive: str) -> None:
     assert len(found) == len(alone)
     offered = [[effect.id for effect in library(each) if effect.forms(each)] for each in (found, alone)]
     assert offered[0] == offered[1]
+
+
+def test_a_radius_found_by_one_counter_is_in_the_applied_model(tmp_path: Path) -> None:
+    """Counts a share too many: the model written rolls what was measured."""
+    made = car("tricycle", (0.0, 0.0), (0.0, 0.0), seed=4)
+    counts = 1.004 * COUNTS
+    made = replace(made, encoder=Encoder(counts, counts, counts_per_rev_front=counts))
+    path = tmp_path / "model.json"
+    write_bytes(path, applied_model(diagnose_in_full(made), made).to_bytes(), force=False)
+    applied, _ = model_of(path, made)
+    assert applied.front is not None
+    # the interval of the share found
+    assert applied.front.radius_m == pytest.approx(1.004 * RADIUS_M, rel=1e-4)
