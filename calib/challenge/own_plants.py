@@ -195,6 +195,8 @@ def _candidates(
             left_out[effect.id] = NOT_PLANTED[effect.id]
         elif effect.id in OF_THE_FRONT and not diagnosis.observations.by_front:
             left_out[effect.id] = "only the front wheel shows it"
+        elif effect.of_rear_wheels and diagnosis.observations.by_front:
+            left_out[effect.id] = "it is planted wheel by wheel, and one counter tells the mean of both"
         elif not effect.forms(diagnosis.observations):
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
         elif effect.id.startswith("covariate:"):

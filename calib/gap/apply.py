@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.settings import FrontModel
 from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.sections import EffectSection, Quantity
@@ -16,6 +18,7 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.effects.applied import section_of
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted
+from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 
 if TYPE_CHECKING:
@@ -74,6 +77,14 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         noise=PoseNoise(track_std_m=float(np.sqrt(covariance[4, 4]))),
     ).calibrated(track=track_m)
     values = (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
+    if observations.by_front:
+        # one counter and the steering: a radius for both, and what is believed of the angle
+        source, name = ("shaft", "rear_radius_m") if observations.by_shaft else ("front", "front_radius_m")
+        radius_m, *lengths = astuple(model.front or FrontModel.of(observations.vehicle))
+        steering = ["wheelbase_m", "steering_zero_rad", STEERING_SCALE, "understeer_s2_per_m2", "side_slip_s2_per_m"]
+        found = {name: radius_m * (1.0 + float(fitted.calibration[0]))} | dict(zip(steering, lengths, strict=True))
+        spread = radius_m**2 * fitted.covariance[:1, :1]
+        return file.changed(joint_geometry=joint_section(file.vehicle.drive, source, found, [name], spread))
     known = np.flatnonzero(np.diag(covariance))
     names, spread = [JOINT[k] for k in known], covariance[np.ix_(known, known)]
     together = joint_section(file.vehicle.drive, "rear", dict(zip(JOINT, values, strict=True)), names, spread)
@@ -91,8 +102,9 @@ def _slopes_and_sections(
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
         kind = effect_class(form.effect)
         if form.effect in named and kind is not None and kind.carries_law_slope:
-            sides = [parameter.name.removeprefix("slope_") for parameter in form.parameters]
-            slopes |= {side: (float(size), first + k) for k, (side, size) in enumerate(zip(sides, theta, strict=True))}
+            # of one counter both wheels have the mean law
+            rows = range(2) if len(theta) > 1 else (0, 0)
+            slopes = {side: (float(theta[k]), first + k) for side, k in zip(("left", "right"), rows, strict=True)}
         elif form.effect in named:
             sections.append(section_of(form, theta))
         first += len(theta)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import poses_are_in_a_map
@@ -254,7 +255,11 @@ def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact")
     wheels. The way, to the side included, is 0 at the first of a run.
     """
     axle = on_one_axle(campaign, model)
-    columns, offsets, radii = axle.logs.columns, axle.logs.offsets, (model.radius_left_m, model.radius_right_m)
+    columns, offsets = axle.logs.columns, axle.logs.offsets
+    radii: tuple[ArrayLike, ArrayLike] = (model.radius_left_m, model.radius_right_m)
+    if axle.odometry.source == "shaft":
+        known_N = np.nan_to_num(carried_loads_N(campaign), nan=model.reference_load_N)
+        radii = radii_of_model(model, *known_N, by_shaft=True)
     counts = columns["counts_left"], columns["counts_right"]
     left, right = travel_from_counts(*counts, axle.encoder, *radii, offsets=offsets)
     poses = integrate(left, right, model.track_m, offsets=offsets, scheme=scheme)

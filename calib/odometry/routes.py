@@ -262,12 +262,19 @@ def radii_under_load(law: RadiusLaw, load_left_N: ArrayLike, load_right_N: Array
 
 
 def radii_of_model(
-    model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike
+    model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike, *, by_shaft: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load."""
+    """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load.
+
+    `by_shaft`: one counter on the drive shaft tells the mean of both wheels, which grow by their mean share.
+    """
     above_left_N, above_right_N = (floats(load) - model.reference_load_N for load in (load_left_N, load_right_N))
-    left_m = model.radius_left_m + model.slope_left_m_per_N * above_left_N
-    return np.asarray(left_m), np.asarray(model.radius_right_m + model.slope_right_m_per_N * above_right_N)
+    left_m = np.asarray(model.radius_left_m + model.slope_left_m_per_N * above_left_N)
+    right_m = np.asarray(model.radius_right_m + model.slope_right_m_per_N * above_right_N)
+    if not by_shaft:
+        return left_m, right_m
+    grown = 0.5 * (left_m / model.radius_left_m + right_m / model.radius_right_m)
+    return model.radius_left_m * grown, model.radius_right_m * grown
 
 
 def travel_from_counts(

@@ -46,6 +46,16 @@ def steered_by_itself(made: Campaign) -> Campaign:
     )
 
 
+def _law_of_others(made: Campaign) -> Campaign:
+    """A model with the law of rear wheels, of which none is counted."""
+    logs = made.logs.columns
+    steer = {"counts_front": logs["counts_left"], "steer_rad": np.zeros(len(logs["t_s"]))}
+    blank = {f"counts_{side}": np.full(len(made.runs), np.nan) for side in ("left", "right")}
+    kept = {name: column for name, column in logs.items() if name not in blank}
+    model = replace(made.model, slope_left_m_per_N=1e-6, slope_right_m_per_N=1e-6)
+    return with_numbers(replace(made, model=model, logs=replace(made.logs, columns=kept | steer)), **blank)
+
+
 def warmer_each_session(made: Campaign, within_K: float = 0.0) -> Campaign:
     """Each session 2 K warmer than the one before, the runs within it by `within_K`."""
     number = np.arange(len(made.runs))
@@ -302,6 +312,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("dead_counters", "dead_counter", "suspicious", number("counts_left", lambda _: 0.0, 4), "r004"),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
     ("steered_by_itself", "steered_by_itself", "suspicious", steered_by_itself, ""),
+    ("unused_slopes", "unused_slopes", "suspicious", _law_of_others, ""),
     ("log_speed", "speed_disagrees", "suspicious", number("speed_mps", lambda v: v * 3.6), ""),
     ("far_from_repeats", "far_from_repeats", "suspicious", number("distance_m", lambda d: d * 1.004, 4), "r004"),
     ("pasted_rows", "pasted_row", "suspicious", _pasted, "r007"),

@@ -56,7 +56,9 @@ def _reference_rad(campaign: Campaign) -> FloatArray:
         turned = np.full(len(turned), np.nan)
         for run, log in campaign.logs.each():
             if len(heading := log.get("ref_theta_rad", turned[:0])):
-                turned[run] = np.diff(np.unwrap(heading[np.isfinite(heading)])).sum()
+                steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
+                # between poses further apart it may have turned round any number of times
+                turned[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
     return turned
 
 

@@ -11,6 +11,7 @@ from calib.campaign.checks import design
 from calib.campaign.checks.design import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
+from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
 from calib.types import FloatArray, IntArray
 
 #: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
@@ -122,9 +123,21 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     odd = near & (turns != 0.0)
     # headings all within half a turn are wrapped by their instrument: no fault
     wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
+    # headings in a map are not turns
+    wrapped |= campaign.reference.frame == "map"
     for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
         text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
         yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
+
+
+def unused_slopes(campaign: Campaign) -> Iterator[Note]:
+    """Find load laws of rear wheels where others are counted."""
+    source, model = odometry_source(campaign), campaign.model
+    slopes = model.slope_left_m_per_N, model.slope_right_m_per_N
+    if any(slopes) and source != "shaft" and without_rear_wheels(campaign):
+        text = f"""found slopes of the radius against load, and an odometry by {SOURCE_NAMES[source]}, whose load no
+            column gives; they are not applied: state the radius under the loads driven"""
+        yield setting_note("model.slope_left_m_per_N, slope_right_m_per_N", text, "unused_slopes")
 
 
 def pose_resolution(campaign: Campaign) -> Iterator[Note]:

@@ -12,7 +12,7 @@ from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
 from calib.gap.effects.columns import Covariate, column_of, covariate_columns, declared_effects, entry_point_effects
-from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects.effect import Effect, Family, Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
 from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, signature
@@ -103,7 +103,10 @@ def library(observations: Observations, *, exclude: Collection[str] = (), declar
     """
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
-    searched = [e for e in registered if not (e.found_before_search or (observations.by_front and e.of_rear_wheels))]
+    # a counted drive shaft tells what the load does to the mean of both rear wheels
+    told = Family.LOAD if observations.by_shaft else None
+    hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != told]
+    searched = [e for e in registered if not (e.found_before_search or e in hidden)]
     candidates = [*searched, *(effect for effect in covariates if effect.column not in taken), *own]
     return [effect for effect in candidates if effect.id not in exclude]
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, always, varies
 from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, same_load_N, softness
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path
@@ -15,6 +15,17 @@ from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
 from calib.vehicle import wheel_loads_N
+
+
+def _sides(observations: Observations, name: str) -> tuple[str, ...]:
+    """Return the names of a parameter of each wheel, or of both that one drive shaft counts: their mean."""
+    return (f"{name}_mean",) if observations.by_shaft else (f"{name}_left", f"{name}_right")
+
+
+def _of_wheels(observations: Observations, left: FloatArray, right: FloatArray) -> Perturbation:
+    """Return relative changes of both radii; the mean where one drive shaft counts both."""
+    both = 0.5 * (left + right)
+    return Perturbation(left=both, right=both) if observations.by_shaft else Perturbation(left=left, right=right)
 
 
 def slope_parameters(observations: Observations, *names: str) -> tuple[Parameter, ...]:
@@ -78,6 +89,9 @@ def _on_radii(
     loads_N = observations.loads_N
     radii_m = observations.radii_m(loads_N if loads_N.shape[1] == len(left_m) else observations.wheel_loads_N)
     left, right = np.stack([left_m, right_m]) / radii_m
+    if observations.by_shaft:
+        shared = _of_wheels(observations, left, right)
+        return always(replace(shared, law_slopes=np.ones((len(observations), 2))) if is_law else shared)
     slopes = [np.tile(each, (len(observations), 1)) if is_law else None for each in np.eye(2)]
     return lambda _: [Perturbation(left=left, law_slopes=slopes[0]), Perturbation(right=right, law_slopes=slopes[1])]
 
@@ -100,7 +114,7 @@ class LoadRadius(_OfLoad):
         if not loads_vary(observations):
             return []
         reference = observations.model.reference_load_N
-        slopes = slope_parameters(observations, "slope_left", "slope_right")
+        slopes = slope_parameters(observations, *_sides(observations, "slope"))
         return [Form(self.id, "", slopes, _on_radii(observations, left - reference, right - reference, is_law=True))]
 
 
@@ -124,7 +138,7 @@ class LoadRadiusNonlinear(_OfLoad):
         if not loads_vary(observations):
             return []
         centre = Centre(reference if reference > 1.0 else max(1.0, float(np.mean(loads))))
-        slopes = slope_parameters(observations, "slope_left", "slope_right")
+        slopes = slope_parameters(observations, *_sides(observations, "slope"))
 
         def form(exponent: float) -> Form:
             def about(centre: Centre) -> Perturbations:
@@ -164,8 +178,8 @@ class LoadCreep(_OfLoad):
         # nothing creeps before the load is there
         t = np.maximum(t, 0.0)
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
-        left = Parameter("creep_left", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
-        parameters = (left, replace(left, name="creep_right"))
+        creep = Parameter("creep", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
+        parameters = tuple(replace(creep, name=name) for name in _sides(observations, "creep"))
         unladen = observations.vehicle.unladen_load_N
         # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
         # where that is zero: the vehicle always bears its own
@@ -237,12 +251,9 @@ class PayloadMass(_OfPayload):
         def form(label: str, mine: BoolArray, parameter: Parameter, settings: dict[str, float]) -> Form:
             def perturbations(path: Path) -> list[Perturbation]:
                 left, right = _slopes_m_per_N(path, _shown_by(path, ~mine))
-                return [
-                    Perturbation(
-                        left=np.where(mine, left * added_left, 0.0) / observations.radius_left_m,
-                        right=np.where(mine, right * added_right, 0.0) / observations.radius_right_m,
-                    )
-                ]
+                of_left = np.where(mine, left * added_left, 0.0) / observations.radius_left_m
+                of_right = np.where(mine, right * added_right, 0.0) / observations.radius_right_m
+                return [_of_wheels(observations, of_left, of_right)]
 
             through = () if has_slopes else LOAD_LAWS
             tries = len(values) + int(together)
@@ -290,14 +301,14 @@ class PayloadPosition(_OfPayload):
         def changed_m(path: Path, lever_m: float) -> tuple[FloatArray, FloatArray]:
             law = path.perturbation.law_slopes
             slopes = _slopes_m_per_N(path, np.zeros(2) if law is None else law[0])
-            if not has_slopes:
+            if not has_slopes or observations.by_shaft:
                 # a slope of its own for each wheel would follow what the place is to explain
                 slopes = np.full(2, slopes.mean())
             return slopes[0] * weight_N / lever_m, slopes[1] * weight_N / lever_m
 
         def sideways(path: Path) -> list[Perturbation]:
             left_m, right_m = changed_m(path, track)
-            return [Perturbation(left=left_m / radius_left, right=-right_m / radius_right)]
+            return [_of_wheels(observations, left_m / radius_left, -right_m / radius_right)]
 
         def ahead(path: Path) -> list[Perturbation]:
             left_m, right_m = changed_m(path, wheelbase)

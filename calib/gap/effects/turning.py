@@ -251,8 +251,9 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius
-        share_shows = weight_varies or not observations.by_front
+        # where the driven wheel drives the odometry, a share in all runs alike is its radius, and so is one that
+        # follows the load: rubber gives way by more than it slips when it rolls steadily
+        share_shows = not observations.by_front
         # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
         for name, force in _forces_N(observations).items():
@@ -262,10 +263,12 @@ class DriveSlip(Effect):
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
-                slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
-            if weight_varies:
+                label = f"{name}, speeding up, braking{' and rolling' if share_shows else ''}"
+                parts = [with_acceleration, with_way]
+                slips.append((label, force, parts[: 1 + share_shows], both[: 1 + share_shows]))
+            if weight_varies and share_shows:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
-        if not observations.by_front:
+        if share_shows:
             slips.append(("a constant share, or the front wheel's radius", None, [with_way], (common,)))
 
         def form(

@@ -261,7 +261,8 @@ class Observations:
 
     def radii_m(self, loads_N: FloatArray) -> FloatArray:
         """Return the radii that the model believes under loads of both wheels, each shape (2, n)."""
-        return np.stack(radii_of_model(self.model, *np.nan_to_num(loads_N, nan=self.model.reference_load_N)))
+        known_N = np.nan_to_num(loads_N, nan=self.model.reference_load_N)
+        return np.stack(radii_of_model(self.model, *known_N, by_shaft=self.by_shaft))
 
     @cached_property
     def radius_left_m(self) -> FloatArray:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
-from calib.campaign.wheels import on_one_axle, without_rear_wheels
+from calib.campaign.wheels import odometry_source, on_one_axle, without_rear_wheels
 from calib.errors import RefusedError
 from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
@@ -134,8 +134,9 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     model = model or campaign.model
     stands_in = without_rear_wheels(campaign)
     if stands_in:
-        # wheels that represent others have no load of their own
-        model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        if odometry_source(campaign) != "shaft":
+            # no column gives the load of a front wheel or of four
+            model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     logs = campaign.logs
     for name, load in zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True):
@@ -183,13 +184,22 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
     if any(each.course is not None for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")
+    ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
+    if lacking := sum(bool(ends[unit.run] and np.isnan(unit.measured[1:]).all()) for unit in units):
+        notes.append(
+            f"{lacking} runs have an end pose in a map, which is not used: their logs lack ref_x_m, ref_y_m, "
+            "ref_theta_rad where they begin"
+        )
     units = [unit for unit in units if np.isfinite(unit.measured).any() or unit.front_rad is not None]
     if not units:
         raise RefusedError(
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
-            "nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad"
+            + "; ".join(["nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad", *notes])
         )
-    return assemble(setup, units, notes)
+    made = assemble(setup, units, notes)
+    # an effect is asked of where a reading would show it
+    read: list[bool] = np.asarray(made.usable.any(axis=1)).tolist()
+    return made if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
@@ -213,13 +223,25 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
     distance = runs.number("distance_m")[run]
     if np.isnan(distance) and "range_m" in log and np.isfinite(log["range_m"][-1]):
         distance = log["range_m"][-1]
-    # an end pose in a map means nothing without the start
-    names = ("ref_x_m", "ref_y_m", "ref_theta_rad")
-    read = np.array([[np.nan if setup.in_map else runs.number(name)[run] for name in names]])
+    read = np.array([[runs.number(name)[run] for name in REFERENCE_POSE]])
+    if setup.in_map:
+        # an end pose in a map means nothing without the start, which the log alone has
+        log = _with_end(log, read[0]) if campaign.reference.frame == "map" else log
+        read[:] = np.nan
     pose = poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
     unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
     return Recorded(unit, observation.reference_poses(log, setup) if logged else None)
+
+
+def _with_end(log: dict[str, FloatArray], end: FloatArray) -> dict[str, FloatArray]:
+    """Return a log that has a start pose alone with the run table's end pose (3,) at its end."""
+    if not set(REFERENCE_POSE) <= log.keys():
+        return log
+    poses = np.stack([log[name] for name in REFERENCE_POSE])
+    if np.isfinite(poses).all(axis=0).sum() == 1:
+        poses[:, log_rows(log)[-1:]] = end[:, None]
+    return {**log, **dict(zip(REFERENCE_POSE, poses, strict=True))}
 
 
 def _with_log_pose(run: Recorded, setup: Setup) -> Observation:

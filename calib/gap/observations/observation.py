@@ -240,8 +240,10 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     heading = log.get("ref_theta_rad")
     if heading is not None:
         with_heading = there & np.isfinite(heading[all_rows])
-        heading, there = (heading, with_heading) if with_heading.sum() >= MIN_POSES else (None, there)
-    if len(rows := all_rows[there]) < MIN_POSES:
+        # two whole poses do, start and end
+        whole = with_heading.sum() >= min(MIN_POSES, max(2, there.sum()))
+        heading, there = (heading, with_heading) if whole else (None, there)
+    if len(rows := all_rows[there]) < (MIN_POSES if heading is None else 2):
         return None
     # at every sample: the vehicle turns between slow poses
     left = log["counts_left"][all_rows] / per_rad.left * model.radius_left_m
@@ -263,7 +265,9 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         from_first = not (reference.frame == "start" and on_axle)
         poses = np.column_stack([seen, np.full(len(rows), np.nan)])
         return ReferencePoses(rows, poses, travelled, setup.in_map, from_first, course)
-    of_sensor = np.column_stack([seen, np.unwrap(heading[rows])])
+    # between two poses alone the wheels tell whole turns
+    turned = _by_wheels(left, right, model.track_m)[there, 2] if len(rows) < MIN_POSES else 0.0
+    of_sensor = np.column_stack([seen, turned + np.unwrap(heading[rows] - turned)])
     begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)
     poses = poses_of_vehicle(of_sensor, reference, in_map=setup.in_map or begins_there)
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map, course=None)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.campaign.check import notes_for_results
 from calib.campaign.settings import Reference
+from calib.errors import RefusedError
 from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
@@ -162,3 +164,33 @@ def test_journeys_of_which_none_was_driven_twice_are_cut_into_windows() -> None:
     for truths, windowed in ((free, True), (routes(), False)):
         logs = [truth.counts() | seen(truth, in_map=True) for truth in truths]
         assert observations_of(campaign_of(logs, Reference(frame="map"))).windowed is windowed
+
+
+@pytest.mark.parametrize("end_in_table", [False, True])
+def test_start_and_end_in_a_map_are_enough(end_in_table: bool) -> None:
+    """A log with the start pose, and the end in the log or in the table: whole turns are those of the wheels."""
+    turns = np.tile([0.55, 1.1, 1.1], 5)
+    truths = [Truth([(2.0, 0.0), (2 * np.pi, turn)], *start) for turn, start in zip(turns, STARTS, strict=True)]
+    logs, ends = [], []
+    for truth in truths:
+        poses = seen(truth, in_map=True)
+        ends.append([column[-1] for column in poses.values()])
+        for name, column in poses.items():
+            middle = slice(1, None if end_in_table else -1)
+            poses[name] = column.copy()
+            poses[name][middle] = np.nan
+        logs.append(truth.counts() | poses)
+    numbers = dict(zip(poses, np.array(ends).T, strict=True))
+    made = campaign_of(logs, Reference(frame="map"), numbers)
+    observations = observations_of(made)
+    np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=ROUNDING)
+    np.testing.assert_allclose(observations.start_pose[:, 2], [h for _, h in STARTS], atol=ROUNDING)
+    assert not any("swapped" in note or "turn(s) off" in note for note in notes_for_results(made))
+
+
+def test_what_lacks_for_an_end_pose_in_a_map_is_said() -> None:
+    truths = routes()
+    ends = [seen(truth, in_map=True) for truth in truths]
+    numbers = {name: np.array([end[name][-1] for end in ends]) for name in ends[0]}
+    with pytest.raises(RefusedError, match=r"15 runs have an end pose in a map, .* where they begin"):
+        observations_of(campaign_of([t.counts() for t in truths], Reference(frame="map"), numbers))
