@@ -202,11 +202,16 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     if len(kept.runs):
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
+    # "looks like distance_m", and no run has one
+    lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
+    notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
     return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
 
 
+#: without these nothing can be learnt of wheels on a line
+_NEEDED: Final = ("distance_m", "counts_left", "counts_right", "load_left_N", "load_right_N")
 #: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither

@@ -251,7 +251,9 @@ def _read_cells(
     names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
     _check_names(names, shown, skipped + 1)
     names, rows, lines, omitted = table_rows(names, rows, lines, n_rows, layout, shown)
-    filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells)]
+    # a remark beneath the table, as above it
+    remarks = [len(cells) != len(names) and "".join(cells).lstrip().startswith("#") for cells in rows]
+    filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells) and not remarks[at]]
     rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]
     for at, cells in enumerate(rows):
         if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):

@@ -67,9 +67,10 @@ _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
-_SUMMARY: Final = re.compile(
+#: names of rows that sum up others
+SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
-    r"|gesamt|standardabweichung|stabw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
+    r"|gesamt|standardabweichung|st(d|and)?abw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
     re.IGNORECASE,
 )
 
@@ -278,7 +279,7 @@ def table_rows(
                 for column, cell in enumerate(other)
             }
             why = "" if "0" in _shape(text) and (at, _shape(text)) in shapes else "a remark"
-        elif isinstance(first, str) and _SUMMARY.fullmatch(text) and not is_number(text):
+        elif isinstance(first, str) and SUMMARY.fullmatch(text) and not is_number(text):
             why = "a mean, a sum or the like"
         elif len(filled) > 1 and _without_end(_texts(row)) in heads:
             why = "the beginning of the header again"
