@@ -6,10 +6,9 @@ import itertools
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from decimal import Decimal
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,15 +27,6 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 #: no run agrees by chance with a statistic of others in all numbers that vary, so many spreads wide
 _BY_CHANCE: Final = 1e-6
-_STATISTICS: Final[Mapping[str, Callable[..., Any]]] = {
-    "mean": np.nanmean,
-    "sum": np.nansum,
-    "median": np.nanmedian,
-    "standard deviation": partial(np.nanstd, ddof=1),
-    "spread": np.nanstd,
-    "least": np.nanmin,
-    "largest": np.nanmax,
-}
 #: label -> what it may be, since checks and end poses rest on it, and what to do about others
 _CHOICES: Final = {
     "direction": (("out", "back"), 'map it when ingesting: direction = {column = "...", values = {"..." = "out"}}'),
@@ -137,7 +127,11 @@ def _statistic(row: FloatArray, others: FloatArray) -> str:
     # a repeat of one run is none
     if np.prod(chance) > _BY_CHANCE or (np.abs(others - row) <= allowed).all(axis=1).any():
         return ""
-    return next((name for name, of in _STATISTICS.items() if (np.abs(of(others, axis=0) - row) <= allowed).all()), "")
+    numbers_of = {
+        name: getattr(np, f"nan{name}")(others, axis=0) for name in ("mean", "sum", "median", "std", "min", "max")
+    }
+    numbers_of["sample std"] = np.nanstd(others, axis=0, ddof=1)
+    return next((name for name, of in numbers_of.items() if (np.abs(of - row) <= allowed).all()), "")
 
 
 def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:

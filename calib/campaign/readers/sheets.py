@@ -61,6 +61,8 @@ _HEADER_ROWS: Final = 4
 LOOKED_AT: Final = 20
 #: of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
+#: column of headings above their rows
+SECTION: Final = "section"
 #: names of columns that no row names
 UNNAMED: Final = re.compile(r"column \d+")
 _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
@@ -96,7 +98,7 @@ def heading(
         names = [f"column {number + 1}" for number in range(len(first))]
         return names, 0, [Note("info", shown, text, "names")]
     n_rows = _header_rows(rows, fixed=layout.header_row is not None)
-    units_at = n_rows - 1 if n_rows > 1 and looks_like_units(rows[n_rows - 1]) else None
+    units_at = n_rows - 1 if n_rows > 1 and _holds_units(rows, n_rows - 1) else None
     if layout.units_row is not None:
         if layout.units_row not in lines:
             head, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
@@ -126,6 +128,12 @@ def looks_like_units(row: Sequence[Any]) -> bool:
         bool(_is_unit(cell) or _BRACKETED.fullmatch(cell) or _OTHER_UNITS.fullmatch(bare(cell))) for cell in cells
     )
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
+
+
+def _holds_units(rows: Sequence[Sequence[Any]], at: int) -> bool:
+    # beneath a name that spans columns stand their names: Load, Counts
+    named = {column for row in rows[:at] for column, cell in enumerate(row) if is_filled(cell)}
+    return looks_like_units(rows[at]) and {column for column, cell in enumerate(rows[at]) if is_filled(cell)} <= named
 
 
 def unit_spelled(text: str) -> str:
@@ -165,7 +173,7 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
         # a second row of names stands over numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)
-        if looks_like_units(row):
+        if _holds_units(rows, at):
             return at + 1
         if (wide or further) and not fixed:
             last = at
@@ -250,20 +258,14 @@ def table_rows(
     A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
     column repeat goes into its name.
 
-    Parameters
-    ----------
-    names, n_rows
-        Of the columns, and how many of the rows are the header.
-    rows, lines
-        Cells as read, the header's first; their rows in the file, counted from 1.
-    layout, shown
-        Whether the file is a laboratory's, and its name in messages.
+    `rows`: as read, the header's `n_rows` first; `lines`: their rows in the file.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:
         return names, rows, lines, []
     kept: Rows = []
     kept_lines, notes = [], []
+    headings: dict[int, str] = {}
     shapes: set[tuple[int, str]] = set()
     for row, line in zip(rows, lines, strict=True):
         if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
@@ -283,6 +285,8 @@ def table_rows(
             why = "a mean, a sum or the like"
         elif len(filled) > 1 and _without_end(_texts(row)) in heads:
             why = "the beginning of the header again"
+        if why == "a remark":
+            headings[len(kept)] = text
         if why:
             notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
             continue
@@ -295,6 +299,16 @@ def table_rows(
         f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
         for name, unit in zip(names, units, strict=True)
     ]
+    # Day 1, Day 2, each above its rows
+    if len({*headings.values()}) == len(headings) > 1 == len({*map(_shape, headings.values())}) and 0 in headings:
+        notes = [one for one in notes if one.text.split("'")[1] not in headings.values()]
+        text = f"{', '.join(headings.values())[:100]} stand above their rows; they are the column {SECTION!r}"
+        notes.append(Note("info", shown, text, "remark"))
+        ends = [*list(headings)[1:], len(kept)]
+        above = chain.from_iterable(
+            repeat(text, end - at) for (at, text), end in zip(headings.items(), ends, strict=True)
+        )
+        whole, kept = [SECTION, *whole], [[text, *row] for text, row in zip(above, kept, strict=True)]
     return whole, kept, kept_lines, notes
 
 
