@@ -122,7 +122,7 @@ def read_logs(
 
     Returns the logs end to end, and the SHA-256 of each by name.
 
-    Without ``wrap_bits`` overflows are looked for; a log that cannot be used is a fault.
+    Without ``wrap_bits`` overflows are looked for; a log that cannot be used is a fault; see `LogStack`.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}

@@ -220,8 +220,9 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
 
 def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _Ingestion) -> dict[Path, RawTable]:
     """Return the further sources where all are tables of the first one's columns, as one file a run; else none."""
-    log, given = work.mapping.log, work.mapping.table
-    if log.columns or log.file or log.files or work.mapping.cut or given.sheets or "log" in table.columns:
+    given = work.mapping.table
+    stated = any(work.mapping.log.model_dump(exclude={"lag"}).values())
+    if stated or work.mapping.cut or given.sheets or "log" in table.columns:
         return {}
     tables: dict[Path, RawTable] = {}
     for path in files:

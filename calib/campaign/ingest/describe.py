@@ -84,11 +84,10 @@ class Description:
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
         # logs alike are described once
-        groups = list(grouped(self.files, lambda file: tuple(one.name for one in file.columns)).values())
-        for group in groups:
-            tables = [file for file in group if file is self.table]
-            for part in (group,) if len(groups) == 1 else (tables, [file for file in group if file not in tables]):
-                lines += described(part, is_run_table=bool(tables) and part[0] in tables) if part else []
+        apart = any(not file.alike(self.files[0]) for file in self.files)
+        groups = grouped(self.files, lambda file: (apart and file is self.table, *(one.name for one in file.columns)))
+        for group in groups.values():
+            lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
 
     def to_dict(self) -> dict[str, object]:

@@ -277,7 +277,7 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
 
     Lags of ``reference`` and ``range_m``, where found.
 
-    `lines`: calib's column -> the recording's; `base`: the stream of the wheels.
+    `lines`: calib's column -> the recording's; `base`: the stream of the wheels; for a lag see `estimate_lag`.
     """
     counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
     wheels = [base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}]

@@ -129,6 +129,15 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
     """Return the run table of a laboratory's table.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
+
+    Parameters
+    ----------
+    raw, mapping
+        The table, and the lines for it.
+    encoder
+        Turns angles of the wheels into counts.
+    shown, border
+        The table's name in messages, and what takes notes.
     """
     lines = resolved(mapping.table.columns, raw.columns)
     raw = without_repeats(_without_end(raw, lines, shown, border), shown, border)
@@ -295,7 +304,8 @@ def match_logs(
     By number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
     name of a missing log.
 
-    Raises BadFileError where no run finds its log although there are files, or a run finds two.
+    Raises BadFileError where no run finds its log although there are files, or a run finds two; for the table
+    see `mapped_runs`.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:

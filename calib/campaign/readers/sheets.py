@@ -258,14 +258,21 @@ def table_rows(
     A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
     column repeat goes into its name.
 
-    `rows`: as read, the header's `n_rows` first; `lines`: their rows in the file.
+    Parameters
+    ----------
+    names, n_rows
+        Of the columns, and how many of the rows are the header.
+    rows, lines
+        Cells as read, the header's first; their rows in the file, counted from 1.
+    layout, shown
+        Whether the file is a laboratory's, and its name in messages.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:
         return names, rows, lines, []
     kept: Rows = []
     kept_lines, notes = [], []
-    headings: dict[int, str] = {}
+    last_remark, above = "", []
     shapes: set[tuple[int, str]] = set()
     for row, line in zip(rows, lines, strict=True):
         if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
@@ -285,13 +292,13 @@ def table_rows(
             why = "a mean, a sum or the like"
         elif len(filled) > 1 and _without_end(_texts(row)) in heads:
             why = "the beginning of the header again"
-        if why == "a remark":
-            headings[len(kept)] = text
+        last_remark = text if why == "a remark" else last_remark
         if why:
             notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
             continue
         kept.append(row)
         kept_lines.append(line)
+        above.append(last_remark)
     units = [_unit_of_cells(row[at] for row in kept if at < len(row)) for at in range(len(names))]
     if any(units):
         kept = [list(map(_without_unit, row, chain(units, repeat("")))) for row in kept]
@@ -300,14 +307,11 @@ def table_rows(
         for name, unit in zip(names, units, strict=True)
     ]
     # Day 1, Day 2, each above its rows
-    if len({*headings.values()}) == len(headings) > 1 == len({*map(_shape, headings.values())}) and 0 in headings:
-        notes = [one for one in notes if one.text.split("'")[1] not in headings.values()]
-        text = f"{', '.join(headings.values())[:100]} stand above their rows; they are the column {SECTION!r}"
+    headings = list(dict.fromkeys(above))
+    if all(headings) and len(headings) > 1 == len({*map(_shape, headings)}):
+        notes = [one for one in notes if one.text.split("'")[1] not in headings]
+        text = f"{', '.join(headings)[:100]} stand above their rows; they are the column {SECTION!r}"
         notes.append(Note("info", shown, text, "remark"))
-        ends = [*list(headings)[1:], len(kept)]
-        above = chain.from_iterable(
-            repeat(text, end - at) for (at, text), end in zip(headings.items(), ends, strict=True)
-        )
         whole, kept = [SECTION, *whole], [[text, *row] for text, row in zip(above, kept, strict=True)]
     return whole, kept, kept_lines, notes
 
