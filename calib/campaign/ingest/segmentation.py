@@ -60,8 +60,8 @@ def segment_recordings(
 
     Raises BadFileError where there are not as many segments as rows.
 
-    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for columns of times; see
-    `find_runs`.
+    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for columns of
+    times; see `find_runs`.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:
@@ -128,8 +128,8 @@ def find_runs(
 ) -> list[slice]:
     """Return the runs of a recording.
 
-    `log`: times from the recording's start, counts, and ``cut`` where a column tells the runs; see
-    `Segmentation`.
+    `log`: times from the recording's start, counts, and ``cut`` where a column tells
+    the runs; see `Segmentation`.
     """
     time = log["t_s"]
     if cut.by == "times":
