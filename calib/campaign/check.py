@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
-from calib.campaign.checks.measurements import implausible_distances, implausible_loads, off
+from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
@@ -25,8 +25,25 @@ from calib.vehicle import Usual
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
+    notes, campaign = _taken_apart(campaign.included())
+    yield from notes
     for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
-        yield from check(campaign.included())
+        yield from check(campaign)
+
+
+def _taken_apart(campaign: Campaign) -> tuple[list[Note], Campaign]:
+    """Return the finding of totals that grow from run to run, and the campaign with what each run counted."""
+    counts = both_sides(campaign, "counts_{}")
+    step = np.diff(counts, prepend=0.0)
+    counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, counts, step), strict=True))
+    apart = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
+    ratios = np.array([[design.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, apart)])
+    fitting = np.abs(np.log(np.abs(ratios))) < np.log(MOST_RATIO)
+    if len(campaign.runs) < design.LEAST_RUNS or fitting[0].mean() > 0.5 or fitting[1].mean() < design.MOST_OF_THE_RUNS:
+        return [], campaign
+    text = """the counts are totals that grow from run to run; expected what each run counted, as their steps are; write
+        the difference from the run before, at a counter's start the count itself"""
+    return [implausible_column("counts_left, counts_right", text)], apart
 
 
 def _settings(campaign: Campaign) -> Iterator[Note]:
@@ -198,16 +215,21 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     notes; of runs flagged as excluded, faults alone.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
-    kept = campaign.included()
-    notes = [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
+    found, kept = _taken_apart(campaign.included())
+    notes = found + [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
     if len(kept.runs):
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
+    # "looks like distance_m", and no run has one
+    lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
+    notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
     return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
 
 
+#: without these nothing can be learnt of wheels on a line
+_NEEDED: Final = ("distance_m", "counts_left", "counts_right", "load_left_N", "load_right_N")
 #: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
@@ -234,7 +256,7 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
 
     `of_loads`: with what is said of payloads and wheel loads.
     """
-    kept = campaign.included()
+    kept = _taken_apart(campaign.included())[1]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
     of_checks = (check(kept) for check in (*checks, settings.odd_lengths))
     said = []

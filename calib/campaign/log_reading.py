@@ -122,15 +122,7 @@ def read_logs(
 
     Returns the logs end to end, and the SHA-256 of each by name.
 
-    Parameters
-    ----------
-    files, n_runs
-        Logs in the order of the runs, and rows of the run table.
-    encoder
-        Without ``wrap_bits`` overflows are looked for.
-    border, progress
-        Takes notes and faults in the order of the runs (a log that cannot be used is a fault); see
-        `calib.types.Progress`.
+    Without ``wrap_bits`` overflows are looked for; a log that cannot be used is a fault; see `LogStack`.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}

@@ -127,14 +127,7 @@ def add_recognised(
 
     Raises BadFileError where two columns mean the same.
 
-    Parameters
-    ----------
-    columns
-        By calib's names, shape (n_samples,) each; changed in place.
-    raw, shown
-        The log as read, and its name in messages.
-    border, mapped
-        Takes conversions; columns of `raw` to pass over.
+    `columns`: by calib's names, changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():

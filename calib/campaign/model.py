@@ -77,7 +77,7 @@ class Note:
 
     @staticmethod
     def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> Note:
-        """Return a note, its text made one line where it is written over several; see `Border.say`."""
+        """Return a note, its text made one line where it is written over several; see `Note`."""
         return Note(level, where, re.sub(r"\n\s*", " ", text) if "\n" in text else text, code, run_id)
 
     @property
@@ -94,21 +94,7 @@ class Border:
         self.notes: list[Note] = []
 
     def say(self, where: str, text: str, code: str, *, level: str = "info", run_id: str = "") -> None:
-        """Keep a note.
-
-        Parameters
-        ----------
-        where
-            File, row and column.
-        text
-            What was found, what was expected, what to do.
-        code
-            Name of the fault.
-        level
-            ``wrong``, ``suspicious`` or ``info``.
-        run_id
-            The run concerned, or empty.
-        """
+        """Keep a note; see `Note`."""
         self.notes.append(Note.of(where, text, code, level, run_id))
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from functools import lru_cache
 from typing import Annotated, Final, Literal
 
@@ -169,7 +170,8 @@ def spelled(found: str) -> str:
     name, (stem, inside) = found.strip(), bracketed(found)
     if inside is not None:
         unit = unit_named(inside)
-        name = f"{stem}_{unit}" if unit else stem if inside in {"", "-", "1"} else name
+        said = inside in {"", "-", "1"} or (unit is not None and unit == split_suffix(stem)[1])
+        name = stem if said else f"{stem}_{unit}" if unit else name
     return re.sub(r"[\s\-]+", "_", name.strip())
 
 
@@ -221,11 +223,20 @@ _WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "dist
 )
 #: words for how or where a value was had, or of what, and not what it is
 _BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
+#: letters of a word of five that one slip leaves in place
+_TYPED: Final = 0.8
 
 
 def look_alike(name: str, missing: Iterable[str]) -> str | None:
     """Return the known column, of those missing, that an unknown name seems to mean; None for most names."""
-    return next((wanted for wanted in missing if _words(name) == _words(wanted)), None)
+    words = _words(name)
+    likely = (wanted for wanted in missing if len(words) == len(_words(wanted)))
+    return next((wanted for wanted in likely if all(map(_mistyped, words, _words(wanted)))), None)
+
+
+def _mistyped(word: str, wanted: str) -> bool:
+    # of short words another letter is another word: ref_z_m
+    return word == wanted or (len(wanted) > 3 and SequenceMatcher(None, word, wanted).ratio() >= _TYPED)
 
 
 def _words(name: str) -> tuple[str, ...]:

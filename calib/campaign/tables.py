@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Border, Campaign, RunTable
-from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers
+from calib.campaign.readers.sheets import SUMMARY
+from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers, time_format
 from calib.campaign.settings import Recognised, converted, look_alike, recognise, second_column
 from calib.campaign.settings_file import to_toml, written_settings
 from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, BadInputError, refuse_beyond
@@ -22,17 +25,8 @@ from calib.io import write_folder
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
-#: names of rows that sum up the others
-_SUMMARY_NAMES: Final = (
-    *("mean", "average", "avg", "sum", "total", "std"),
-    *("mittel", "mittelwert", "summe", "moyenne", "media"),
-)
-#: no run has their mean or sum, to the whole count, by chance in both
-_COUNTED: Final = ("counts_left", "counts_right")
-#: different runs' counts scatter by more
-_LEAST_SPREAD: Final = 5.0
-#: of two runs each is the sum of the others where they are alike
-_LEAST_ROWS: Final = 4
+#: no run agrees by chance with a statistic of others in all numbers that vary, so many spreads wide
+_BY_CHANCE: Final = 1e-6
 #: label -> what it may be, since checks and end poses rest on it, and what to do about others
 _CHOICES: Final = {
     "direction": (("out", "back"), 'map it when ingesting: direction = {column = "...", values = {"..." = "out"}}'),
@@ -72,17 +66,24 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
         labels["session"] = _sessions(labels["session"], shown, border)
     excluded = _flags(cells.get("excluded", np.full(len(line), "")), shown, line)
     numbers_of_runs = _numbers(raw, matched, shown, border)
-    summary = _summaries(labels["run_id"], numbers_of_runs, ~excluded)
-    for row in np.flatnonzero(summary):
-        text = f"{str(labels['run_id'][row])!r} is the mean or sum of other rows and no run; it is not used, remove it"
-        border.say(f"{shown}, row {line[row]}", text, "summary_row", level="suspicious")
-    return RunTable(labels=labels, numbers=numbers_of_runs, excluded=excluded | summary, line=line)
+    for at, what in _summaries(labels, numbers_of_runs, ~excluded).items():
+        text = f"{str(labels['run_id'][at])!r} is {what} of other rows and no run; it is not used, remove it"
+        border.say(f"{shown}, row {line[at]}", text, "summary_row", level="suspicious")
+        excluded[at] = True
+    return RunTable(labels=labels, numbers=numbers_of_runs, excluded=excluded, line=line)
 
 
 def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
+    where, labels = f"{shown}, column session", [str(label) for label in session]
+    if any(time_format(label) not in {None, "time_of_day"} for label in labels):
+        labels = [re.split(",?[T ]", label)[0] if time_format(label) else label for label in labels]
+        border.say(where, f"times of day are no sessions: the {len(set(labels))} days are taken", "session_days")
+    if 2 < len(set(labels)) == len(labels):
+        text = "each run is a session of its own, so that no session shows its scatter; name days or halls"
+        border.say(where, text, "session_spelling", level="suspicious")
     plain: dict[str, str] = {}
     written: dict[str, set[str]] = {}
-    for label in dict.fromkeys(map(str, session)):
+    for label in dict.fromkeys(labels):
         key = unicodedata.normalize("NFKC", label).strip().casefold()
         with suppress(ValueError):
             key = _plain(float(key))
@@ -92,20 +93,45 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
     if double:
         names = "; ".join(sorted(" and ".join(sorted(labels)) for labels in written.values() if len(labels) > 1))
         text = f"found {names[:200]}, spelled differently and taken as one session; spell each session in one way"
-        border.say(f"{shown}, column session", text, "session_spelling", level="suspicious")
-    return np.asarray([double.get(label, label) for label in map(str, session)], dtype=np.str_)
+        border.say(where, text, "session_spelling", level="suspicious")
+    return np.asarray([double.get(label, label) for label in labels], dtype=np.str_)
 
 
-def _summaries(run_id: StrArray, columns: Mapping[str, FloatArray], used: BoolArray) -> BoolArray:
-    summary = np.isin(np.char.lower(run_id), _SUMMARY_NAMES)
-    table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in _COUNTED])
-    # runs that all have the same counts are repeats
-    varied = (np.std(table[:, used], axis=1) > _LEAST_SPREAD).all() if used.sum() >= _LEAST_ROWS else False
-    if varied and np.isfinite(table).all():
-        others = np.where(used, table, 0.0).sum(axis=1)[:, None] - table
-        for value in (others, others / (used.sum() - 1)):
-            summary |= (np.abs(table - value) < 0.51).all(axis=0)
-    return np.asarray(used & summary)
+def _summaries(labels: Mapping[str, StrArray], columns: Mapping[str, FloatArray], used: BoolArray) -> dict[int, str]:
+    """Return the rows that are by their name, or by their numbers alone, statistics of others."""
+    run_id, session = labels["run_id"], labels.get("session", np.full(len(used), ""))
+    found = {row: "a summary" for row in np.flatnonzero(used).tolist() if SUMMARY.fullmatch(run_id[row])}
+    table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in NUMERIC_COLUMNS], axis=1)
+    form = [re.sub(r"\d+", "0", name) for name in map(str, run_id)]
+    # the others are named as runs are
+    looked_at = np.asarray(form) != Counter(form).most_common(1)[0][0]
+    looked_at[-1] = True
+    for row in np.flatnonzero(used & looked_at).tolist():
+        others = np.flatnonzero(used & ~np.isin(np.arange(len(used)), [row, *found]))
+        above = others[others < row]
+        last = max((at for at in found if at < max(above, default=0)), default=-1)
+        for block in (above, above[above > last], above[session[above] == session[row]], others):
+            if row not in found and (what := _statistic(table[row], table[block])):
+                found[row] = f"the {what}"
+    return found
+
+
+def _statistic(row: FloatArray, others: FloatArray) -> str:
+    known = np.isfinite(row) & (np.isfinite(others).sum(axis=0) > 1)
+    known[known] = np.nanstd(others[:, known], axis=0) > 0
+    row, others = row[known], others[:, known]
+    # half of the last decimal, and rounding
+    exponents = [min(0, int(Decimal(repr(float(value))).normalize().as_tuple().exponent)) for value in row]
+    allowed = 0.51 * 10.0 ** np.asarray(exponents, dtype=np.float64) + 1e-9 * np.abs(row)
+    chance = np.minimum(1.0, 2 * allowed / np.nanstd(others, axis=0))
+    # a repeat of one run is none
+    if np.prod(chance) > _BY_CHANCE or (np.abs(others - row) <= allowed).all(axis=1).any():
+        return ""
+    numbers_of = {
+        name: getattr(np, f"nan{name}")(others, axis=0) for name in ("mean", "sum", "median", "std", "min", "max")
+    }
+    numbers_of["sample std"] = np.nanstd(others, axis=0, ddof=1)
+    return next((name for name, of in numbers_of.items() if (np.abs(of - row) <= allowed).all()), "")
 
 
 def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
@@ -185,7 +211,8 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str
     first: dict[str, int] = {}
     for run_id, row in zip(map(str, run_ids), map(int, line), strict=True):
         if not run_id:
-            raise BadFileError(shown, "an empty cell", "a name of the run", "name the run", row=row, column="run_id")
+            remedy = "name the run, or remove the row where it sums up others"
+            raise BadFileError(shown, "an empty cell", "a name of the run", remedy, row=row, column="run_id")
         if run_id in first:
             twice = f"{run_id!r}, as in row {first[run_id]}"
             remedy = "rename one run, or remove the row that was pasted twice"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +23,25 @@ Table = dict[str, FloatArray | IntArray | list[str]]
 COUNTS_PER_REV: Final = 4096
 FIRST_MONTH: Final = (2025, 1)
 LOADS_N: Final = (300.0, 500.0, 700.0, 900.0, 1100.0)
-SETTINGS: Final = files("calib.plant") / "fleet.toml"
+SETTINGS: Final = """\
+format = "calib-campaign/1"
+name = "fleet"
+simulated = true
+
+[vehicle]
+track_m = 0.7
+wheelbase_m = 1.0
+wheel_radius_m = 0.1
+
+[encoder]
+counts_per_rev = 4096
+
+[model]
+radius_left_m = 0.1
+radius_right_m = 0.1
+track_m = 0.7
+reference_load_N = 300.0
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +157,7 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             sink = pa.BufferOutputStream()
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)
-    (folder / "campaign.toml").write_bytes(SETTINGS.read_bytes())
+    (folder / "campaign.toml").write_bytes(SETTINGS.encode())
     _write_beside(folder, fleet.labels["hall"], fleet.truth)
     return fleet.truth
 

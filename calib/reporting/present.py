@@ -132,12 +132,15 @@ def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
 
 
 #: what a check found -> its step, where the law of the load lacks runs
+_NEEDED: Final = ("missing_counts", "missing_distance")
 _LACKING: Final = {"few_runs": "check lacks runs", "one_session": "check lacks days"}
 
 
 def after_check(report: CheckReport, columns: Iterable[str]) -> str:
     """Return the step that a check was; `columns`: of run table and logs."""
-    if report.verdict == "wrong":
+    used = report.found.n_runs - report.found.n_excluded
+    nothing = (one.code in _NEEDED and one.text.startswith(f"{used} run(s)") for one in report.suspicious)
+    if report.verdict == "wrong" or any(nothing):
         return "check wrong"
     if report.found.distance_m is None:
         return "check without distances"

@@ -140,3 +140,19 @@ def test_the_summary_counts_what_is_there() -> None:
     assert (found.n_runs, found.n_logs, found.sessions["s1"]) == (30, 30, 6)
     assert found.payloads_kg == (0.0, 50.0, 100.0, 150.0, 200.0)
     assert found.rate_Hz == pytest.approx((20.0, 20.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_counts_that_run_on_are_told_as_such_alone(reset: bool) -> None:
+    """Whether or not each session begins at zero; factors of single runs are none."""
+    made = campaign(logs=False)
+    session = made.runs.label("session")
+    summed = {}
+    for side in ("left", "right"):
+        counts = made.runs.number(f"counts_{side}")
+        parts = [np.cumsum(counts[session == one]) for one in dict.fromkeys(session.tolist())]
+        summed[f"counts_{side}"] = np.concatenate(parts) if reset else np.cumsum(counts)
+    report = check_campaign(with_numbers(made, **summed))
+    assert [note.where for note in report.wrong] == ["runs, columns counts_left, counts_right"]
+    assert "grow from run to run" in report.wrong[0].text
+    assert report.suspicious == ()

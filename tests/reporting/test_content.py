@@ -19,9 +19,10 @@ from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text, c
 from calib.reporting.content import Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics import PAGES
-from calib.reporting.topics.conditions import MOST_NOTES
+from calib.reporting.topics.conditions import MOST_NOTES, method_section
 from calib.reporting.topics.fit import result_section, usable_notice
-from calib.reporting.topics.law import coefficients_section
+from calib.reporting.topics.law import coefficients_section, regression_section
+from calib.reporting.topics.runs import deviation_section
 from calib.vehicle import Drive
 
 
@@ -279,3 +280,25 @@ def test_every_sentence_of_the_catalogue_is_used(project_root: Path) -> None:
     for section in ("report", "caption"):
         parts = {name: name.removeprefix("decision_").removeprefix("fleet-") for name in catalogue()[section]}
         assert {name for name, part in parts.items() if f'"{name}"' not in code and f'"{part}"' not in code} == set()
+
+
+def test_path_and_slope_are_told_as_they_were_had(source: Source) -> None:
+    """A path that nothing told is not corrected; two wheels' designs that differ are told by wheel."""
+    radii, left = source.fit.radii, source.fit.left
+    told = words(deviation_section(source))
+    assert f"{len(radii)} of the {len(radii)} runs are corrected" in told
+    none = replace(radii, path_source=np.full(len(radii), "none"), path_left=0 * radii.path_left)
+    untold = words(deviation_section(replace(source, fit=replace(source.fit, radii=none))))
+    assert f". 0 of the {len(radii)} runs are corrected" in untold
+    apart = replace(source.fit, left=replace(left, design="mixed"))
+    method = words(method_section(replace(source, fit=apart)))
+    assert "Left wheel: The slope combines" in method
+    assert "Right wheel: The slope comes from" in method
+    assert "wheel: The slope" not in words(method_section(source))
+
+
+def test_the_table_of_the_law_has_the_ends_of_the_measured_loads(source: Source) -> None:
+    wheels = (replace(one, load_N=np.clip(one.load_N, 301.0, 1097.0)) for one in source.fit.wheels.values())
+    fit = replace(source.fit, **dict(zip(("left", "right"), wheels, strict=True)))
+    shown = next(one for one in regression_section(replace(source, fit=fit)).blocks if isinstance(one, Table))
+    assert [row[0] for row in shown.rows] == ["301", *map(str, range(400, 1100, 100)), "1097"]

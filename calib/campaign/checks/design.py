@@ -44,15 +44,7 @@ Run = int | np.signedinteger[Any]
 
 
 def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, level: str = "suspicious") -> Note:
-    """Return a note on one cell of the run table.
-
-    Parameters
-    ----------
-    campaign, run, column
-        Where the cell is, runs counted from 0.
-    text, code, level
-        What was found, what was expected, what to do; the name of the check; ``wrong``, ``suspicious`` or ``info``.
-    """
+    """Return a note on one cell of the run table, runs counted from 0; see `Note`."""
     where = f"runs, row {int(campaign.runs.line[run])}, column {column}"
     return Note.of(where, text, code, level, str(campaign.runs.run_id[run]))
 

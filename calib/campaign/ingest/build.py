@@ -29,6 +29,7 @@ from calib.io import refuse_existing, sha256_file
 from calib.types import Progress, silent, stepped
 
 RECORDINGS: Final = "recordings"
+_SMALL_BYTES: Final = 1 << 16
 #: in a merged note
 _LISTED_ROWS: Final = 8
 _NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
@@ -151,7 +152,11 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         first, table = next(((path, found) for path, found in tables if found is not None), (first, None))
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
     runs = None
-    if table is not None and work.mapping.table.sheets:
+    if table is not None and (further := _further_tables(first, table, files, work)):
+        parts, files = {first: table, **further}.items(), []
+        encoder = work.settings.encoder
+        runs = stacked([mapped_runs(raw, work.mapping, encoder, str(path), work.border) for path, raw in parts])
+    elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)
     elif table is not None:
         table, work.mapping = with_lookups(table, work.mapping, first, work.border)
@@ -211,6 +216,24 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
     if not sheets:
         work.border.notes.extend(raw.notes)
     return raw
+
+
+def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _Ingestion) -> dict[Path, RawTable]:
+    """Return the further sources where all are tables of the first one's columns, as one file a run; else none."""
+    given = work.mapping.table
+    stated = any(work.mapping.log.model_dump(exclude={"lag"}).values())
+    if stated or work.mapping.cut or given.sheets or "log" in table.columns:
+        return {}
+    tables: dict[Path, RawTable] = {}
+    for path in files:
+        # logs are larger, and take long to read cell by cell
+        if holds_recording(path) or path.stat().st_size > 4 * first.stat().st_size + _SMALL_BYTES:
+            return {}
+        tables[path] = read_table(path, str(path), None, given.layout)
+        if list(tables[path].columns) != list(table.columns):
+            return {}
+    work.hashes |= {str(path): sha256_file(path) for path in tables}
+    return tables
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:

@@ -136,14 +136,20 @@ def file_contents(path: Path) -> FileContents:
     if (chosen := next(iter(runs or usual), None)) is None:
         return contents
     alike = tuple(name for name in usual if sheets[name].alike(sheets[chosen]))
-    columns: tuple[ColumnContents, ...] = ()
-    for same in zip(*(sheets[name].columns for name in (chosen, *alike)), strict=True):
-        texts = dict.fromkeys(text for column in same for text in column.texts)
-        columns += (replace(same[0], texts=tuple(texts)[:_LISTED_TEXTS]),)
+    columns = together([sheets[name] for name in (chosen, *alike)])
     others = {name: sheets[name].columns for name in usual if name != chosen}
     first = contents.alike(sheets[chosen])
     contents = replace(contents, columns=columns) if first else replace(sheets[chosen], columns=columns, sheet=chosen)
     return replace(contents, others=others, alike_sheets=alike if len(alike) > 1 else ())
+
+
+def together(files: Sequence[FileContents]) -> tuple[ColumnContents, ...]:
+    """Return the columns of alike files or sheets, with the texts of all."""
+    columns: tuple[ColumnContents, ...] = ()
+    for same in zip(*(file.columns for file in files), strict=True):
+        texts = dict.fromkeys(text for column in same for text in column.texts)
+        columns += (replace(same[0], texts=tuple(texts)[:_LISTED_TEXTS]),)
+    return columns
 
 
 def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:

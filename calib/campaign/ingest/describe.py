@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest.contents import FileContents, described, file_contents, grouped, wrapped
+from calib.campaign.ingest.contents import FileContents, described, file_contents, grouped, together, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, table_lines
@@ -84,7 +84,8 @@ class Description:
         lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
         # logs alike are described once
-        groups = grouped(self.files, lambda file: (file is self.table, *(one.name for one in file.columns)))
+        apart = any(not file.alike(self.files[0]) for file in self.files)
+        groups = grouped(self.files, lambda file: (apart and file is self.table, *(one.name for one in file.columns)))
         for group in groups.values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
@@ -116,7 +117,9 @@ def describe(sources: Sequence[Path]) -> Description:
         raise BadInputError(f"{files[0].name}: found a header and no rows; expected {expected}; export it again")
     table = _run_table(files, len(paths))
     logs = [file for file in files if file is not table]
-    lines = _mapping_lines(table, logs)
+    alike = table is not None and not _has_clock(table) and all(file.alike(table) for file in files)
+    whole = replace(table, columns=together(files)) if table is not None and alike else table
+    lines = _mapping_lines(whole, [] if alike else logs)
     # the table has to be named first, also one found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]

@@ -67,11 +67,11 @@ def direction_of(text: str) -> str | None:
     return next((way for way, pattern in _names()["direction"].items() if re.fullmatch(pattern, plain)), None)
 
 
-def mass_of(text: str) -> float | None:
-    """Return the payload in kg in a text: ``200 kg``, ``with 62,5kg``, ``leer``; else None."""
-    if re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
+def load_of(text: str, unit: str) -> float | None:
+    """Return the load in a text, in kg (``200 kg``, ``with 62,5kg``, ``leer``) or N; else None."""
+    if unit == "kg" and re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
         return 0.0
-    found = re.search(r"(\d+(?:[.,]\d+)?)_?\s*kg", plain_text(text))
+    found = re.search(rf"(\d+(?:[.,]\d+)?)_?\s*{unit.lower()}\b", plain_text(text))
     return float(found[1].replace(",", ".")) if found else None
 
 
@@ -80,7 +80,7 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
     `name`: ``Strecke [mm]`` or ``Weg in mm``.
     """
-    in_words = re.sub(r"\s+in\s+(\S+)\s*$", r" [\1]", name.strip())
+    in_words = re.sub(r"\s+(?:in|/)\s+(\S+)\s*$", r" [\1]", name.strip())
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
     if unit is None and inside is not None:
@@ -277,14 +277,7 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
 
     Lags of ``reference`` and ``range_m``, where found.
 
-    Parameters
-    ----------
-    recording, lines
-        A recording with the columns that the mapping names: calib's column -> the recording's.
-    base
-        The stream of the wheels.
-    shown, border
-        Its name in messages; takes notes.
+    `lines`: calib's column -> the recording's; `base`: the stream of the wheels; for a lag see `estimate_lag`.
     """
     counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
     wheels = [base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}]
@@ -329,12 +322,7 @@ def estimate_lag(
 
     None where the speeds change too little to tell, or do not correlate.
 
-    Parameters
-    ----------
-    time_s, travelled : array of float, shape (n_samples,)
-        A travelled distance (or a heading) of the first stream, at its own times.
-    other_time_s, other_travelled : array of float, shape (n_other,)
-        The same of the second.
+    `travelled`: a distance or a heading, at times of its own, shape (n_samples,).
     """
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student

@@ -333,13 +333,5 @@ def parse_section(model: type[_Parsed], section: object, shown: str, where: str)
 
 
 def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> BadFileError:
-    """Return the error for one line of a mapping.
-
-    Parameters
-    ----------
-    shown, where, name
-        The mapping, its section, the line's key.
-    found, expected
-        What the line says, and should say.
-    """
+    """Return the error for one line of a mapping; see `BadFileError`."""
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")

@@ -14,9 +14,10 @@ from calib.campaign.ingest.guesses import direction_of, guessed_table_column, pl
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
 from calib.campaign.ingest.runs import run_in, run_number
 from calib.campaign.model import LABEL_COLUMNS
+from calib.campaign.readers.sheets import SECTION
 from calib.campaign.settings import bracketed, recognise
 from calib.campaign.settings_file import toml_value
-from calib.units import split_suffix
+from calib.units import SUFFIXES, split_suffix
 
 
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:
@@ -33,6 +34,8 @@ def unit_remark(name: str) -> str:
     return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
+#: payloads lie no further from the axle
+_LONGEST_M: Final = 3.0
 #: the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 _WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
@@ -59,7 +62,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
-    targets = {column.name: guessed_table_column(column.name) for column in table.columns}
+    targets = _targets(table)
     if set(_WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
     readings, sided = _reading_lines(table.columns), _sided_lines(table)
@@ -70,14 +73,14 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
             continue
         directions = [direction_of(text) for text in column.texts]
         is_direction = 0 < len(directions) <= 2 and all(directions)
-        name = "direction" if is_direction else guessed_table_column(column.name)
+        name = "direction" if is_direction else targets[column.name]
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
             # a heading in words: E and W, north and south
             name = "direction"
         if name == "distance_m" and column.kind == "text" and "kind" not in targets.values():
             # `Strecke` is a distance, or the route
             name = "kind"
-        if column in passed_over or name is None or name in named or not _may_be(name, column):
+        if column in passed_over or name is None or name in named or not _may_be(name, column, table.n_rows):
             (unused if column.kind == "number" else texts).append(column.name)
             continue
         named |= {name, *(_WHEEL_LOADS if name == _AXLE else ())}
@@ -90,7 +93,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
             own.append(column.name)
     lines += _lookup_lines(table, named)
     if table.alike_sheets and not sided:
-        lines.append(_sheet_line(table.alike_sheets, named))
+        lines += _sheet_lines(table.alike_sheets, named)
     if "run_id" not in named:
         number = 'run_id = {value = "r{n:03}"}   # no column names the runs: they are numbered'
         lines.append(number if numbered else '#run_id = ""   # the column that names the runs')
@@ -99,6 +102,24 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     for what, names in {"recognised by their names": own, "kept as covariates": unused, "not used": texts}.items():
         lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
+
+
+def _targets(table: FileContents) -> dict[str, str | None]:
+    targets = {column.name: guessed_table_column(column.name) for column in table.columns}
+    known = set(targets.values())
+    if {"payload_kg", "distance_m"} <= known and not set(_WHEEL_LOADS) & known:
+        targets |= {one.name: targets[one.name] or _place(one) for one in table.columns}
+    days = table.columns[0].texts if SECTION in targets else ()
+    if days and "session" not in known and guessed_table_column(re.sub(r"\W*\d+", "", days[0])) == "session":
+        targets[SECTION] = "session"
+    return targets
+
+
+def _place(column: ColumnContents) -> str | None:
+    """Return the coordinate of the payload that a bare x or y is, where it lies on the vehicle."""
+    stem, unit = stem_and_unit(column.name)
+    far_m = max(abs(column.low or 0.0), abs(column.high or 0.0)) * SUFFIXES[unit or "m"][1]
+    return f"payload_{stem}_m" if stem in {"x", "y"} and far_m < _LONGEST_M else None
 
 
 def _place_lines(table: FileContents) -> list[str]:
@@ -140,12 +161,16 @@ def _sided_lines(table: FileContents) -> dict[str, list[str]]:
     return lines
 
 
-def _sheet_line(sheets: Sequence[str], named: set[str]) -> str:
-    masses = [guesses.mass_of(sheet) for sheet in sheets]
-    if None in masses or {"payload_kg", "load_left_N"} & named:
-        return f'#session = "{SHEET}"   # where each sheet holds a session of its own'
-    named.add("payload_kg")
-    return f"payload_kg = {toml_value({'column': SHEET, 'values': dict(zip(sheets, masses, strict=True))})}"
+def _sheet_lines(sheets: Sequence[str], named: set[str]) -> list[str]:
+    free = not {"payload_kg", "load_left_N"} & named
+    for unit, columns in (("kg", ("payload_kg",)), ("N", _WHEEL_LOADS)) if free else ():
+        loads = [guesses.load_of(sheet, unit) for sheet in sheets]
+        if None not in loads:
+            named |= set(columns)
+            values = toml_value({"column": SHEET, "values": dict(zip(sheets, loads, strict=True))})
+            remark = "   # of each wheel, or of both?" if unit == "N" else ""
+            return [f"{name} = {values}{remark}" for name in columns]
+    return [f'#session = "{SHEET}"   # where each sheet holds a session of its own']
 
 
 def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
@@ -188,8 +213,12 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
     return entry(name, column, unit, further) + remark
 
 
-def _may_be(target: str, column: ColumnContents) -> bool:
-    if column.kind == "empty" or (target == "session" and column.kind == "time"):
+def _may_be(target: str, column: ColumnContents, n_rows: int = 0) -> bool:
+    # numbers that begin again name no runs
+    if target == "run_id" and column.high is not None and column.high - (column.low or 0.0) + 1 < n_rows:
+        return False
+    # of times the days are sessions
+    if column.kind == "empty" or (target == "session" and column.form.startswith("times of day")):
         return False
     return column.kind == "number" or target in {*LABEL_COLUMNS, "excluded"}
 

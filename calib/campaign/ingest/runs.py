@@ -304,14 +304,8 @@ def match_logs(
     By number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
     name of a missing log.
 
-    Raises BadFileError where no run finds its log although there are files, or a run finds two.
-
-    Parameters
-    ----------
-    runs, files, log
-        Runs, log files, and their names.
-    shown, border
-        The table's name in messages, and what takes notes.
+    Raises BadFileError where no run finds its log although there are files, or a run finds two; for the table
+    see `mapped_runs`.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:

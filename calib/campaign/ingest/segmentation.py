@@ -60,15 +60,8 @@ def segment_recordings(
 
     Raises BadFileError where there are not as many segments as rows.
 
-    Parameters
-    ----------
-    runs, table
-        Rows of the runs in the order driven (None: numbered), and the table as read, for columns of
-        times.
-    recordings, mapping
-        In the order driven, and how they are cut.
-    settings, border
-        Vehicle and encoder, for lengths; what takes notes.
+    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for columns of
+    times; see `find_runs`.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:
@@ -135,18 +128,8 @@ def find_runs(
 ) -> list[slice]:
     """Return the runs of a recording.
 
-    Parameters
-    ----------
-    cut
-        The rule.
-    log : mapping of str to array of float, shape (n_samples,)
-        ``t_s`` from the recording's start, the wheels' counts, and ``cut`` where a column tells the runs.
-    m_per_count
-        Nominal travelled distance of a wheel a count.
-    start_ns
-        The recording's first time.
-    shown
-        The recording, for messages.
+    `log`: times from the recording's start, counts, and ``cut`` where a column tells
+    the runs; see `Segmentation`.
     """
     time = log["t_s"]
     if cut.by == "times":

@@ -61,15 +61,18 @@ _HEADER_ROWS: Final = 4
 LOOKED_AT: Final = 20
 #: of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
+#: column of headings above their rows
+SECTION: Final = "section"
 #: names of columns that no row names
 UNNAMED: Final = re.compile(r"column \d+")
 _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
-_SUMMARY: Final = re.compile(
+#: names of rows that sum up others
+SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
-    r"|gesamt|standardabweichung|stabw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
+    r"|gesamt|standardabweichung|st(d|and)?abw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
     re.IGNORECASE,
 )
 
@@ -95,7 +98,7 @@ def heading(
         names = [f"column {number + 1}" for number in range(len(first))]
         return names, 0, [Note("info", shown, text, "names")]
     n_rows = _header_rows(rows, fixed=layout.header_row is not None)
-    units_at = n_rows - 1 if n_rows > 1 and looks_like_units(rows[n_rows - 1]) else None
+    units_at = n_rows - 1 if n_rows > 1 and _holds_units(rows, n_rows - 1) else None
     if layout.units_row is not None:
         if layout.units_row not in lines:
             head, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
@@ -125,6 +128,12 @@ def looks_like_units(row: Sequence[Any]) -> bool:
         bool(_is_unit(cell) or _BRACKETED.fullmatch(cell) or _OTHER_UNITS.fullmatch(bare(cell))) for cell in cells
     )
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
+
+
+def _holds_units(rows: Sequence[Sequence[Any]], at: int) -> bool:
+    # beneath a name that spans columns stand their names: Load, Counts
+    named = {column for row in rows[:at] for column, cell in enumerate(row) if is_filled(cell)}
+    return looks_like_units(rows[at]) and {column for column, cell in enumerate(rows[at]) if is_filled(cell)} <= named
 
 
 def unit_spelled(text: str) -> str:
@@ -164,7 +173,7 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
         # a second row of names stands over numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)
-        if looks_like_units(row):
+        if _holds_units(rows, at):
             return at + 1
         if (wide or further) and not fixed:
             last = at
@@ -263,6 +272,7 @@ def table_rows(
         return names, rows, lines, []
     kept: Rows = []
     kept_lines, notes = [], []
+    last_remark, above = "", []
     shapes: set[tuple[int, str]] = set()
     for row, line in zip(rows, lines, strict=True):
         if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
@@ -278,15 +288,17 @@ def table_rows(
                 for column, cell in enumerate(other)
             }
             why = "" if "0" in _shape(text) and (at, _shape(text)) in shapes else "a remark"
-        elif isinstance(first, str) and _SUMMARY.fullmatch(text) and not is_number(text):
+        elif isinstance(first, str) and SUMMARY.fullmatch(text) and not is_number(text):
             why = "a mean, a sum or the like"
         elif len(filled) > 1 and _without_end(_texts(row)) in heads:
             why = "the beginning of the header again"
+        last_remark = text if why == "a remark" else last_remark
         if why:
             notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
             continue
         kept.append(row)
         kept_lines.append(line)
+        above.append(last_remark)
     units = [_unit_of_cells(row[at] for row in kept if at < len(row)) for at in range(len(names))]
     if any(units):
         kept = [list(map(_without_unit, row, chain(units, repeat("")))) for row in kept]
@@ -294,6 +306,13 @@ def table_rows(
         f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
         for name, unit in zip(names, units, strict=True)
     ]
+    # Day 1, Day 2, each above its rows
+    headings = list(dict.fromkeys(above))
+    if all(headings) and len(headings) > 1 == len({*map(_shape, headings)}):
+        notes = [one for one in notes if one.text.split("'")[1] not in headings]
+        text = f"{', '.join(headings)[:100]} stand above their rows; they are the column {SECTION!r}"
+        notes.append(Note("info", shown, text, "remark"))
+        whole, kept = [SECTION, *whole], [[text, *row] for text, row in zip(above, kept, strict=True)]
     return whole, kept, kept_lines, notes
 
 

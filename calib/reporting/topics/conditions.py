@@ -108,13 +108,15 @@ def method_section(source: Source) -> Section:
     """Return effective radius, regression, and their uncertainty."""
     fit = source.fit
     wheels = catalogue()["wheels"].get(source.setup.vehicle.drive, "the rear wheels")
-    designs = dict.fromkeys(catalogue()["design"].get(wheel.design, "") for wheel in fit.wheels.values())
+    designs = {name: catalogue()["design"].get(wheel.design, "") for name, wheel in fit.wheels.items()}
+    if len(set(designs.values())) > 1:
+        designs = {name: f"{name.capitalize()} wheel: {text}" for name, text in designs.items()}
     blocks = (
         Text(paragraph("method_radius", wheels=wheels)),
         Equation("effective_radius"),
         Text(paragraph("method_line")),
         Equation("law"),
-        Text(paragraph("method_sessions", designs=" ".join(filter(None, designs)))),
+        Text(paragraph("method_sessions", designs=" ".join(dict.fromkeys(designs.values())).strip())),
         Text(paragraph("method_uncertainty")),
         Text(f"Deviations from the method: {source.stated.get('deviations', 'none stated')}."),
     )

@@ -98,7 +98,7 @@ def regression_section(source: Source) -> Section:
     fit = source.fit
     bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
     heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
-    title = "The law at measured loads, with the half widths of both bands."
+    title = "The law at the least and largest load and at round ones between, with the half widths of both bands."
     shown = table(title, heads, aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6))
     quality = Text(" ".join(map(quality_text, fit.wheels.values())))
     return Section("Regression on load", (Text(paragraph("bands")), regressions_picture(fit), shown, quality))
@@ -107,7 +107,7 @@ def regression_section(source: Source) -> Section:
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     lows, highs = zip(*((wheel.law.load_min_N, wheel.law.load_max_N) for wheel in (left, right)), strict=True)
     low, high = (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
-    loads = round_loads(low, high)
+    loads = np.unique(np.rint([low, *round_loads(low, high), high]))
     columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
         mean, single = (UM * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))

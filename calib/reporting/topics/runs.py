@@ -128,7 +128,8 @@ def deviation_section(source: Source) -> Section:
         sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
         rows.append((blocks.catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
     heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
-    text = Text(paragraph("paths", worst=1e6 * float(np.abs(paths).max())))
+    corrected = {"corrected": int((radii.path_source != "none").sum()), "runs": len(radii)}
+    text = Text(paragraph("paths", **corrected, worst=1e6 * float(np.abs(paths).max())))
     content: list[Block] = [text, deviation_picture(source.fit), table(caption("table-corrections"), heads, rows)]
     if known.any():
         off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
