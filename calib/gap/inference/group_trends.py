@@ -1,7 +1,4 @@
-"""Trends as groups of replicates take part in them: a group knows the steps of its own sessions only.
-
-Sums over groups of one size are products of small matrices; a matrix as wide as there are sessions is made once.
-"""
+"""Trends as groups of replicates take part in them: a group knows the steps of its own sessions only."""
 
 from __future__ import annotations
 
@@ -23,11 +20,11 @@ _ROUNDING: Final = 1e-14
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
     units: slice  #: their units
-    #: shape (n_units, 6, 9 + q): columns of each group's own, the gap, and the trends that it takes part in
+    #: shape (n_units, 6, 9 + q): each group's own, the gap, and its trends
     columns: FloatArray
-    #: shape (n_groups, q): gap and trends in the basis; the last, which is nothing, where a group has fewer
+    #: shape (n_groups, q): gap and trends in the basis; its last is nothing
     index: IntArray
-    #: where their products stand among the groups' (one triangle) and the basis'
+    #: places of their products among the groups' (one triangle) and the basis'
     there: IntArray
     place: IntArray
 
@@ -51,15 +48,7 @@ class GroupTrends:
     def of(trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray) -> GroupTrends | None:
         """Return those of units (n,) in groups (n,); None where groups know about as many steps as there are.
 
-        Parameters
-        ----------
-        trends : Trends
-        units, group : array of int, shape (n,)
-            Numbers of the units, and of the group of each.
-        design : array of float, shape (n_units, 6, 9)
-            What each group may have of its own.
-        gap : array of float, shape (n_units, 6)
-            Measured minus predicted.
+        `design` (n_units, 6, 9): what each group may have of its own; `gap` (n_units, 6): measured minus predicted.
         """
         n_shared, width = trends.shared.shape[2], trends.of_step.shape[2]
         steps = trends.steps()
@@ -82,7 +71,7 @@ class GroupTrends:
             here = first + width * slot + wheel
             columns[np.arange(len(units)), :, here[place]] = trends.of_step[units, :, wheel] * STEP
             index[of_group, here] = first + width * session + wheel
-            # counted from the mean of all units, a step has a part that all units take part in
+            # from the mean of all units, so all take part in a step
             away = steps.min(axis=0)
             own = 1 + n_shared + wheel
             mix[own:-1:width, own::width] = np.concatenate([away[None], steps - away])
@@ -135,13 +124,12 @@ class GroupTrends:
 
 
 def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return F with F^T F the inverse of groups' own products, F times other columns, and the log determinant.
+    """Return F (n_groups, 9, 9), F^T F the inverse of own products, F times others (n_groups, 9, q), log determinant.
 
-    `gram`: (n_groups, 9, 9 + q), products of own columns with themselves and others; `prior`: (9,), precision of the
-    own. Returns (n_groups, 9, 9), (n_groups, 9, q), and of all groups together.
+    `gram`: (n_groups, 9, 9 + q), products of own columns with these and others; `prior`: (9,), precision of the own.
     """
     own = gram[:, :N_GROUP_COLUMNS, :N_GROUP_COLUMNS] + np.diag(prior)
-    # on a unit diagonal, a little added: columns alike stay factorable
+    # on a unit diagonal columns alike stay factorable
     root = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
     lower = np.linalg.cholesky(own / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(N_GROUP_COLUMNS))
     factor = np.linalg.inv(lower) / root[:, None, :]

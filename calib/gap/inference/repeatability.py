@@ -16,20 +16,16 @@ from calib.types import BoolArray, FloatArray, IntArray
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 #: of the logs of scales
 SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
-#: units further from their repeats than normal noise takes one in so many of weigh less. Weights that begin within its
-#: reach let what repeats share exceed its stated floor by a seventh to a quarter in the square, and two to three times
-#: as often its 99 % quantile, even where noise is normal
+#: of normal noise beyond which units weigh less: weights within its reach would let the squares of what repeats share
+#: exceed their floor by a seventh to a quarter
 OUTLIER_PROBABILITY: Final = 0.05
-#: units that scales are found from, at most: known to a few per cent, at a bounded cost
+#: most units that scales are found from: known to a few per cent
 MAX_REPLICATES: Final = 480
 _WEIGHT_ROUNDS: Final = 3
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
-    """Return each unit's neighbourhood among those of its label, in the order driven, (n_units,).
-
-    `labels`: (n_units,); `together`: units of one; those left over join the last.
-    """
+    """Return each unit's neighbourhood of `together` units of its label, in the order driven, (n_units,)."""
     number = np.zeros(len(labels), dtype=np.int64)
     used = 0
     for label in np.unique(labels):
@@ -80,13 +76,13 @@ class Replicates:
 
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
-    """Return about `most` units at most: the same share, at least two, of evenly chosen groups."""
+    """Return about `most` units: the same share, at least two, of evenly chosen groups."""
     n = len(grouped.units)
     if n <= most:
         return grouped
     sizes = np.diff(np.append(grouped.first, n))
     wanted = np.maximum(2, np.ceil(sizes * most / n))
-    # each unit's place within its group, and the wanted place that it is the first for
+    # each unit's place in its group, and the wanted place that it is first for
     place = np.arange(n) - grouped.first[grouped.group]
     slot = np.floor(place * wanted[grouped.group] / sizes[grouped.group])
     chosen = np.concatenate(([True], (np.diff(slot) > 0) | (np.diff(grouped.group) > 0)))
@@ -97,8 +93,7 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
 class ScaleLikelihood:
     """Restricted likelihood of the noise's scales, for one way of grouping units.
 
-    `gap`: (n_units, 6), measured minus predicted about `path`; `shapes`: of the noise; `trends`: what may differ
-    between replicates and is no noise.
+    `gap`: (n_units, 6), measured minus predicted about `path`; `trends`: what between replicates is no noise.
     """
 
     def __init__(
@@ -139,7 +134,7 @@ class ScaleLikelihood:
         g, square = residual[:, :, -1], float(dense[k, k])
         if k:
             lower = np.asarray(np.linalg.cholesky(dense[:k, :k] + np.eye(k)), dtype=np.float64)
-            # one product of large matrices, not one a unit: (I + T^T T)^-1 = F^T F
+            # one product of large matrices: (I + T^T T)^-1 = F^T F
             factor = np.linalg.inv(lower)
             along = factor @ dense[:k, k]
             half = (residual[:, :, :-1].reshape(-1, k) @ factor.T).reshape(*g.shape, k)
@@ -223,8 +218,8 @@ def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[Flo
 def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
     """Return the calibration derivatives (n_units, 6, 3), within a group their mean.
 
-    By each unit's own, a calibration takes up a quarter of the squares of the radii's noise. Groups that drive no way
-    along keep their own, and windows of unlike shape, where a wrong radius of the recording would pass for scatter.
+    By each unit's own, a calibration takes up a quarter of the radii's noise. Groups that drive no way along keep their
+    own, and windows of unlike shape.
     """
     own: FloatArray = path.calibration[:, :, :3].copy()
     size = np.diff(np.append(grouped.first, len(grouped.units)))
