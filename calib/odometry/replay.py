@@ -94,7 +94,7 @@ def replay(
     scheme: str = "exact",
     runtime_runs: int = 20,
 ) -> Replay:
-    """Replay the logged runs of a campaign by a scheme of `calib.odometry.integrate.SCHEMES`.
+    """Replay the logged runs of a campaign; for schemes see `calib.odometry.integrate.SCHEMES`.
 
     `rng`: for the bootstrap; `runtime_runs`: fed to the runtime. Raises RefusedError where no run has a log, a
     reference end pose and valid wheel loads.

@@ -279,7 +279,7 @@ def simulate(
     under: LawJourneys | None = None,
     rng: np.random.Generator,
 ) -> Simulation:
-    """Run a study of `STUDIES` by name, or ``custom`` with routes and cases of one's own.
+    """Run a study of `STUDIES` by name, or ``custom`` with routes and cases of one's own; see `Simulation`.
 
     `track_m`, `real_track_m`: believed track, and the real one (None: the same); `under`: adds Table 1, Fig. 15 and
     journeys under a law. Raises BadInputError where the study, a route or a case cannot be used.

@@ -208,7 +208,7 @@ def to_signal(
 ) -> tuple[list[Cause], Noise, Strength]:
     """Scale causes to wanted signals, each alone (NaN: as it is), and return what was reached.
 
-    Rather than far from typical sizes, the noise is changed first.
+    Rather than far from typical sizes, the noise is changed first; see `Strength`.
     """
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])

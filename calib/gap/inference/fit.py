@@ -165,7 +165,7 @@ def fit(
     start: Fitted | None = None,
     steps: int = 10,
 ) -> Fitted:
-    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
+    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path; see `Fitted`.
 
     `nominal`: the model alone, with its `noise`; `forms`: effects to fit; `along` (k, 4): directions in which the
     calibration may change, all by default; `start`: where to begin (calibration, and sizes of the same forms); `steps`:

@@ -46,7 +46,7 @@ class GroupTrends:
 
     @staticmethod
     def of(trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray) -> GroupTrends | None:
-        """Return those of units (n,) in groups (n,); None where groups know about as many steps as there are.
+        """Return those of units (n,) in groups (n,), see `Trends`; None where these know about half of the steps.
 
         `design` (n_units, 6, 9): what each group may have of its own; `gap` (n_units, 6): measured minus predicted.
         """

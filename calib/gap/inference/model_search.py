@@ -64,7 +64,7 @@ def search(
     start: SearchResult | None = None,
     passed: Callable[[], None] | None = None,
 ) -> SearchResult:
-    """Search the library.
+    """Search the library; see `SearchResult`.
 
     `nominal`: the model alone; `base`: the recalibration alone; `effects`: the calibration's own three are left to the
     recalibration; `start`: where to begin, beside another noise level; `passed`: called before each pass.

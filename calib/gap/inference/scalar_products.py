@@ -234,7 +234,7 @@ def scalar_products(
     scales: Sequence[float],
     prior_rest: float,
 ) -> Sums:
-    """Return the scalar products of columns and gap under each scale of the lack of fit.
+    """Return the scalar products of columns and gap under each scale of the lack of fit; see `Sums`.
 
     `reduced`: nuisances, columns, gap, a wide form's columns, those common to all blocks; `kinds`: components of the
     lack of fit, numbered; `common`: places of columns common to all blocks, by number; `sizes`: numbers of nuisances,

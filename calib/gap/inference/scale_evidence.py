@@ -122,7 +122,7 @@ def scale_gains(
     """Return the change of the log weights by the integral over the noise's scales, in the shape of `weight`.
 
     `weight`: (n_scales, n_models), beside the estimated noise; `likely`: of the models, to integrate; the others gain
-    the least of theirs; `window`: below the best within which, of noise alone `NOISE_WINDOW`.
+    the least of theirs; `window`: below the best, for noise alone see `NOISE_WINDOW`.
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
     for n in likely:
