@@ -16,8 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel, Reference
 from calib.campaign.wheels import STEERED
-from calib.coefficients import sections
-from calib.coefficients.quantities import Section, first_fault, validated
+from calib.coefficients import Section, first_fault, sections, validated
 from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError

@@ -43,7 +43,7 @@ def locate(
     Covariates are tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in twenty of
     any false finding. Shares have bootstrap intervals over units.
 
-    `nominal`: the model alone; `floor` (n_units, n_channels): what the gap is shown against, that of `noise` by default;
+    `nominal`: the model alone; `floor` (n_units, n_channels): shown beside the gap, that of `noise` by default;
     `campaign`: the same runs with logs, for places inside runs.
     """
     lines = wheel_tests(nominal, noise, gap, rng)
