@@ -1,4 +1,4 @@
-"""The sections of the coefficient file."""
+"""The sections of the coefficient file; see `calib.coefficients.quantities` for their numbers."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Annotated, Final, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from calib import coefficients as quantities
 from calib.campaign.settings import OdometrySource
-from calib.coefficients import Force, Length, Measured, Number, PositiveLength, Section
+from calib.coefficients import quantities
+from calib.coefficients.quantities import Force, Length, Measured, Number, PositiveLength, Section
 from calib.radius.law import LineEstimate, WheelLaw
 from calib.types import FloatArray
 from calib.vehicle import Drive
