@@ -1,7 +1,7 @@
 """A case from its recipe: its truth, then its campaigns.
 
-The truth says the best that any diagnosis can do there, all being known: no rule gets a larger share of cases right
-than the mean of the largest posterior probability, computed exactly from whitened signatures.
+No rule gets a larger share of cases right than the mean of the largest posterior probability, computed exactly from
+whitened signatures: the ceiling.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Recipe:
     """One case to make."""
 
     case: str  #: neutral name
-    number: int  #: place in the unshuffled list, which with the seed determines all that is drawn
+    number: int  #: place in the unshuffled list; with the seed it determines all that is drawn
     group: str  #: one of `GROUPS`
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
@@ -55,17 +55,16 @@ class Truth:
     redraw: int  #: times the pair was drawn again as its effects hid in one another
     causes: tuple[Cause, ...]
     typical: tuple[float, ...]
-    #: signal of each alone, and after what the other could imitate was projected out
+    #: signal of each alone, and beside what the other could imitate
     signals: tuple[float | None, ...]
     beside: tuple[float | None, ...]
-    #: other effects, and how far in standard deviations they stay from what the cause does; nearest first
+    #: other effects, nearest first, and their distance from the cause in standard deviations
     rivals: tuple[tuple[str, float], ...]
     noise: Noise  #: noise and model are those of the case
     model: OdometryModel
     n_runs: int
-    #: of the best rule on these runs at this signal, freely and behind the gate
+    #: see `Ceiling`: of all effects at this signal; of this one here, None where a recalibration absorbs it
     ceiling: tuple[float, float] | None = None
-    #: of this effect as it acts here; None where a recalibration absorbs it
     own_ceiling: tuple[float, float] | None = None
 
     @staticmethod
@@ -157,15 +156,13 @@ def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[tuple[floa
     return [None if one is None else (round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
 
 
-def campaigns_of(truth: Truth) -> tuple[Campaign, Campaign]:
+def campaigns_of(truth: Truth) -> tuple[Campaign, ...]:
     """Return the campaign of a case, and the same truth driven again with other noise."""
     recipe = truth.recipe
     design = case_design(recipe, truth.seed, truth.max_runs, truth.redraw)
     rng = np.random.default_rng([truth.seed, recipe.number, 2, truth.redraw])
-    # a name must not tell them apart
-    names = (recipe.case, recipe.case)
-    campaign, fresh = make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
-    return campaign, fresh
+    names = (recipe.case, recipe.case)  # must not tell them apart
+    return make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
 
 
 #: allowed by the gate
@@ -182,9 +179,8 @@ ALIKE_NATS: Final = 1e-6
 class Ceiling:
     """What the best rule reaches on one campaign at one signal."""
 
-    free: float  #: share of true effects named, where it is known that there is one
-    #: the same behind a gate that lets `ALARMS` of the empty campaigns through; what does not pass is a miss
-    gated: float
+    free: float  #: share of true effects named, where there surely is one
+    gated: float  #: the same behind a gate that lets `ALARMS` of the empty campaigns through
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,10 +198,9 @@ def ceiling_of(
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling | None:
-    """Return the ceiling of a campaign, the effects being equally likely; None where none leaves anything.
+    """Return the ceiling of a campaign of equally likely effects; None where none leaves anything.
 
-    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm at which the true effect acts; `one_sign`: effects
-    of which only positive sizes have a meaning.
+    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm of the true effect; `one_sign`: see `ONE_SIGN`.
     """
     spaces = _spaces(signatures, one_sign)
     if not spaces:
@@ -229,9 +224,9 @@ def ceiling_of_truth(
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling:
-    """Return how often the same rule names one effect, as it acts in one case; of exactly the same effects each alike.
+    """Return how often the same rule names one effect; exact aliases share.
 
-    `left` (n_rows,): what the effect leaves in this case; else see `ceiling_of`.
+    `left` (n_rows,): what it leaves in this case; else see `ceiling_of`.
     """
     known = signatures if effect in signatures else {**signatures, effect: [left[:, None]]}
     number = list(known).index(effect)
@@ -252,7 +247,7 @@ def _weighed(
 
 
 def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
-    """Return the effects present, and their spaces in a frame (n_rows, n) that holds them and `further` vectors."""
+    """Return the effects present, and their spaces in a frame (n_rows, n), which also holds `further` vectors."""
     present = sorted({space.effect for space in spaces})
     every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]
     frame, _ = np.linalg.qr(np.concatenate(every, axis=1))
@@ -311,5 +306,4 @@ def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> Float
 
 
 def _log_mean(logs: FloatArray) -> FloatArray:
-    largest = logs.max(axis=1)
-    return np.asarray(largest + np.log(np.exp(logs - largest[:, None]).mean(axis=1)))
+    return np.asarray(np.logaddexp.reduce(logs, axis=1) - np.log(logs.shape[1]))

@@ -70,20 +70,20 @@ class Judged:
     truth: tuple[str, ...]
     deleted: str
     signal: float | None  #: target signal; None where there is none or it is natural
-    verdict: str  #: the verdict's word, ``error`` (diagnosis failed) or ``missing``
+    verdict: str  #: its word, ``error`` (diagnosis failed) or ``missing``
     named: tuple[str, ...]  #: likeliest first
     right: bool  #: the right answer of its group, see `judge`
     first: bool  #: a true effect is named first (for empty cases: nothing is named)
     in_group: bool  #: every true effect is named, or stands in a group with a named one
-    covered: bool | None  #: the 95 % set holds the truth; None where the truth is in no library
+    covered: bool | None  #: the 95 % set holds the truth; None: it is in no library
     set_size: int
-    #: the plant's own measure: no other effect comes nearer than `APART`; None where it was not taken
+    #: by the plant no other effect is nearer than `APART`; None: not measured
     separable: bool | None
     rival: str
     #: a fix is recommended; and a cause of it is neither true nor in a group with the truth
     recommended: bool
     wrong_fix: bool
-    #: the recommended fix made the fresh campaign worse, all channels against their noise; None where not tried
+    #: the recommended fix made the fresh campaign worse; None: not tried
     harmful: bool | None
     statements: tuple[tuple[float, bool], ...]  #: probability of each named cause, and whether it is true
     intervals: tuple[Compared, ...]
@@ -101,11 +101,11 @@ class Judged:
 
 
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
-    """Hold a verdict in the shape of ``calib diagnose --json`` (None where there is none) against the truth.
+    """Hold a verdict in the shape of ``calib diagnose --json`` (None: there is none) against the truth.
 
-    The right answer is: nothing, for an empty case; the effect first, for one effect; both, for two; ``unknown`` or
-    ``partly_explained`` with a rest, for an effect outside the library; a group that holds the truth and an alias, for
-    an exact alias; ``unknown``, a rest, or an effect nearer than `APART`, where the true effect was deleted.
+    Right is: nothing, for an empty case; the effect first, for one; both, for two; ``unknown`` or ``partly_explained``,
+    for an effect outside the library; truth and alias in a group, for an exact alias; one of ``unknown``,
+    ``partly_explained`` and an effect nearer than `APART`, where the true effect was deleted.
     """
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}

@@ -91,13 +91,13 @@ def _unlogged(drawn: FloatArray, condition: IntArray) -> SizedAct:
     return lambda world, size: world.enlarge(size * left, size * right)
 
 
-#: what the counts alone cannot be made to show, or what a drive has to be planned for
+#: what logged counts cannot be made to show
 NOT_PLANTED: Final = {
     "encoder_gross": "a blunder is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
 }
-#: share of an effect left beside a recalibration, below which it cannot be asked for
+#: share left beside a recalibration, below which an effect cannot be asked for
 ABSORBED: Final = 0.02
 #: what calibrates a front wheel that alone drives the odometry
 STEERED: Final = ("steering_zero", "steering_scale")
@@ -114,7 +114,7 @@ class Size:
     """How large an effect is planted."""
 
     value: float
-    scale: str  #: ``s``: the signal it is to have; ``x``: times the typical size; empty: as it is, in the effect's unit
+    scale: str  #: ``s``: a signal; ``x``: times the typical size; empty: in the effect's unit
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
@@ -140,8 +140,8 @@ class Plant:
     outside: bool  #: whether no library holds it
     size: float
     unit: str
-    signal: float  #: how strongly it shows on these runs beside their noise, once a recalibration took its share
-    #: shape (n_units, 6): what it does to the readings; with either sign where both have a meaning
+    signal: float  #: beside these runs' noise, after a recalibration
+    #: shape (n_units, 6): what it does to the readings, by either sign that has a meaning
     changes: tuple[FloatArray, ...]
 
     @property
@@ -165,7 +165,7 @@ def plants_of(
 ) -> tuple[list[Plant], dict[str, str]]:
     """Return what is planted, and the reason of what is not; see `Plant`.
 
-    `wanted`: effects and outside causes (empty: all that these runs can show); BadInputError where one is unknown.
+    `wanted`: effects and outside causes, empty: all that can show; BadInputError where one is unknown.
     """
     candidates, left_out = _candidates(diagnosis, replay, rng)
     known = {*left_out, *(candidate.effect for candidate in candidates)}
@@ -208,7 +208,6 @@ def _candidates(
             forms = forms_of(effect.id)
             # one that the library does not assume
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
-            # drawn by name, so that another selection of effects draws the same
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
             act = partial(_planted, form, knobs)
             candidates.append(_Candidate(effect.id, act, form.typical, form.form, form.unit))

@@ -20,15 +20,13 @@ ENOUGH: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnNoise:
-    """Residuals after the fit of the diagnosis, and which units are exchangeable.
+    """Residuals of the diagnosis, less the mean of repeats, and which units are exchangeable.
 
-    A unit's channels stay together: tails and correlations are the real ones. What the repeats of a condition have in
-    common is taken out; a unit without repeats keeps what is left of it, with either sign.
+    A unit's channels stay together: tails and correlations are the real ones.
     """
 
-    #: shape (n_units, 6): whitened residuals
-    whitened: FloatArray
-    root: FloatArray  #: shape (n_units, 6, 6): cholesky factor of each unit's covariance
+    whitened: FloatArray  #: shape (n_units, 6)
+    root: FloatArray  #: shape (n_units, 6, 6): cholesky factor of the covariance
     group: IntArray  #: shape (n_units,): units of one number are exchangeable
     repeated: BoolArray  #: shape (n_units,)
 
@@ -46,8 +44,7 @@ class OwnNoise:
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
     """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
 
-    Units of one condition are exchangeable where there are enough; else those of one route, else with the same
-    channels.
+    Exchangeable are units of one condition where there are enough; else of one route, else of the same channels.
     """
     channels = observations.usable @ (2 ** np.arange(6))
     alike = (observations.condition, observations.kind, np.zeros_like(channels))
@@ -66,13 +63,13 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     return OwnNoise(whitened, root, group, size > 1)
 
 
-#: the sensor turned round once it came back by this, or so many standard deviations of its noise
+#: the sensor reversed once it came back by this, and by so many standard deviations of its noise
 TURNED_RAD: Final = 2e-3
 TURNED_STD: Final = 6.0
 
 
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
-    """Return the wheel's true angles, shape (n_steps_most, n_units), which the world's sensor would read as logged."""
+    """Return true angles (n_steps_most, n_units) that the world's sensor would read as logged."""
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():
         true = true + 0.5 * world.steer_backlash_rad * _side(true, last)
@@ -86,7 +83,6 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:
-    """Return to which side each angle last moved."""
     side = np.zeros_like(angle)
     bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
     noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
@@ -116,7 +112,7 @@ Act = Callable[[World], None]
 class Route:
     """The logged steps of every unit side by side, short units filled with zeros."""
 
-    #: shape (n_steps_most, n_units): rotation of the wheels in each step, its length, and end
+    #: shape (n_steps_most, n_units): rotation of the wheels, duration and end of each step
     roll_left_rad: FloatArray
     roll_right_rad: FloatArray
     duration_s: FloatArray
@@ -128,7 +124,7 @@ class Route:
     #: shape (n_steps_most, n_units): wheel angles at the end of each step
     angle_left_rad: FloatArray
     angle_right_rad: FloatArray
-    #: shape (n_steps_most, n_units): way of a front wheel that alone drives the odometry, and its angle
+    #: shape (n_steps_most, n_units): way and angle of a front wheel that alone drives the odometry
     front_m: FloatArray
     steer_rad: FloatArray
     last: IntArray  #: shape (n_units,): last step of each unit
@@ -235,9 +231,9 @@ class Replay:
         return Replay(observations, _design(observations), route_of(observations))
 
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
-        """Return distance, x, y, heading, path and turn as read at the end of each unit, shape (n_units, 6).
+        """Return distance, x, y, heading, path and turn as read at each unit's end, (n_units, 6).
 
-        `level` takes out the mean change of the static radii, which a calibration takes up.
+        `level` takes out the radii's mean change, which a calibration takes up.
         """
         world = _world(self.observations, self.design)
         if act is not None:
@@ -290,7 +286,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the factor of the way ahead for the front wheel's true angle, and the turn to add (Eqs 12 to 14)."""
+    """Return the factor of the way ahead, and the turn to add (Eqs 12 to 14)."""
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
     if replay.observations.by_shaft:

@@ -1,4 +1,4 @@
-"""Planting, diagnosing, counting: what this lab's data would find, and how often wrongly."""
+"""What this lab's data would find, and how often wrongly, by planting and diagnosing."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Answer:
     verdict: str
     seen: bool
     first: bool  #: the planted effect is named first
-    in_group: bool  #: it is named, stands in a group with a named one, or its family is named
+    in_group: bool  #: it, one of its group, or its family is named
     open: bool  #: see `calib.challenge.judge.OPEN`
-    #: others are named, neither it nor its group; of an outside cause: a fix is recommended
+    #: others alone are named; of an outside cause: a fix is recommended
     wrong: bool
 
 
@@ -64,7 +64,7 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
 
 
 FORMAT: Final = "calib-challenge-own/1"
-#: more false alarms, or wrong names, than this share are a finding
+#: largest share of false alarms, or wrong names
 ALLOWED: Final = 0.05
 
 
@@ -172,9 +172,9 @@ EMPTY_EACH: Final = 4
 class Asked:
     """What is asked for."""
 
-    effects: tuple[str, ...] = ()  #: effects and outside causes to plant; empty: all that the campaign can show
+    effects: tuple[str, ...] = ()  #: also outside causes; empty: all that the campaign can show
     sizes: tuple[Size, ...] = parse_sizes(SIZES)
-    planted: int = 5  #: how often each is planted at each size
+    planted: int = 5  #: how often each at each size
     workers: int = 2
     #: then no further diagnosis begins; each size is planted once before any is twice
     seconds: float = 900.0

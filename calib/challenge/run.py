@@ -1,4 +1,4 @@
-"""Diagnosing every case, and trying each fix on a fresh campaign; the truth stays closed."""
+"""Diagnose every case, and try each fix on a fresh campaign; the truth stays closed."""
 
 from __future__ import annotations
 
@@ -31,9 +31,8 @@ Achieved = dict[str, float | None]
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
 
-    ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
-    ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None where the
-    verdict names no cause, or a form of its causes cannot be had there.
+    By end position (else distance) in m, by all channels over their noise, and the closure of whitened squares. None
+    where no cause is named, or a form does not exist there.
     """
     from calib.gap.inference.fit import hypothesis_path, whitened_rows
     from calib.gap.observations.from_campaign import observations_of
@@ -89,32 +88,29 @@ def _rms(there: Observations, values: FloatArray) -> float | None:
     return None
 
 
-#: campaign, seed, effects to leave out, the fresh campaign of the same truth -> verdict and, where it can be had, what
-#: the verdict's fix achieves on the fresh campaign
+#: campaign, seed, effects to leave out, fresh campaign -> verdict, and what its fix achieves there
 Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
 
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """Cases diagnosed now, before, and ended by an error."""
+    """Cases diagnosed now, before, and failed."""
 
     done: int
     skipped: int
     failed: int
 
 
-def diagnose_and_try(
+def _diagnose_and_try(
     campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
 ) -> tuple[Mapping[str, Any], Achieved | None]:
-    """Diagnose with the library's own diagnosis; see `Diagnoser`."""
     from calib.gap.diagnose import diagnose_in_full
 
     diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
     return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
 
 
-def run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
-    """Diagnose one case (name, effects to leave out), and return whether without error; an error is written down."""
+def _run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
     case, exclude = waiting
     place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
     again = folder / "fresh" / case
@@ -140,9 +136,9 @@ def run(
     diagnoser: Diagnoser | None = None,
     progress: Progress = silent,
 ) -> Ran:
-    """Diagnose the cases of a set (see `calib.challenge.seal.make`) that have no verdict yet, of the first `limit`.
+    """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.seal.make`.
 
-    A `diagnoser` in place of the library's own runs in this process.
+    A `diagnoser` in place of the library's runs in this process.
     """
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [
@@ -150,7 +146,7 @@ def run(
     ]
     skipped = len(cases) - len(waiting)
     progress(skipped, len(cases), "cases")
-    work = partial(run_case, folder, seed, diagnoser or diagnose_and_try)
+    work = partial(_run_case, folder, seed, diagnoser or _diagnose_and_try)
     alone = diagnoser is not None or not waiting
     fine = each(work, waiting, 1 if alone else workers, lambda done: progress(skipped + done, len(cases), "cases"))
     return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))

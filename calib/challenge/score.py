@@ -101,8 +101,7 @@ class Score:
     truth_sha256: str
     board: Mapping[str, Share]
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
-    #: target signal -> ``free`` and ``gated``, what the best rule names on these campaigns, ``hits_over_gated``, and
-    #: these with ``own`` for the true effect; None where the ceiling was not taken
+    #: target signal -> ``free`` and ``gated`` ceiling, ``hits_over_gated``, the same with ``own`` of the true effect
     ceilings: Mapping[str, Mapping[str, float | None]]
     reliability: tuple[Bin, ...]  #: stated probability against how often it was true
     confusion: Mapping[str, Mapping[str, int]]  #: truth -> what was named first (or the verdict) -> cases

@@ -42,7 +42,7 @@ _PAIRED: Final = (
     "reference_lever_arm", "session_step", "curve_load_transfer",
 )  # fmt: skip
 
-#: exact aliases: truth, design on which it cannot be told from the others, and these
+#: exact aliases: truth, design, and what it cannot be told from there
 _ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
     ("radius_scale", "laser_only", ("rangefinder_scale", "beam_misalignment")),
     ("rangefinder_scale", "laser_only", ("radius_scale", "beam_misalignment")),
@@ -88,7 +88,6 @@ def _library() -> list[str]:
 
 
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
-    """Return (effect/form, signal): forms in turn, strong ones twice; blunders."""
     faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
@@ -174,7 +173,7 @@ class Sealed:
 
 
 def truth_path(folder: Path) -> Path:
-    """Return where the truth of a set lies by default: beside its folder, not in it."""
+    """Return where the truth of a set lies by default: beside its folder."""
     if folder.name in {"", ".."}:
         folder = Path(os.path.abspath(folder))  # noqa: PTH100  (a link to a set is not followed)
     return folder.parent / f"{folder.name}.truth.json"
@@ -217,9 +216,9 @@ def make(
     progress: Progress = silent,
     sealed: Callable[[str], None] = lambda _digest: None,
 ) -> Sealed:
-    """Make a sealed set of the first `limit` cases of a seeds file; see `truth_path` for where the truth goes.
+    """Make a sealed set of the first `limit` cases of a seeds file; see `truth_path`.
 
-    `sealed` gets the hash as soon as the truth is sealed, before any campaign is driven.
+    `sealed` gets the hash before any campaign is driven.
     """
     truth_file = truth_file or truth_path(folder)
     refuse_existing([folder / PUBLIC, truth_file], force=force)

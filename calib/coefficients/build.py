@@ -33,19 +33,18 @@ from calib.vehicle import Vehicle
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
-# Defaults for what a corridor campaign does not measure; the file states each.
+# what a corridor campaign does not measure; the file states each
 TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4
 HEADING_RAD_PER_SQRT_M: Final = 5e-4
 COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
-# The valid range reaches beyond the loads measured by this part of their span, and by 1 N at least: weighing scatters
-# by newtons, and the campaign's own payload must not be refused.
+# the valid range beyond the loads measured, by their span, and least: weighing scatters by newtons
 LOAD_MARGIN: Final = 0.01
 MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
-#: standard deviation of the slope where no loads were driven, relative to the radius, per newton: 1 % per kN
+#: standard deviation of the relative slope where no loads were driven: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
 #: relative standard deviation of a length that was not measured
 NOMINAL_STD: Final = 0.01
@@ -66,11 +65,10 @@ UNITS: Final = {
 def from_fit(
     fit: Fit, *, outside: Outside = "refuse", created: str | None = None, inputs: Mapping[str, str] | None = None
 ) -> CoefficientFile:
-    """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
+    """Return the coefficient file of a fit: its laws, vehicle, encoder and load points; see `Header`.
 
-    `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: those of the fit's provenance.
-    Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where
-    it is beyond the bounds of its vehicle and the user does not accept that.
+    `inputs`: by default of the fit's provenance. Raises BadInputError where the fit lacks vehicle and encoder, or its
+    provenance is damaged; ImplausibleError beyond the bounds of its vehicle, unless accepted.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -89,10 +87,9 @@ def from_fit(
 
 
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
-    """Return the load points of runs as lines of a load table: name -> mean wheel loads left and right in N.
+    """Return the load points of runs, equal to a newton: name -> mean wheel loads left and right in N.
 
-    Runs whose loads agree to a newton are one point; runs without loads are ignored. Empty beyond `LOAD_TABLE_LINES`
-    points: no table is then meant.
+    Empty beyond `LOAD_TABLE_LINES`: no table is meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -141,8 +138,8 @@ def from_law(
 ) -> CoefficientFile:
     """Return the coefficient file of a law, a vehicle and an encoder; see `from_fit`.
 
-    `load_table`: name of a line -> wheel loads left and right in N; lines outside the valid range are omitted;
-    `load_margin_N`: how far that reaches beyond the loads measured; None: by `LOAD_MARGIN`.
+    `load_table`: see `load_points`, without lines outside the valid range; `load_margin_N`: how far that reaches beyond
+    the loads measured; None: by `LOAD_MARGIN`.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(
@@ -197,10 +194,9 @@ def from_geometry(
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
-    Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`, about the mean load of the runs, and valid is all that
-    the vehicle may carry. Lengths not determined keep their nominal value, with 1 %.
-
-    Raises ImplausibleError where the geometry is doubtful or wrong and no reason to `accept` it is given.
+    Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`, and valid is all that the vehicle may carry. Lengths
+    not determined keep their nominal value. Raises ImplausibleError where the geometry is doubtful or wrong, without a
+    reason to `accept` it.
     """
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)
@@ -299,11 +295,9 @@ def coefficients_of(
 ) -> Source:
     """Return the coefficients of a campaign (fitted now), a result of fit or geometry, or a coefficient file.
 
-    A campaign whose odometry has no rear wheels, a front wheel or four of them alone, has those of its geometry.
-
-    `outside`, `created`: see `Header`; None: as the coefficient file says, else refuse and no date; `accept`: why a law
-    beyond the bounds of its vehicle is passed on; empty: refused. Raises BadInputError where one of them cannot be
-    used; RefusedError where the campaign allows no law.
+    Odometry without rear wheels has those of its geometry. `outside`, `created`: see `Header`; None: as the file says;
+    `accept`: why a law beyond the bounds of its vehicle is passed on; empty: refused. Raises BadInputError where one of
+    them cannot be used; RefusedError where the campaign allows no law.
     """
     path = Path(path)
     if outside not in (None, *get_args(Outside)):
@@ -361,9 +355,8 @@ def export(
 ) -> tuple[Artifact, ...]:
     """Return the files of a coefficient file in another format, of `calib.coefficients.formats.FORMATS`.
 
-    `loads`: for formats that hold for single loads; none: those of `options`, else the format's own choice. Raises
-    BadInputError where there is no such format, or an option is another format's; RefusedError where the format cannot
-    say what the file says.
+    `loads`: for formats of single loads; none: of `options`, else the format's choice. Raises BadInputError for another
+    format, or its option; RefusedError where the format cannot say what the file says.
     """
     chosen = options or ExportOptions()
     if to not in formats.FORMATS:

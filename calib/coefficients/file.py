@@ -196,10 +196,10 @@ class CoefficientFile(Section):
         return replace(self.geometry, **{name.removeprefix("load_"): m for name, m in lengths if m is not None})
 
     def radius_m(self, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the effective radii (left, right) for loads of any shape, obeying the file outside the valid range.
+        """Return the radii (left, right) for loads of any shape.
 
-        Raises RefusedError where a load lies outside of it and the file says ``refuse``; BadInputError where it is not
-        finite.
+        Raises RefusedError where one lies outside the valid range and the file says ``refuse``; BadInputError where it
+        is not finite.
         """
         left, right = self.wheels.left, self.wheels.right
         outside = self.outside
@@ -275,7 +275,7 @@ OF_INSTRUMENTS: Final = ("rangefinder_", "reference_", "beam_", "gyro_")
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
-    """Return which of the model's effects `what` leaves out, and what that means; nothing where there are none."""
+    """Return which of the model's effects `what` lacks, and what that means."""
     if not file.effects:
         return ()
     names = ", ".join(dict.fromkeys(effect.effect for effect in file.effects))
@@ -283,7 +283,7 @@ def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
 
 
 def fitted_beside(file: CoefficientFile) -> tuple[str, ...]:
-    """Return what a vehicle has to expect of radii fitted beside effects that act on it; nothing without any."""
+    """Return what a vehicle has to expect of radii fitted beside effects that act on it."""
     if all(effect.effect.startswith(OF_INSTRUMENTS) for effect in file.effects):
         return ()
     return (

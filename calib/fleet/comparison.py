@@ -14,17 +14,17 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats, grouped
 
 COVERAGE: Final = 0.95
-#: share of those named that may be wrong (Benjamini and Hochberg): a vehicle named costs a visit
+#: share of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
 FALSE_SHARE: Final = 0.01
 #: chance that any of a short list is wrong (Holm)
 FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
 MEDIAN_ABS: Final = 0.6744897501960817
-#: robust standard deviations from which on a vehicle has no say in the fleet's mean and spread
+#: robust standard deviations beyond which a vehicle has no say in the fleet's mean and spread
 FAR: Final = 5.0
-#: values are drawn in to so many median deviations before labels are compared: no vehicle speaks for all
+#: values are drawn in to so many median deviations before labels are compared
 DRAWN_IN: Final = 4.0
-#: variance that keeps quotients finite where all vehicles and uncertainties are equal
+#: keeps quotients finite where all is equal
 SMALLEST_VARIANCE: Final = 1e-300
 
 
@@ -83,8 +83,8 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value.
 
-    Median and median deviation find those that may stand apart, so that they do not hide themselves; mean and spread of
-    the others, better known than a median deviation, then judge every vehicle by Student's t.
+    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all
+    by Student's t.
     """
     from scipy.special import stdtr
 
@@ -134,7 +134,7 @@ def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
     from scipy.stats import ttest_ind
 
     one, other = (_drawn_in(values[side]) for side in (inside, ~inside))
-    with catch_warnings(action="ignore"):  # of equal vehicles, whose p-value is NaN
+    with catch_warnings(action="ignore"):  # equal vehicles: NaN
         test = ttest_ind(one, other, equal_var=False)
         low, high = map(float, test.confidence_interval(COVERAGE))
     size = float(one.mean() - other.mean())
@@ -156,7 +156,7 @@ FEWEST_SHARING: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class VehicleResult:
-    """Result of a task for one vehicle: its id, the key of its files, plain JSON values; `why` it failed."""
+    """Result of a task for one vehicle: id, key of its files, plain JSON values; `why` it failed."""
 
     name: str
     key: str
@@ -355,10 +355,7 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
 
 
 def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
-    """Return, for each effect at a place, the x of the places where several vehicles have it, most first.
-
-    One zone may show in neighbouring cells.
-    """
+    """Return, by effect, the x of places where several vehicles have it; a zone may show in neighbouring cells."""
     causes = [cause for record in records for cause in record.values.get("causes", ()) if "x_m" in cause]
     named = grouped((str(cause["effect"]), (float(cause["x_m"]), float(cause["size_m"]))) for cause in causes)
     places: dict[str, list[float]] = {}

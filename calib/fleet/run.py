@@ -30,10 +30,8 @@ from calib.types import FloatArray, Progress, StrArray, silent
 DAY: Final = "day"
 
 
-def sums_of_parts(parts: Sequence[Part]) -> list[Kept]:
-    """Read files of journeys and sum each one's runs by session; `why` says what is wrong."""
-    settings: dict[Path, Campaign] = {}
-    keys = Keys()
+def _sums_of_parts(parts: Sequence[Part]) -> list[Kept]:
+    settings, keys = dict[Path, Campaign](), Keys()
     return [Kept.of(_sums_of_part(part, settings, keys)) for part in parts]
 
 
@@ -56,7 +54,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys; tables of a dataset take the fleet's `settings` and have no logs."""
+    """Return the campaign of a file of journeys; a dataset's tables take the fleet's `settings`, without logs."""
     if part.path.parent == part.settings:
         return read_campaign(part.settings, lenient=lenient)
     known = {} if settings is None else settings
@@ -114,7 +112,7 @@ class Fleet:
 
 
 def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = "", progress: Progress = silent) -> Fleet:
-    """Fit every vehicle of a fleet, with the same result for any engine, number of workers and order.
+    """Fit every vehicle of a fleet.
 
     `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, which keeps what was read.
     """
@@ -122,7 +120,7 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(into / SUMS, parts, opened, sums_of_parts, _sums_given_up, progress, "files")
+        sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, _sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
         done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, 0.0, None, None, why))
         records = {record.vehicle: record for record in done}
@@ -131,7 +129,7 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
     return Fleet(by_id, view, n_new, len(parts) - n_new, any_simulated(folder))
 
 
-#: a vehicle whose radius changed by this share is due for recalibration: 5 mm over 10 m
+#: change of a radius by which recalibration is due: 5 mm over 10 m
 DUE_RELATIVE: Final = 5e-4
 
 
@@ -148,7 +146,7 @@ class DriftingVehicle:
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """What the fleet shows; see `calib.fleet.comparison.Quantities`. Drifting vehicles: soonest due first."""
+    """What the fleet shows; see `calib.fleet.comparison.Quantities`. Of drifting vehicles the soonest due first."""
 
     n_vehicles: int
     n_fitted: int
@@ -250,11 +248,10 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
         key = ""
         try:
             key = keys.of(member)
-            result = VehicleResult(member.vehicle, key, TASKS[what](member))
+            results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
         except (CalibError, OSError) as error:
-            result = VehicleResult(member.vehicle, key, why=one_line(error))
-        results.append(Kept.of(result))
-    return results
+            results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
+    return list(map(Kept.of, results))
 
 
 def _given_up(member: Member, why: str) -> Kept:

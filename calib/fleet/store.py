@@ -1,4 +1,4 @@
-"""The vehicles of a folder with their files, and what was read of these, kept by content and line by line."""
+"""The vehicles of a folder with their files, and what was read of these, kept line by line."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Member:
 def members_of(folder: Path) -> tuple[Member, ...]:
     """Return the vehicles of a fleet, by id.
 
-    `folder`: either one campaign folder a vehicle, or a Parquet dataset: ``campaign.toml`` beside folders
-    ``vehicle=ID`` (with or without ``month=YYYY-MM`` within) of ``.parquet`` files with the columns of ``runs.csv``.
+    `folder`: one campaign folder a vehicle; or ``campaign.toml`` beside folders ``vehicle=ID`` (``month=YYYY-MM``
+    within) of ``.parquet`` files with the columns of ``runs.csv``.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
@@ -94,7 +94,7 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
         parts = []
         for name, partition, direct in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink())):
             day = _day_of(partition)
-            # of a million files only those that may lead elsewhere are resolved
+            # of many files only links are resolved
             parts.append(Part(name, top / name, folder, day) if direct else _part(folder, name, folder, day))
         members.append(Member(entry.name.partition("=")[2], tuple(parts)))
     return tuple(members)
@@ -164,7 +164,7 @@ SEAL: Final = "seal"
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """A kept record: its unique name, the key of its source (empty: to be made anew), its line."""
+    """A kept record: its unique name, the key of its source (empty: make it anew), its line."""
 
     name: str
     key: str
@@ -201,8 +201,7 @@ def renewed(
 ) -> tuple[dict[str, Kept], int]:
     """Do a task for each new or changed source; return all records, and how many were done now.
 
-    `path`: file of records, appended as they come, sorted in the end; `sources`: by their records' names; for `task`,
-    `given_up` and `weigh` see `Engine.run`.
+    `path`: file of records, sorted in the end; `sources`: by record name; for the others see `Engine.run`.
     """
     before, keys = _read(path), Keys()
     records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}

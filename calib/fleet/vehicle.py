@@ -1,8 +1,7 @@
-"""The record of a vehicle: both wheels' laws from the sums of its files, their intervals, and their drift.
+"""The record of a vehicle: both wheels' laws from sums of its files by session, with intervals and drift.
 
-Sums by session add. Intervals allow for autocorrelated runs as those of `calib.radius.sessions` do; the slope's
-variance is that of two autoregressive series, ``(1 + rho phi) / (1 - rho phi)``, ``phi`` the lag-one autocorrelation of
-the loads (Bartlett 1935).
+Intervals allow for autocorrelated runs as in `calib.radius.sessions`; the slope's variance grows by ``(1 + rho phi) /
+(1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -134,7 +133,7 @@ def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
 
 
 def _drift(sums: SessionSums, slope: float) -> Drift | None:
-    """Return the session means' drift, the law's share of their loads removed; sessions scatter freely."""
+    """Return the session means' drift beside the law; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
         return None
@@ -195,8 +194,6 @@ def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Residuals in independent blocks."""
-
     sizes: FloatArray
     #: lag-one autocorrelation of the residuals, and of the loads where a slope is fitted
     lag_one: float
@@ -207,7 +204,7 @@ class _Blocks:
         return (1.0 + product) / (1.0 - product)
 
     def expected(self, rho: float) -> tuple[float, float, float]:
-        """Return the expected lag-one product, square, and squared covariance of the residuals."""
+        """Return the residuals' expected lag-one product, square, and squared covariance."""
         product = square = squared = 0.0
         for n, count in zip(*np.unique(self.sizes, return_counts=True), strict=True):
             powers = rho ** np.arange(n)
@@ -232,7 +229,7 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """Return an estimate with intervals for autocorrelated runs, and their autocorrelation, 0 if not significant."""
+    """Return an estimate with intervals for autocorrelated runs, and their significant autocorrelation."""
     from scipy.special import ndtr
 
     blocks = _blocks_of(estimate, sums)
@@ -251,7 +248,6 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
     of_slope = blocks.loads_ratio(high) * dof / square
     scale = np.full(2, of_slope)
     if not estimate.dof_between > 0:
-        # the runs' mean and the slope make up the radius at the reference load
         n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
         of_mean = float(2.0 * np.cumsum(high ** np.arange(n)).sum() - n) / n * dof / square
         lever = (x / n) ** 2 / (float(sums.runs.table[:, 3].sum()) - x**2 / n)
@@ -293,8 +289,8 @@ class SessionSums:
 
     #: each once, in order, shape (n_sessions,)
     session: StrArray
-    #: number of runs; sums of load, radius, load squared, load times radius, radius squared, day, day squared; loads
-    #: and radii count from reference load and nominal radius, shape (n_sessions, 8)
+    #: number of runs; sums of load F, radius r, F^2, F r, r^2, day, day^2, F and r from reference and nominal, shape
+    #: (n_sessions, 8)
     table: FloatArray
     load_min_N: float
     load_max_N: float
@@ -334,7 +330,7 @@ class SessionSums:
 
 
 def line_from_sums(sums: SessionSums) -> LineEstimate | None:
-    """Return the line as `stratified_line` gives it, without HC3; a plain one with one session, or one run in each."""
+    """Return the line of `stratified_line` without HC3; a plain one with one session, or one run in each."""
     n, n_sessions = sums.n_runs, len(sums.session)
     if n < 3:
         return None

@@ -24,9 +24,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Task = Callable[[Sequence[Item]], list[Result]]
 
-#: a batch is at most this part of a worker's share of the remaining work: all workers end together
+#: batches in a worker's share of the remaining work, at least: all workers end together
 PARTS_OF_A_SHARE: Final = 2
-#: pieces of work in a batch, least and most; a hand-over to processes takes 2 ms, by Dask 8 ms
+#: least and most work in a batch; a hand-over takes 2 ms, by Dask 8 ms
 SERIAL_BATCH: Final = (1, 16)
 PROCESS_BATCH: Final = (4, 64)
 DASK_BATCH: Final = (8, 256)
@@ -34,7 +34,7 @@ DASK_BATCH: Final = (8, 256)
 SHARED_MODULES: Final = ("calib.fleet.run", "scipy.special")
 #: starts threads: imported by each worker
 WORKER_MODULES: Final = ("pyarrow.parquet",)
-#: a scheduler may take so long to answer and to close; it is asked after so long without results
+#: for a scheduler to answer, and to close; without results it is asked after so long
 ANSWER_S: Final = 10.0
 CLOSE_S: Final = 2.0
 QUIET_S: Final = 20.0
@@ -43,9 +43,9 @@ _ADDRESS: Final = re.compile(r"(tcp|tls)://([^\s/:]+|\[[0-9a-fA-F:]+\]):\d{1,5}"
 
 @contextmanager
 def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
-    """Open an engine: this process, `workers` processes of this machine, or the workers of a Dask scheduler.
+    """Open an engine: this process, `workers` of this machine, or those of a Dask scheduler (``tcp://host:port``).
 
-    Raises RefusedError where the scheduler (``tcp://host:port``) does not answer, at the start or later.
+    Raises RefusedError where the scheduler does not answer.
     """
     with closing(DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()) as opened:
         yield opened
@@ -56,7 +56,7 @@ def batches(
 ) -> list[Sequence[Item]]:
     """Cut items into batches in order; for `weigh` see `Engine.run`.
 
-    `largest`, `smallest`: pieces of work in a batch, but for a single larger item and the last.
+    `largest`, `smallest`: work in a batch, but for a single larger item and the last.
     """
     weights = [max(weigh(item), 1) for item in items]
     remaining = sum(weights)
@@ -118,10 +118,9 @@ class Engine:
     ) -> Iterator[Result]:
         """Run a task on all items and yield the results as they come, one an item.
 
-        The batches of a worker that dies are tried again one by one.
-
-        `task`: takes some items and returns a result for each, a module's function; `given_up`: makes the result of an
-        item that took its worker down twice, from the item and the reason; `weigh`: pieces of work that an item is.
+        Items of a worker that dies are tried again one by one. `task`: a module's function, from items to a result for
+        each; `given_up`: makes the result of an item that took its worker down twice, from item and reason; `weigh`:
+        work that an item is.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []
@@ -140,7 +139,6 @@ class Engine:
     def _completed(
         self, task: Task[Item, Result], cut: Sequence[Sequence[Item]], at_once: int
     ) -> Iterator[tuple[Sequence[Item], list[Result] | None]]:
-        """Yield finished batches with results, None where the worker died."""
         queue, running, broken = deque(cut), dict[Future[list[Result]], Sequence[Item]](), False
         while queue or running:
             while queue and not broken and len(running) < at_once:
@@ -241,7 +239,7 @@ def _import_modules(modules: Sequence[str]) -> None:
 
 
 class DaskEngine(Engine):
-    """The workers of a Dask scheduler, which moves tasks of a dead worker to another."""
+    """The workers of a Dask scheduler, which replaces dead ones."""
 
     batch = DASK_BATCH
     most_submitted = 1_000_000

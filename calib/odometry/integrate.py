@@ -1,8 +1,7 @@
-"""Odometry over arrays of runs: from wheel travel to poses, by array operations or step by step in machine code.
+"""Odometry over arrays of runs: from wheel travel to poses, by array operations or in machine code.
 
-By arrays: sums run within a block and are carried from block to block, which keeps their rounding below that of a
-sample-by-sample loop. In machine code, where numba is installed (extra `fast`): a few steps at a time, their headings
-counted from the first of them, so that a short series gives sine and cosine.
+By arrays, sums are carried from block to block, which keeps their rounding below that of a plain loop. In machine code
+(numba, extra `fast`) headings count from the first of a few steps, so that a short series gives sine and cosine.
 """
 
 from __future__ import annotations
@@ -26,28 +25,26 @@ from calib.types import FloatArray, IntArray, floats
 #: scheme -> share of a step's turn by which the heading used lies behind that at its end
 HEADING_BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}
 
-#: ``end_point`` is Eq. 7 as printed: the heading at the end of the step
+#: ``end_point`` is Eq. 7 as printed
 SCHEMES: Final = tuple(HEADING_BEHIND)
 
-#: steps that make a second thread, and machine code, worth their start
+#: steps worth a second thread, and machine code
 MANY_STEPS: Final = 1_000_000
-#: steps a block: its arrays stay in the second-level cache, and no BLAS starts threads for its products
+#: steps a block: its arrays stay in the cache, and no BLAS starts threads
 BLOCK: Final = 16_384
 
-#: turn up to which three terms of the series of sin(u) / u for its half hold to 2e-16
+#: turn up to which three terms of sin(u) / u hold to 2e-16
 _SMALL_TURN_RAD: Final = 0.02
 
-#: steps that are summed by one row of a product
+#: steps summed by one row of a product
 _ROW: Final = 16
 _ONES: Final = np.ones(_ROW)
 _TRIANGLE: Final = np.triu(np.ones((_ROW, _ROW)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flat:
-    """Steps of runs laid end to end."""
-
-    #: shape (n,): travel of the wheels in m
+class _Flat:
+    #: shape (n,): travel of the wheels, runs end to end
     left: FloatArray
     right: FloatArray
     per_m: FloatArray  #: shape (n,) or (1,): one over the track
@@ -55,11 +52,11 @@ class Flat:
     starts: IntArray
     runs: IntArray
     pose: FloatArray  #: shape (3, n_runs): start poses
-    shape: tuple[int, ...]  #: shape that the travel came in
+    shape: tuple[int, ...]  #: of the travel as given
 
 
-def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
-    """Write the poses after the steps into x, y and theta (n,), by a scheme of `HEADING_BEHIND`; see `Flat`."""
+def _fill_arrays(flat: _Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
+    """Write the poses after the steps into x, y and theta (n,)."""
     n = len(flat.left)
     buffers = np.empty((4, min(BLOCK, n)))
     edges = np.append(np.arange(0, n, BLOCK), n)
@@ -83,7 +80,7 @@ def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, 
         heading = theta[steps]
         _running(turn, begins, pose[2], heading)
         angle += heading
-        # with t = tan(a / 2): cos a = 2 / (1 + t^2) - 1 and sin a = 2 t / (1 + t^2), one vectorised function for both
+        # with t = tan(a / 2): cos a = 2 / (1 + t^2) - 1 and sin a = 2 t / (1 + t^2)
         angle *= 0.5
         tangent = np.tan(angle, out=angle)
         np.multiply(tangent, tangent, out=work)
@@ -97,10 +94,9 @@ def fill_arrays(flat: Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, 
 
 
 def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
-    """Turn arc lengths (n,) into those of chords, in place, for turns (n,); two arrays are overwritten."""
+    """Turn arc lengths (n,) into chords in place; the last two arrays are overwritten."""
     np.multiply(turn, turn, out=square)
     if float(square.max()) <= _SMALL_TURN_RAD**2:
-        # by the series of sin(u) / u
         np.multiply(square, 1.0 / 1920.0, out=work)
         work -= 1.0 / 24.0
         work *= square
@@ -111,13 +107,13 @@ def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: Float
 
 
 def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatArray) -> None:
-    """Write running sums of steps (n,) that begin anew at steps `begins`, from `start`, each of shape (pieces,).
+    """Write running sums of steps (n,), which are used up, anew from `start` (pieces,) at each of `begins`.
 
-    The steps are used up. Sums of `_ROW` steps are a product with a triangle of ones, in half the time of additions.
+    Sums of `_ROW` steps are a product with a triangle of ones, in half the time.
     """
     if len(begins) > 1:
         ends = start + np.add.reduceat(steps, begins)
-        # the first step of a run leads from the end of the run before to its own start
+        # from the end of the run before to its own start
         steps[begins[1:]] += start[1:] - ends[:-1]
     steps[0] += start[0]
     if len(steps) % _ROW == 0:
@@ -134,7 +130,7 @@ def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatA
 #: steps at a time
 _COUNT: Final = 64
 
-#: the series do where the half turns of these steps add up to no more than this: headings within 0.25 rad
+#: sum of these steps' half turns up to which the series do
 _SMALL_HALVES_RAD: Final = 0.125
 
 #: coefficients of sin(u)/u and cos(u) by the square of u, after the first
@@ -149,8 +145,8 @@ def is_installed() -> bool:
 
 
 @cache
-def machine_code() -> Callable[..., None]:
-    """Return `_loop` in machine code, kept on disk where possible; it releases the interpreter's lock."""
+def _machine_code() -> Callable[..., None]:
+    """Return `_loop` in machine code, kept on disk where possible."""
     import numba
 
     try:
@@ -212,7 +208,7 @@ def _loop(
                 x[first + k] = at_x + gone_x
                 y[first + k] = at_y + gone_y
             for j, gone in enumerate((gone_x, gone_y, turned)):
-                # summed with its rounding (Neumaier), so that equal steps do not add up a bias
+                # with its rounding (Neumaier): equal steps add up no bias
                 ahead, before = so_far[j] + gone, so_far[j]
                 rest[j] += (before - ahead) + gone if abs(before) >= abs(gone) else (gone - ahead) + before
                 so_far[j] = ahead
@@ -220,7 +216,7 @@ def _loop(
 
 def _laid_flat(
     travel_left_m: ArrayLike, travel_right_m: ArrayLike, track_m: ArrayLike, offsets: ArrayLike | None, start: ArrayLike
-) -> Flat:
+) -> _Flat:
     left = np.ascontiguousarray(travel_left_m, dtype=np.float64)
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
     shape = left.shape
@@ -248,7 +244,7 @@ def _laid_flat(
     except ValueError:
         raise BadInputError(f"track: found shape {track.shape}; expected one that broadcasts to {shape}") from None
     runs = np.flatnonzero(np.diff(edges) > 0)
-    return Flat(
+    return _Flat(
         left=left.reshape(-1),
         right=right.reshape(-1),
         per_m=1.0 / (track.reshape(1) if wide is None else wide),
@@ -259,8 +255,8 @@ def _laid_flat(
     )
 
 
-def _halved(flat: Flat) -> tuple[Flat, ...]:
-    """Return the steps in two parts, cut between runs; whole where no cut halves the work fairly."""
+def _halved(flat: _Flat) -> tuple[_Flat, ...]:
+    """Cut the steps between two runs; whole where that halves nothing."""
     middle = len(flat.left) // 2
     run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
     step = int(flat.starts[run]) if run else 0
@@ -329,12 +325,11 @@ def integrate(
         compiled = n >= MANY_STEPS and is_installed()
     if threads is None:
         threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
-    # asked for here: no two threads compile it
-    loop = machine_code() if compiled and scheme == "exact" else None
+    loop = _machine_code() if compiled and scheme == "exact" else None
 
-    def fill(part: Flat, *out: FloatArray) -> None:
+    def fill(part: _Flat, *out: FloatArray) -> None:
         if loop is None:
-            fill_arrays(part, *out, scheme=scheme)
+            _fill_arrays(part, *out, scheme=scheme)
         else:
             loop((part.left, part.right), part.per_m, part.starts, np.ascontiguousarray(part.pose[:, part.runs]), out)
 

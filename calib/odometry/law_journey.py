@@ -1,6 +1,6 @@
-"""The same journeys under a fitted law: with the radius of one load, and with the radius of the load carried.
+"""Journeys under a fitted law: with the radius of one load, and with that of the load carried.
 
-Its uncertainty is carried to the end pose by linear propagation and by Monte Carlo.
+The law's uncertainty is carried to the end pose by linear propagation and by Monte Carlo.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ BANDS: Final = ("mean", "prediction")
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """Radii at one load (Table 1), with the 95 % half-widths of the mean and of a single run (Fig. 15).
+    """Radii at one load (Table 1), with 95 % half-widths of mean and single run (Fig. 15).
 
-    `extrapolated_left`, `extrapolated_right`: the load lies outside the range of the wheel's law.
+    `extrapolated_left`, `extrapolated_right`: beyond the wheel's law.
     """
 
     load_N: float
@@ -41,7 +41,7 @@ class TableRow:
 
 
 def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
-    """Return the effective radii for preset wheel loads (n,) (Table 1), with their 95 % bands."""
+    """Return Table 1 for wheel loads (n,)."""
     loads = floats(loads_N)
     columns = []
     for wheel in (law.left, law.right):
@@ -58,7 +58,7 @@ class Interval:
 
     value: float  #: with the law's mean radii
     linear: tuple[float, float]  #: by linear propagation with Student's t
-    monte_carlo: tuple[float, float]  #: the 2.5 and 97.5 % quantiles of the draws
+    monte_carlo: tuple[float, float]  #: 2.5 and 97.5 % quantiles of the draws
 
     @staticmethod
     def of(value: float, half_width: float, drawn: FloatArray) -> Interval:
@@ -81,17 +81,17 @@ class Journey:
     #: error along, lateral, of heading, and global x and y
     without: dict[str, Interval]
     corrected: dict[str, Interval]
-    radius_ratio: float  #: e_r that the uncorrected odometry overlooks: (real over believed) right, over the same left
-    #: root mean square of the distance to the intended end, to first order, at the fit's standard deviations
+    radius_ratio: float  #: e_r that the uncorrected odometry overlooks: real over believed, right over left
+    #: rms distance to the intended end, to first order
     without_rms_m: float
     corrected_rms_m: float
     #: distance that 95 % of the draws stay below
     without_95_m: float
     corrected_95_m: float
-    #: ratio of the two root mean squares, with an interval by the fit's degrees of freedom
+    #: of the two root mean squares, with an interval by the fit's degrees of freedom
     ratio: float
     ratio_ci95: tuple[float, float]
-    journeys_ratio: tuple[float, float, float]  #: ratio of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
+    journeys_ratio: tuple[float, float, float]  #: of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
     draws: int
 
 
@@ -108,11 +108,8 @@ def law_journey(
 ) -> Journey:
     """Simulate a journey under a law, without and with the correction; see `Journey`.
 
-    Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
-
-    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
-    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
-    known or `draws` below 100.
+    `loads_N`, `reference_N`: loads (left, right) carried, and of the uncorrected odometry; `band`: of `BANDS`, the real
+    radii's uncertainty. Raises BadInputError for another, or below 100 draws.
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
@@ -131,7 +128,7 @@ def law_journey(
         if law.joint is not None:
             slopes = np.linalg.norm(slopes, axis=1, keepdims=True)
         distance[name] = errors.distance_m
-        # squared distance to the end, expected for a given scatter: at the fit's, and at each draw's
+        # squared distance expected at the fit's scatter, and at each draw's
         by_wheel = (slopes[3:] ** 2).sum(axis=0)
         square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(len(dof)), scale]) ** 2
         intervals[name] = {}
@@ -164,9 +161,9 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
-    """Return a root of the covariance of radii and track, drawn scales of it with their degrees of freedom, and errors.
+    """Return a root (3, k) of the covariance of radii and track, drawn scales (1 or 2, draws), dof, errors (3, draws).
 
-    Root (3, k), scales (1 or 2, draws) and errors (3, draws): wheels fitted apart have a scale each, else there is one.
+    Wheels fitted apart have a scale each.
     """
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
@@ -178,7 +175,6 @@ def _scatter(
         # one fit, one scale of its covariance
         dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
         root = axes * np.sqrt(np.maximum(sizes, 0.0))
-    # a radius whose standard uncertainty was itself estimated follows Student's t
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
     return root, scale, dof, off
@@ -194,7 +190,7 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
-    """Return the vehicle of a campaign, a fit or a coefficient file (None: the nominal one), with the changes given."""
+    """Return the vehicle of a campaign, fit or coefficient file (None: the nominal one), with changes."""
     vehicle = Vehicle()
     if source is not None:
         if (source / "campaign.toml").is_file():
@@ -247,10 +243,9 @@ def sweep_loads(
     span: tuple[float, float] = (0.0, 0.0),
     steps: int = 21,
 ) -> LoadSweep:
-    """Return the wheel loads of one payload, or of a sweep of its mass or place; see `LoadSweep`.
+    """Return the wheel loads of a payload, or of a sweep of its mass or place; see `LoadSweep`.
 
-    `span`, `steps`: first and last value, and how many, both ends included. Raises RefusedError where the vehicle would
-    tip or a wheel carry too much; names the payload at which.
+    `span`, `steps`: both ends, and how many values. Raises RefusedError for the first payload that cannot be carried.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):
@@ -264,7 +259,6 @@ def sweep_loads(
     if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
         raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
     loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
-    # name the first payload that cannot be carried
     bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
     if bad.any():
         k = int(np.argmax(bad))

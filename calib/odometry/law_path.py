@@ -1,4 +1,4 @@
-"""Journeys under a law along the path: loads that change on the way, errors and covariance at each point."""
+"""Journeys under a law with loads that change on the way: errors and covariance at each point."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NORMAL_95: Final = 1.959963984540054  #: quantile of the normal distribution, 97
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """Wheel loads along a route: each pair holds from its distance on until the next one."""
+    """Wheel loads along a route, each from its distance on."""
 
     from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
     #: shape (n,): wheel loads
@@ -51,7 +51,7 @@ class Loading:
         return list(zip(self.from_m.tolist(), self.left_N.tolist(), self.right_N.tolist(), strict=True))
 
     def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the loads (left, right) of pieces that begin at these distances, shape of `distance_m`."""
+        """Return the loads (left, right) of pieces that begin at these distances, of their shape."""
         index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
         return self.left_N[index], self.right_N[index]
 
@@ -94,9 +94,9 @@ def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float)
 
 
 def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
-    """Return the loads of payloads that are put on and taken off on the way; unladen before the first.
+    """Return the loads of payloads that change on the way; unladen before the first.
 
-    Each row is the distance from which on in m, and the payload's mass in kg and place x and y in m.
+    `rows`: distance from which on in m, mass in kg, place x and y in m.
     """
     if any(row[0] < 0.0 for row in rows):
         raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
@@ -109,29 +109,25 @@ def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> L
 class Driven:
     """What one odometry makes of the journey, at the start and after each piece of the route."""
 
-    poses: Poses  #: real poses for the law's mean radii, shape (n,)
+    poses: Poses  #: real, by the law's mean radii, shape (n,)
     errors: PoseErrors  #: real minus route, shape (n,)
-    #: shape (n, 3, 3): covariance of the real pose (x in m, y in m, theta in rad) by law, scatter of single runs and
-    #: track, the same all along a journey
+    #: shape (n, 3, 3): covariance of the real pose by law, scatter of single runs and track
     systematic: FloatArray
-    #: shape (n, 3, 3): the same by what is new with every metre: the floor, and the readings of the encoders
-    random: FloatArray
-    #: shape (n,): standard uncertainty of each of `COMPONENTS`, systematic and random together
-    std: dict[str, FloatArray]
-    half: dict[str, float]  #: half width of the 95 % interval of each of `COMPONENTS` at the end
-    #: shape (2,), or (1,) of a joint fit: part of each wheel's law in the mean square of the distance at the end, and
-    #: the degrees of freedom behind it
+    random: FloatArray  #: shape (n, 3, 3): the same by floor and encoder readings
+    std: dict[str, FloatArray]  #: shape (n,): standard uncertainty of each of `COMPONENTS`
+    half: dict[str, float]  #: half width of their 95 % interval at the end
+    #: shape (2,), or (1,) of a joint fit: each wheel's part in the mean square distance at the end, and its dof
     by_wheel_m2: FloatArray
     dof: FloatArray
 
     @property
     def rms_m(self) -> FloatArray:
-        """Root mean square of the distance to the route's pose, to first order, shape (n,)."""
+        """Rms distance to the route's pose, to first order, shape (n,)."""
         spread = self.std["global_x_m"] ** 2 + self.std["global_y_m"] ** 2
         return np.asarray(np.sqrt(self.errors.distance_m**2 + spread))
 
     def end(self) -> dict[str, float]:
-        """Return the errors at the end, with standard uncertainties, half widths of 95 % and the rms distance."""
+        """Return the errors at the end, with their uncertainties and the rms distance."""
         values = {f"error_{name}": float(getattr(self.errors, name)[-1]) for name in COMPONENTS}
         values |= {f"std_{name}": float(self.std[name][-1]) for name in COMPONENTS}
         values |= {f"half_width95_{name}": half for name, half in self.half.items()}
@@ -143,14 +139,13 @@ class LawPath:
     """A journey under a law, with and without the correction."""
 
     loading: Loading
-    reference_N: tuple[float, float]  #: loads whose radii the uncorrected odometry uses all along
+    reference_N: tuple[float, float]  #: loads of the uncorrected odometry
     distance_m: FloatArray  #: shape (n,): distance along the route
     reference: Poses  #: the route, shape (n,)
     #: with the radii of the reference loads, and with radii that follow the load
     without: Driven
     corrected: Driven
-    #: 95 % interval of `ratio`, by the fit's degrees of freedom; None where nothing was drawn
-    ratio_ci95: tuple[float, float] | None = None
+    ratio_ci95: tuple[float, float] | None = None  #: of `ratio`; None where nothing was drawn
 
     @property
     def ratio(self) -> float:
@@ -212,10 +207,9 @@ def law_path(
     draws: int = 20_000,
     rng: np.random.Generator | None = None,
 ) -> LawPath:
-    """Drive a route under a law, closed on the odometry, with and without the correction; see `LawPath`.
+    """Drive a route under a law, closed on the odometry, with and without the correction.
 
-    `loading`, `reference_N`: loads carried along it, and those (left, right) of the uncorrected odometry's radii.
-    Raises BadInputError where the load changes beyond the end of the route.
+    `loading`, `reference_N`: see `LawPath`. Raises BadInputError where the load changes beyond the end of the route.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(
@@ -253,11 +247,9 @@ def law_path(
 
 
 def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return each wheel's part of the variance of `COMPONENTS` (5, 2), and its degrees of freedom (5, 2).
+    """Return each wheel's part of the variance of `COMPONENTS`, (5, 2), and its degrees of freedom.
 
-    Of wheels and track fitted together, their parts are one, shapes (5, 1): apart they may exceed the whole.
-
-    `slopes` (5, 5): change of these by the parameters; `spread`: covariance of these, of a single run.
+    Fitted together they are one part, (5, 1). `slopes` (5, 5): change of these by parameters of covariance `spread`.
     """
     variance, dof = [], []
     for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
@@ -285,7 +277,7 @@ def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.rand
 
 
 def _frame(heading_rad: FloatArray) -> FloatArray:
-    """Return the derivatives of `COMPONENTS` by x, y and theta at headings (n,), shape (n, 5, 3)."""
+    """Return the derivatives of `COMPONENTS` by x, y and theta, (n, 5, 3)."""
     rows = np.zeros((len(heading_rad), len(COMPONENTS), 3))
     rows[:, 0, 0] = rows[:, 1, 1] = np.cos(heading_rad)
     rows[:, 0, 1] = np.sin(heading_rad)

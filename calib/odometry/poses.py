@@ -58,7 +58,7 @@ class Poses:
         return Poses(*(np.concatenate((np.zeros_like(part[..., :1]), part), axis=-1) for part in parts))
 
     def moved(self, by: Poses) -> Poses:
-        """Return the poses seen as relative to `by`, expressed in the frame in which `by` stands (``by`` o self)."""
+        """Return the poses, relative to `by`, in the frame of `by` (``by`` o self)."""
         cosine, sine = np.cos(by.theta_rad), np.sin(by.theta_rad)
         x_m, y_m = cosine * self.x_m - sine * self.y_m, sine * self.x_m + cosine * self.y_m
         return Poses(by.x_m + x_m, by.y_m + y_m, by.theta_rad + self.theta_rad)
@@ -109,9 +109,8 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
 def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
     """Turn poses of the sensor (n, 3) into poses of the vehicle.
 
-    In a map they are poses of the sensor; else the sensor's motion since its own start pose, V = X S X^-1 with the
-    sensor's place X on the vehicle. A position without a heading stays as it is where the sensor sits on the axle, and
-    cannot be used elsewhere.
+    In a map they are those of the sensor; else its motion since the start, V = X S X^-1 with its place X on the
+    vehicle. Without a heading a position is of use on the axle only.
     """
     place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
     if place == 0.0 and yaw == 0.0:
@@ -133,7 +132,7 @@ FILE_LIMIT_BYTES = 2 << 30
 
 
 def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) -> Path:
-    """Write poses at times in s, each (n,); numbers carry every digit, so that reading gives them back."""
+    """Write poses at times in s, each (n,), with every digit."""
     times = floats(t_s)
     if times.shape != poses.shape or times.ndim != 1:
         raise BadInputError(f"trajectory: found {times.shape} times for {poses.shape} poses; expected one a pose")
@@ -146,7 +145,7 @@ def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) 
 
 
 def read_tum(path: Path) -> tuple[FloatArray, Poses]:
-    """Return times in s and poses of a trajectory, each (n,); the heading is the quaternion's yaw, unwrapped."""
+    """Return times in s and poses of a trajectory, each (n,); headings unwrapped."""
     path = Path(path)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
@@ -176,7 +175,7 @@ def read_tum(path: Path) -> tuple[FloatArray, Poses]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSteps:
-    """A path drawn in exact arcs, with what its uncertainty needs; steps stand in the last axis."""
+    """A path in exact arcs, with what its uncertainty needs."""
 
     #: shape (..., n): travel of the wheels in each step
     left_m: FloatArray
@@ -185,7 +184,7 @@ class PathSteps:
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     track_m: FloatArray
-    #: shape (2, ..., n): derivatives of the motion in each step by its length, its turn, and the heading before it
+    #: shape (2, ..., n): derivatives of each step's motion by length, turn, and heading before it
     by_path: FloatArray
     by_turn: FloatArray
     by_heading: FloatArray
@@ -200,9 +199,9 @@ def steps(
     radius_left_m: ArrayLike,
     radius_right_m: ArrayLike,
 ) -> PathSteps:
-    """Return a path in exact arcs with its derivatives, from (0, 0) along x; see `PathSteps`.
+    """Return a path in exact arcs from (0, 0) along x; see `PathSteps`.
 
-    Travel has shape (..., n); the track and the radii that it was computed with broadcast to that.
+    Travel (..., n), to which track and radii broadcast.
     """
     left, right, track = floats(travel_left_m), floats(travel_right_m), floats(track_m)
     path, turn = 0.5 * (left + right), (right - left) / track
@@ -221,9 +220,9 @@ def steps(
 def jacobian(
     path: PathSteps, *, load_offset_left_N: ArrayLike = 0.0, load_offset_right_N: ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the derivatives of the pose (x, y, theta) after each step by `JOINT`, shape (..., n, 3, 5).
+    """Return the derivatives of the pose after each step by `JOINT`, (..., n, 3, 5).
 
-    The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
+    Load offsets from the law's reference broadcast to (..., n).
     """
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
     offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
@@ -257,10 +256,9 @@ class RandomWalk:
     counts_per_rev_right: float = 4096.0
 
     def covariance(self, path: PathSteps) -> FloatArray:
-        """Return the covariance of the pose after each step, shape (..., n, 3, 3).
+        """Return the covariance of the pose after each step, (..., n, 3, 3).
 
-        A heading error in a step moves every later point about that step's centre: running sums over noise, times
-        centre and times its squares.
+        A heading error in a step moves every later point about that step's centre.
         """
         distance = np.abs(0.5 * (path.left_m + path.right_m))
         x, y = path.poses.x_m, path.poses.y_m
@@ -281,7 +279,7 @@ class RandomWalk:
         covariance = np.zeros((*path.left_m.shape, 3, 3))
         for size, sign in ((left, -1.0), (right, 1.0)):
             turn = sign * size / track
-            # at the end: moves and turns the pose; at the start: turns all that follows, too
+            # at the start it turns all that follows, too
             end = np.stack([0.5 * size * np.cos(theta), 0.5 * size * np.sin(theta), turn], axis=-1)
             first, turned = size[..., :1], turn[..., :1]
             along = 0.5 * first * np.cos(start) - path.poses.y_m * turned
@@ -304,14 +302,11 @@ class Ellipses:
     major_m: FloatArray
     minor_m: FloatArray
     angle_rad: FloatArray  #: shape (...): direction of the major axis from the x axis, in (-pi/2, pi/2]
-    coverage: float  #: probability that the position lies within, for a normal distribution
+    coverage: float  #: probability of a normal position within
 
 
 def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
-    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
-
-    A coverage of 0.95 is 2.45 standard deviations in two dimensions.
-    """
+    """Return the error ellipses of pose covariances, (..., 3, 3) or (..., 2, 2), x and y first."""
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
     spread = np.hypot(half, c[..., 0, 1])

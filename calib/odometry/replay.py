@@ -1,7 +1,4 @@
-"""Logged runs replayed through odometry, against their reference poses: with and without the load correction.
-
-Three odometries are compared, see `METHODS`; the runtime is fed the same logs.
-"""
+"""Logged runs replayed through odometry, against their reference poses; the runtime is fed the same logs."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-#: with what the simulator believes; with the law's radii at the unladen load; at the load of each run, or step (Fig. 7)
+#: with what the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
 #: of the bootstrap over runs
@@ -40,45 +37,44 @@ RESAMPLES: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Replay(Result):
-    """End poses of logged runs by each odometry, against the reference."""
+    """End poses of logged runs by each odometry of `METHODS`, against the reference."""
 
     campaign: str
     simulated: bool  #: whether a program made its data
     #: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
     kind: StrArray
-    #: shape (n,): wheel loads of the runs, where their logs do not say otherwise
+    #: shape (n,): wheel loads, unless logged
     load_left_N: FloatArray
     load_right_N: FloatArray
     distance_m: FloatArray  #: shape (n,): driven by the reference law
     reference: Poses  #: reference end poses, shape (n,)
     ends: dict[str, Poses]  #: end poses by each of `METHODS`
     errors: dict[str, PoseErrors]  #: odometry minus reference
-    in_range: BoolArray  #: shape (n,): whether all loads lie within the range that the law was measured in
-    #: root mean square of the position's and the heading's end error over the runs in range
+    in_range: BoolArray  #: shape (n,): whether the law was measured at all its loads
+    #: rms end error of position and heading over the runs in range
     rms_m: dict[str, float]
     rms_heading_rad: dict[str, float]
-    #: RMS of the constant radii over that of the corrected ones, with a bootstrap interval over runs
+    #: rms of the constant radii over that of the corrected ones, bootstrapped over runs
     ratio: float
     ratio_ci95: tuple[float, float]
     runtime: RuntimeCheck  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
-    #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, and nothing for the
-    #: runtime
+    #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
     notes: tuple[str, ...] = ()  #: what had to be assumed
 
     @property
     def table(self) -> DataFrame:
-        """The runs as a table: end errors by each odometry; SI units."""
+        """End errors of the runs by each odometry; SI units."""
         from pandas import DataFrame
 
         return DataFrame(self.to_dict()["runs"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the replay as plain values: what ``calib simulate replay --json`` prints.
+        """Return the replay as plain values, as ``calib simulate replay --json``.
 
-        The differences of the runtime are null where no sample could be compared.
+        The runtime's differences are null without a sample to compare.
         """
         names = ("run_id", "kind", "load_left_N", "load_right_N", "in_range", "distance_m")
         columns = {name: getattr(self, name) for name in names}
@@ -99,10 +95,10 @@ def replay(
     scheme: str = "exact",
     runtime_runs: int = 20,
 ) -> Replay:
-    """Replay the logged runs of a campaign; see `calib.odometry.integrate.SCHEMES` for the schemes.
+    """Replay the logged runs of a campaign; for schemes see `calib.odometry.integrate.SCHEMES`.
 
-    `rng`: for the bootstrap; `runtime_runs`: how many runs the runtime is fed. Raises RefusedError where no run has a
-    log, a reference end pose and wheel loads within the valid range.
+    `rng`: for the bootstrap; `runtime_runs`: fed to the runtime. Raises RefusedError where no run has a log, a
+    reference end pose and valid wheel loads.
     """
     coefficients.refuse_other_vehicle(campaign)
     chosen, left_out, notes = _usable(campaign, coefficients.law)
@@ -154,10 +150,7 @@ def replay(
 def _driven(
     campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
 ) -> tuple[dict[str, Poses], FloatArray]:
-    """Return the end poses by each of `METHODS`, and the distance by the corrected one, under the loads of the steps.
-
-    Without rear wheels there is no law of a load: ``constant`` is ``corrected``.
-    """
+    """Return the end poses by each of `METHODS`, and the distance by the last, under the loads of the steps."""
     offsets, columns, law = campaign.logs.offsets, campaign.logs.columns, coefficients.law
     if without_rear_wheels(campaign):
         calibrated = believed_model(coefficients, campaign.model.reference_load_N)
@@ -181,7 +174,7 @@ def _driven(
 
 
 def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
-    campaign, notes = with_loads(with_end_poses(campaign), law)
+    campaign, notes = with_loads(_with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
     posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
@@ -200,16 +193,16 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
 
 
 def within_law(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
-    """Return whether both loads lie where the law was measured, or within a newton of it, shape (n,)."""
+    """Return whether both loads lie within a newton of the law's range, shape (n,)."""
     loads = ((law.left, load_left_N), (law.right, load_right_N))
     inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
     return np.asarray(np.all(inside, axis=0))
 
 
-def with_end_poses(campaign: Campaign) -> Campaign:
-    """Return the campaign with the end poses that its logs' own references say, where a row has none.
+def _with_end_poses(campaign: Campaign) -> Campaign:
+    """Return the campaign with end poses by its logs' references where a row has none.
 
-    In a map a row's end pose says nothing without the pose at the start, which the log alone has.
+    In a map a row's end pose lacks that at the start, which the log has.
     """
     columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, ("ref_x_m", "ref_y_m", "ref_theta_rad")
     ends = np.stack([campaign.runs.number(name) for name in names])
@@ -226,7 +219,7 @@ def with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: unladen, or where the law is centred if it excludes that."""
+    """Return the campaign with loads where no run has any: unladen, or the law's centre if that is beyond it."""
     runs, columns = campaign.runs, ("load_left_N", "load_right_N")
     if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()
@@ -242,17 +235,16 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
 
 
 def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    """Return the loads of the left and the right wheel in each step, shape (n_samples,); see `loads_in_steps`."""
+    """Return the loads of left and right wheel in each step, (n_samples,); see `loads_in_steps`."""
     runs, logs, names = campaign.runs, campaign.logs, ("load_left_N", "load_right_N")
     left, right = (loads_in_steps(runs.number(name), logs.columns.get(name), logs.offsets) for name in names)
     return left, right
 
 
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
-    """Return the poses at all samples (n_samples,), each run from (0, 0, 0), and the axle's way in each step.
+    """Return the poses (n_samples,) of logs without rear wheels, each run from (0, 0, 0), and each step's way.
 
-    The campaign has no rear wheels, and each run a log; the model says what is believed of the front wheel or the four
-    wheels. The way, to the side included, is 0 at the first of a run.
+    The model has front wheel or four wheels. The way, also sideways, is 0 at the first sample of a run.
     """
     axle = on_one_axle(campaign, model)
     columns, offsets = axle.logs.columns, axle.logs.offsets
@@ -281,21 +273,18 @@ class RuntimeCheck:
 
     runs: int
     samples: int
-    #: over all samples of these runs; NaN where none was accepted
+    #: over all samples; NaN where none was accepted
     largest_difference_m: float
     largest_difference_rad: float
     faults: dict[str, int]  #: refused loads and samples by status
 
 
-#: of a vehicle that the runtime, which reads two wheels on one axle, cannot follow
+#: the runtime reads two wheels on one axle
 NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
 
 
 def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
-    """Feed the vehicle's runtime the logs of the first `runs` runs and compare it, sample by sample, with the arrays.
-
-    Refused samples are counted, and not compared.
-    """
+    """Feed the vehicle's runtime the logs of the first `runs` and compare all accepted samples with the arrays."""
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)
     faults: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""Routes of straights and arcs, by name or from a TOML file; what wheels travel there, by counts and under loads."""
+"""Routes of straights and arcs, and what wheels travel there, by counts and under loads."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Route:
         return float(np.abs(self.length_m).sum())
 
     def divided(self, spacing_m: float) -> Route:
-        """Return the same route with every segment cut into equal pieces of at most `spacing_m` (or 3 degrees)."""
+        """Return the route in pieces of at most `spacing_m` (or 3 degrees)."""
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
         pieces = np.maximum(np.abs(self.length_m) / spacing_m, np.abs(self.turn_rad) / math.radians(3.0))
@@ -77,7 +77,7 @@ class Route:
         return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
 
     def cut(self, at_m: ArrayLike) -> Route:
-        """Return the same route with a border between two segments at each of these distances along it."""
+        """Return the route with a border between segments at each of these distances."""
         wanted, edges, pieces = np.unique(floats(at_m)), self.distance_m(), []
         for length, turn, first, last in zip(self.length_m, self.turn_rad, edges, edges[1:], strict=False):
             inside = wanted[(wanted > first + 1e-9) & (wanted < last - 1e-9)]
@@ -123,16 +123,13 @@ def find_route(name: str) -> Route:
     if name.endswith(".toml"):
         return read_route(Path(name))
     if name.endswith(".tum"):
-        return driven_route(Path(name))
+        return _driven_route(Path(name))
     found = f"route: found {name!r}"
     raise BadInputError(f"{found}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them")
 
 
-def driven_route(path: Path) -> Route:
-    """Return the route that a recorded trajectory (TUM file) describes: one arc from each pose to the next.
-
-    An arc keeps the poses' distance and turn; what a pose lies off the arc's chord is lost.
-    """
+def _driven_route(path: Path) -> Route:
+    """Return the route of a recorded trajectory: an arc from each pose to the next, of their distance and turn."""
     _, poses = read_tum(path)
     if len(poses) < 2:
         raise BadFileError(path, found="one pose", expected="two or more", remedy="record a longer trajectory")
@@ -144,9 +141,9 @@ def driven_route(path: Path) -> Route:
 
 
 def read_route(path: Path) -> Route:
-    """Read a route file: ``format = "calib-route/1"``, a ``name`` where wanted, and a ``[[segment]]`` for each piece.
+    """Read a route file: ``format = "calib-route/1"``, ``name`` where wanted, and a ``[[segment]]`` for each piece.
 
-    Each has either ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
+    That has ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
     path = Path(path)
 
@@ -193,7 +190,7 @@ class Axle:
     track_m: ArrayLike
 
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return left radius, right radius and track, each () or (vehicles,), checked to be lengths of a vehicle."""
+        """Return left radius, right radius and track, each () or (vehicles,), within plausible lengths."""
         left, right, track = map(floats, (self.radius_left_m, self.radius_right_m, self.track_m))
         for name, part in (("left radius", left), ("right radius", right), ("track", track)):
             impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
@@ -205,7 +202,7 @@ class Axle:
 
 
 def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what the real wheels travel in each segment, each (vehicles, n_segments), and the track (vehicles, 1)."""
+    """Return the real wheels' travel in each segment, (vehicles, n_segments), and the track (vehicles, 1)."""
     left, right, track = (np.atleast_1d(part)[:, None] for part in believed.arrays())
     real_left, real_right, real_track = (np.atleast_1d(part)[:, None] for part in real.arrays())
     half = 0.5 * track * route.turn_rad
@@ -215,15 +212,12 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
 
 
 def follow(route: Route, believed: Axle, real: Axle) -> Poses:
-    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
-
-    The believed pose follows the route; divide the route for more poses.
-    """
+    """Return the real poses at the borders of segments, (vehicles, n_segments + 1), the believed ones on the route."""
     return integrate(*wheel_travel(route, believed, real)).from_origin()
 
 
 def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
-    """Return the real end poses alone, shape (vehicles,): `follow` for many thousands of vehicles at once."""
+    """Return the real end poses, (vehicles,), of many vehicles at once; see `follow`."""
     lengths = [np.atleast_1d(part) for part in (*believed.arrays(), *real.arrays())]
     try:
         vehicles = np.stack(np.broadcast_arrays(*lengths))
@@ -238,17 +232,15 @@ def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
 
 
 def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
-    """Return the load of one wheel in the step that ends at each sample of runs laid end to end.
+    """Return a wheel's load in the step that ends at each sample of runs laid end to end.
 
-    A load takes effect in the step after its sample: the vehicle stands while it is loaded. That of the run (`run_N`)
-    holds until its log (`logged_N`) says otherwise, a load of the log until the next; NaN is none.
+    The run's (`run_N`) holds until the step after a logged one (`logged_N`, NaN: none): the vehicle is loaded standing.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(floats(run_N), np.diff(edges))
     if logged_N is None:
         return carried
     logged, first = floats(logged_N), np.repeat(edges[:-1], np.diff(edges))
-    # the last sample before, of the same run, that has a load
     last = np.maximum.accumulate(np.where(np.isfinite(logged), np.arange(len(carried)), -1))
     last = np.concatenate(([-1], last))[:-1]
     known = last >= first
@@ -257,7 +249,7 @@ def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayL
 
 
 def radii_under_load(law: RadiusLaw, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the effective radii of both wheels for loads of any shape, in m: the block that Fig. 7 adds."""
+    """Return the radii of both wheels for loads of any shape, in m (Fig. 7)."""
     return law.left.radius_m(load_left_N), law.right.radius_m(load_right_N)
 
 
@@ -286,10 +278,10 @@ def travel_from_counts(
     *,
     offsets: ArrayLike | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11), 0 at the first of each run.
+    """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11), 0 at a run's first.
 
-    `counts_left`, `counts_right`: unwrapped counter readings (n,) of one run, or of runs laid end to end by `offsets`,
-    see `integrate`; radii: a number, one a run, or one a sample.
+    `counts_left`, `counts_right`: unwrapped (n,), of runs end to end by `offsets`; see `integrate`; radii: one, one a
+    run or one a sample.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
     firsts = edges[:-1][np.diff(edges) > 0]

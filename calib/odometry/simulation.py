@@ -1,4 +1,4 @@
-"""Studies of the paper's Section 7, vehicles that follow a route with wrong radii, and a simulation as asked for."""
+"""Simulations: studies of the paper's Section 7, and vehicles that follow a route with wrong radii."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Study:
     routes: tuple[str, ...]
     ratios: tuple[float, ...]
     which: tuple[str, ...]  #: which wheels are off, of `WHICH`
-    figures: tuple[str, ...]  #: figures of the paper that it corresponds to, one a route
+    figures: tuple[str, ...]  #: of the paper, one a route
 
 
 STUDIES: Final[Mapping[str, Study]] = {
@@ -62,9 +62,9 @@ STUDIES: Final[Mapping[str, Study]] = {
 
 
 def ratios(which: str, ratio: float) -> tuple[float, float]:
-    """Return the left and right radius over the believed one, where E_r = r_R / r_L is `ratio`.
+    """Return left and right radius over the believed one, where E_r = r_R / r_L is `ratio`.
 
-    ``both`` shares it about the mean; ``equal`` scales both wheels alike by it.
+    ``both`` shares it about the mean; ``equal`` scales both wheels by it.
     """
     if not (math.isfinite(ratio) and ratio > 0.0):
         raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
@@ -142,10 +142,7 @@ class Sweep:
 def run_sweep(
     route: Route | str, cases: Sequence[Case], *, track_m: float = 0.7, real_track_m: float | None = None
 ) -> Sweep:
-    """Drive vehicles with different radii over a route (or one of that name); the real track is `track_m` by default.
-
-    Only the ratios of real to believed radii matter.
-    """
+    """Drive vehicles with different radii over a route (or of that name); the real track is `track_m` by default."""
     way = find_route(route) if isinstance(route, str) else route
     believed = Axle(1.0, 1.0, track_m)
     radii = ([case.left for case in cases], [case.right for case in cases])
@@ -158,7 +155,7 @@ def run_sweep(
     return Sweep(way, track_m, tuple(cases), fine.distance_m(), reference, poses, errors, corners)
 
 
-#: end error along the route without and with the load correction, as printed (Sect. 7.3)
+#: end error without and with the load correction, as printed (Sect. 7.3)
 PAPER_BEFORE_M: Final = 1.1
 PAPER_AFTER_M: Final = 0.06
 
@@ -206,7 +203,7 @@ def paper_headline() -> Improvement:
 
 CUSTOM: Final = "custom"
 
-#: wheel loads (left, right) of the studies' journeys: 0 the lowest, 1 the highest of Table 1 that the wheel holds
+#: wheel loads (left, right) of the studies' journeys: 0 the lowest, 1 the highest of Table 1
 EXTREMES: Final = {
     "symmetric": ((1, 1),),
     "asymmetric": ((0, 1), (1, 0)),
@@ -222,11 +219,10 @@ class LawPart:
     """What a fitted law says."""
 
     law: RadiusLaw = field(metadata={"json": False})
-    table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
-    journeys: tuple[Journey, ...]  #: journeys without and with correction, for each pair of loads and each band
-    #: errors and covariance along the last route, driven under the loads that change on the way, or else the first pair
-    path: LawPath
-    notes: tuple[str, ...]  #: what the reader should know
+    table: tuple[TableRow, ...]
+    journeys: tuple[Journey, ...]  #: for each pair of loads and each band
+    path: LawPath  #: along the last route, under the loads that change on the way, or else the first pair
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,10 +230,10 @@ class LawJourneys:
     """Journeys that are asked for under a law."""
 
     axle: AxleLaw  #: the law, and the track that it is driven with
-    loads_N: Sequence[tuple[float, float]] = ()  #: loads (left, right) of the journeys, in place of the study's own
-    #: loads whose radii the uncorrected odometry uses; None: the reference load, or the nearest valid one
+    loads_N: Sequence[tuple[float, float]] = ()  #: (left, right) of the journeys, in place of the study's
+    #: of the uncorrected odometry; None: the reference load, or the nearest valid one
     reference_N: tuple[float, float] | None = None
-    loading: Loading | None = None  #: loads that change on the way; None: the first of `loads_N` all along
+    loading: Loading | None = None  #: changes on the way; None: the first of `loads_N` all along
     draws: int = 20_000  #: draws of the Monte Carlo
 
 
@@ -259,7 +255,7 @@ class Simulation(Result):
         return DataFrame([{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the simulation as plain values, the points along the routes aside: ``calib simulate --json``."""
+        """Return the simulation as plain values, as ``calib simulate --json``, without points along the routes."""
         return {
             "study": self.study,
             "title": self.title,
@@ -285,8 +281,8 @@ def simulate(
 ) -> Simulation:
     """Run a study of `STUDIES` by name, or ``custom`` with routes and cases of one's own; see `Simulation`.
 
-    `track_m`, `real_track_m`: track that the odometry believes, and the real one (None: the same); `under`: adds Table
-    1, Fig. 15 and journeys under a law. Raises BadInputError where the study, a route or a case cannot be used.
+    `track_m`, `real_track_m`: believed track, and the real one (None: the same); `under`: adds Table 1, Fig. 15 and
+    journeys under a law. Raises BadInputError where the study, a route or a case cannot be used.
     """
     known = STUDIES.get(study)
     if known is None and study != CUSTOM:

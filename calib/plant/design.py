@@ -62,15 +62,11 @@ def _grid(segments: Sequence[Segment], weave: tuple[float, float]) -> tuple[Floa
     s = np.arange(0.0, end_m + _TAIL_M, PITCH_M)
     edges = np.cumsum([0.0, *(length for length, _ in segments)])
     turn = np.cumsum([0.0, *(length * kappa for length, kappa in segments)])
-    # the mean of the curvature over +-half the easing length, by differences of the turned angle: keeps the total turn
+    # the curvature's mean over +-half the easing length keeps the total turn
     half = 0.5 * _EASE_M
     ahead, behind = (np.interp(s + shift, edges, turn) for shift in (half, -half))
-    kappa: FloatArray = (ahead - behind) / _EASE_M
-    amplitude_m, wavelength_m = weave
-    if amplitude_m > 0.0:
-        wave = 2 * np.pi / wavelength_m
-        kappa = kappa - amplitude_m * wave**2 * np.sin(wave * s)
-    return kappa, end_m
+    wave = 2 * np.pi / weave[1]
+    return np.asarray((ahead - behind) / _EASE_M - weave[0] * wave**2 * np.sin(wave * s)), end_m
 
 
 def tabulate(
@@ -78,7 +74,7 @@ def tabulate(
 ) -> RouteTables:
     """Tabulate the routes of all runs; equal routes share a table.
 
-    `weaves`: amplitude and wavelength of each run's weave about the line, in m; lengths are those of `Design`.
+    `weaves`: amplitude and wavelength of each run's weave in m; lengths: see `Design`.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[FloatArray] = []
@@ -87,7 +83,7 @@ def tabulate(
     for key in dict.fromkeys(keys):
         kind, weave = key
         kappa, end_m = _grid(_segments(kind, length_m=length_m, side_m=side_m, radius_m=radius_m), weave)
-        lead = weave[0] * 2 * np.pi / weave[1] if weave[0] > 0.0 else 0.0
+        lead = weave[0] * 2 * np.pi / weave[1]
         theta = np.arctan(lead) + np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * PITCH_M)))
         middle = 0.5 * (theta[1:] + theta[:-1])
         x = np.concatenate(([0.0], np.cumsum(np.cos(middle) * PITCH_M)))
@@ -129,7 +125,7 @@ class Design:
     log_period_s: float = 0.2  #: time between rows of the logs; 0: no logs
     front: bool = False  #: the logs have the front wheel and the steering angle
     trace: bool = False  #: the logs have a continuous pose reference
-    #: which runs have a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``
+    #: runs with a reference end pose: ``all``, ``turning`` (all but corridor runs) or ``none``
     poses: str = "all"
     laser: bool = True  #: corridor runs have a distance by laser
     weighed: bool = False  #: the run table has weighed wheel loads
@@ -151,12 +147,12 @@ class Design:
 
     @property
     def heading_sign(self) -> FloatArray:
-        """+1 where the run starts along the map's x axis, -1 against it (``back``), shape (n_runs,)."""
+        """+1 where the run starts along the map's x axis, -1 for ``back``, shape (n_runs,)."""
         return np.where(self.direction == "back", -1.0, 1.0)
 
     @property
     def start_x_m(self) -> FloatArray:
-        """Where the runs start on the map's x axis: ``back`` at the far end of its stretch, shape (n_runs,)."""
+        """Start on the map's x axis, of ``back`` at the far end, shape (n_runs,)."""
         stretch = self.length_m * np.where(self.kind == "corridor_short", SHORT, 1.0)
         return np.where(self.direction == "back", stretch, 0.0)
 
@@ -214,9 +210,9 @@ def _vehicle(rng: np.random.Generator) -> Vehicle:
 
 
 def good_design(rng: np.random.Generator, *, n_runs: int = 60, needs: Iterable[str] = (), **settings: Any) -> Design:
-    """Return a crossed design: routes, loads, sides, speeds, temperatures, dwell and sessions vary apart, with repeats.
+    """Return a crossed design: what varies varies apart, with repeats.
 
-    `needs`: see `calib.plant.signal.lacks`; `settings`: fields of `Design` that are given instead of drawn.
+    `needs`: see `calib.plant.signal.lacks`; `settings`: fields of `Design` given instead of drawn.
     """
     need = set(needs)
     n_sessions = int(rng.integers(3, 6))
@@ -299,10 +295,10 @@ def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict
 
 
 def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
-    """Return a design that cannot answer everything; `settings` are fields of `Design` that are given instead of drawn.
+    """Return a design that cannot answer everything; for `settings` see `good_design`.
 
-    ``load_a_session`` (the paper's own: corridor runs out and back, each session under its own load), ``corridor_only``
-    (varied loads and speeds, no turn), ``squares_one_load`` or ``few_repeats``.
+    ``load_a_session`` (the paper's: a corridor out and back, a load a session), ``corridor_only`` (varied loads and
+    speeds, no turn), ``squares_one_load`` or ``few_repeats``.
     """
     if name not in DESIGNS:
         raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")

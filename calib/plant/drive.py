@@ -28,8 +28,8 @@ class Record:
     """What happened, at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
-    #: shape (n_frames, n_runs): true motion in the run's own frame; frames behind a run's end repeat it; late_rad: the
-    #: steering angle the sensor's delay ago
+    #: shape (n_frames, n_runs): true motion in the run's own frame, its end repeated; late_rad: steering angle the
+    #: sensor's delay ago
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -41,11 +41,11 @@ class Record:
     #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers where quantised
     counts: FloatArray
     odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
-    ends: FloatArray  #: shape (15, n_driven): the last frame of every run driven, also of those that are not logged
+    ends: FloatArray  #: shape (15, n_driven): last frame of every run, logged or not
 
     @staticmethod
     def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> Record:
-        """Return the record of frames as `_Runs.frame` gives them, shape (15, n_frames, n_runs)."""
+        """Return the record of frames (15, n_frames, n_runs); see `_Runs.frame`."""
         motion = dict(zip(_MOTION, stacked[:8], strict=True))
         return Record(frames=frames, **motion, counts=stacked[8:11], odo=stacked[11:15], ends=ends)
 
@@ -62,10 +62,10 @@ class Record:
 def drive(
     world: World, noise: NoiseDraw, *, quantise: bool = True, step_s: float = STEP_S, logged: int | None = None
 ) -> Record:
-    """Drive all runs of a world.
+    """Drive all runs of a world, its path follower on the vehicle's odometry.
 
-    The path follower sees only the vehicle's odometry. Without `quantise` counts keep their fractions, as derivatives
-    need. Only the first `logged` runs have frames, by default all; for the ends of the others see `Record.end`.
+    Without `quantise` counts keep their fractions, as derivatives need. The first `logged` runs have frames, by default
+    all; ends of the others: see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))

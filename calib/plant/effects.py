@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -143,20 +144,14 @@ def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.ref_lever_y_m = world.ref_lever_y_m + size * np.sin(knobs["towards_rad"])
 
 
-@while_driving
-def _lost_with_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    now.lose_counts(size * (now.v_mps / 0.5) ** 2, right=bool(knobs["right"]))
+def _lost(share: Callable[[FloatArray], FloatArray | float]) -> Act:
+    """Return the act that loses counts, a share by the speed."""
 
+    @while_driving
+    def act(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
+        now.added[4 if knobs["right"] else 3] += size * share(now.v_mps)
 
-@while_driving
-def _lost_above(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    now.lose_counts(size * np.maximum(now.v_mps - 0.3, 0.0) / 0.2, right=bool(knobs["right"]))
-
-
-@while_driving
-def _lost_constant(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a fixed share: exactly a larger radius of that wheel
-    now.lose_counts(size, right=bool(knobs["right"]))
+    return act
 
 
 def _blunder(kind: str) -> Act:
@@ -198,9 +193,18 @@ INSTRUMENTS = (
     Form("reference_lever_arm", "plain", 8e-3, "m", _lever, "turns poses", _TOWARDS),
     Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
     Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
-    Form("lost_counts", "squared", 1e-3, "1", _lost_with_speed, "speeds poses", either_side),
-    Form("lost_counts", "threshold", 1e-3, "1", _lost_above, "speeds poses", either_side),
-    Form("lost_counts", "constant", 2e-3, "1", _lost_constant, "poses", either_side),
+    Form("lost_counts", "squared", 1e-3, "1", _lost(lambda v: (v / 0.5) ** 2), "speeds poses", either_side),
+    Form(
+        "lost_counts",
+        "threshold",
+        1e-3,
+        "1",
+        _lost(lambda v: np.maximum(v - 0.3, 0.0) / 0.2),
+        "speeds poses",
+        either_side,
+    ),
+    # exactly a larger radius of that wheel
+    Form("lost_counts", "constant", 2e-3, "1", _lost(lambda _v: 1.0), "poses", either_side),
     *(
         Form("encoder_gross", kind, 1.0, "1", _blunder(kind), "poses turns")
         for kind in ("double_left", "quad_both", "pi_right", "swapped", "sign_left", "half_right")

@@ -53,8 +53,8 @@ class FleetTruth:
     radius_spread_m: float = 6e-5
     slope_mean_m_per_N: float = -1.2e-6
     slope_spread_m_per_N: float = 6e-8
-    #: vehicles with a radius or slope of its own, with a drifting radius, and those of hall B, whose floor makes the
-    #: right wheel's radius seem larger
+    #: vehicles with a radius or slope of its own, with a drifting radius, and of hall B, where the right wheel's radius
+    #: seems larger
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]
@@ -180,10 +180,10 @@ class PosedTruth:
     #: normal population that the tracks of all but the outliers were drawn from
     track_mean_m: float
     track_spread_m: float
-    #: vehicles whose track is one per cent off, and those of hall B, whose floor turns what crosses it
+    #: vehicles whose track is one per cent off, and of hall B, whose floor turns what crosses it
     outliers: tuple[str, ...]
     common: tuple[str, ...]
-    #: where that zone begins on the floor, and how long it is
+    #: begin of that zone on the floor, and length
     zone_at_m: float = 11.0
     zone_long_m: float = 2.0
 

@@ -47,7 +47,7 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
 
 
 def _with_blunder(world: World, counts: FloatArray) -> FloatArray:
-    if not world.blunder or not world.blunder_runs.any():
+    if not world.blunder:
         return counts
     struck = world.blunder_runs > 0
     left, right, front = counts
@@ -106,10 +106,7 @@ def _columns(
 
 
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
-    """Return the campaign as read from its folder, see `make_campaign`; after `n_runs` names and lines begin again.
-
-    The instruments' noise is stated not quite truly.
-    """
+    """Return the campaign as read from its folder, see `make_campaign`; after `n_runs` names and lines begin again."""
     design = world.design
     counts = _with_blunder(world, record.counts)
     poses = reference_poses(world, draw, record)
@@ -209,10 +206,9 @@ def make_campaign(
     model: OdometryModel | None = None,
     name: str = "campaign",
 ) -> Campaign:
-    """Drive a design in a world with a known truth, in memory; see `calib.campaign.tables.write_campaign`.
+    """Drive a design in a world with a known truth; see `as_causes`.
 
-    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap. `noise`, `model`
-    (what the simulator believes): drawn at random where missing.
+    `noise`, `model` (what the simulator believes): drawn at random where missing.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

@@ -1,6 +1,6 @@
-"""How strongly an effect shows, and what else could leave the same.
+"""The signal of an effect, and what else could leave the same.
 
-The signal is the whitened norm of what an effect does in noise-free drives, after what a recalibration would absorb.
+It is the whitened norm of what an effect does in noise-free drives, beside a recalibration.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from calib.plant.make import apply_causes, reference_poses, simulated_poses, ste
 from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
 from calib.types import FloatArray, floats, grouped
 
-#: effects that a recalibration absorbs: their signal is taken without projecting it out
+#: effects that a recalibration absorbs: their signal is without one
 CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 #: these act with the square of their size
 _SQUARED: Final = ("beam_misalignment", "path_weave")
-_ABSORBED = 1e-2  # share of its norm below which a change is taken up by the recalibration
+_ABSORBED = 1e-2  # share of a change's norm below which the recalibration absorbs it
 _LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
 
 
@@ -33,9 +33,9 @@ def is_calibration(cause: Cause) -> bool:
 
 
 def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = False) -> FloatArray:
-    """Return measured minus the vehicle's own odometry, shape (n_runs, 6), NaN where a run lacks the channel.
+    """Return measured minus odometry, (n_runs, 6), NaN where a run lacks the channel.
 
-    Channels: laser distance, x, y, theta of the end pose in the start's frame, front wheel's distance and heading.
+    Laser distance, x, y, theta of the end pose in the start's frame, front wheel's distance and heading.
     """
     design, end = world.design, record.end
     poses = reference_poses(world, draw, end)[:, 0] + draw.pose.T
@@ -124,15 +124,15 @@ def recalibration(world: World, record: Record) -> FloatArray:
 
 
 def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
-    """Return the whitened norm of a change of the outputs (n_runs, 6), NaN where a run lacks the channel.
+    """Return the whitened norm of a change (n_runs, 6), NaN where a run lacks the channel.
 
-    The noise has the covariance (n_runs, 6, 6); the directions `absorbed` (n_runs, 6, n) are projected out.
+    `cov`: (n_runs, 6, 6), of the noise; `absorbed`: (n_runs, 6, n), projected out.
     """
-    return float(np.linalg.norm(left_of(change, cov, absorbed)))
+    return float(np.linalg.norm(_left_of(change, cov, absorbed)))
 
 
-def left_of(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> FloatArray:
-    """Return a change as `strength` takes it, whitened and projected, shape (6 n_runs,)."""
+def _left_of(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> FloatArray:
+    """Return a change as `strength` takes it, whitened and projected, (6 n_runs,)."""
     present = np.isfinite(change)
     both = present[:, :, None] & present[:, None, :]
     root = np.linalg.cholesky(np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0)))
@@ -150,7 +150,7 @@ class Strength:
     """How strongly causes show on a design."""
 
     alone: tuple[float, ...]  #: signal of each cause by itself
-    beside: tuple[float, ...]  #: signal of each cause after what the others could imitate was projected out as well
+    beside: tuple[float, ...]  #: the same beside what the others could imitate
     change: FloatArray  #: shape (n_causes, n_runs, 6): what each does to the outputs
     cov: FloatArray  #: shape (n_runs, 6, 6): covariance of the noise
     absorbed: FloatArray  #: shape (n_runs, 6, 3): what a recalibration does
@@ -206,9 +206,9 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 def to_signal(
     design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
 ) -> tuple[list[Cause], Noise, Strength]:
-    """Scale causes so that each alone has the wanted signal (NaN: as it is), and return what was reached.
+    """Scale causes to wanted signals, each alone (NaN: as it is), and return what was reached.
 
-    Where that would take sizes far from the typical one, the noise is changed first; see `Strength`.
+    Rather than far from typical sizes, the noise is changed first; see `Strength`.
     """
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])
@@ -313,8 +313,8 @@ class Alternatives:
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)
 
     def left(self, number: int) -> FloatArray:
-        """Return what one leaves; see `left_of`."""
-        return left_of(self.driven.change[number], self.driven.cov, self.driven.absorbed)
+        """Return what one leaves, whitened, beside a recalibration."""
+        return _left_of(self.driven.change[number], self.driven.cov, self.driven.absorbed)
 
 
 def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Cause) -> Alternatives:
@@ -327,7 +327,7 @@ def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Caus
 def rivals(among: Alternatives) -> list[tuple[str, float]]:
     """Return the other effects that the design can show, nearest first, each with its distance from the cause.
 
-    By the best of its forms: the norm of what it cannot imitate, beside a recalibration.
+    The norm of what its best form cannot imitate, beside a recalibration.
     """
     driven = among.driven
     nearest: dict[str, float] = {}

@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from calib.plant.design import COLUMNS, REFERENCE_LOAD_N, Design
-from calib.plant.world import Draw, Form, Knobs, Moment, World, drawn, either_side, scaled, standardised, while_driving
+from calib.plant.world import (
+    Draw,
+    Form,
+    Knobs,
+    Moment,
+    World,
+    drawn,
+    either_side,
+    rolling,
+    scaled,
+    standardised,
+    while_driving,
+)
 from calib.types import FloatArray
 
 
@@ -47,16 +59,14 @@ def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.during.append(during)
 
 
-def _payload_share(world: World) -> tuple[FloatArray, FloatArray]:
-    bare = world.design.vehicle.unladen_load_N
-    loaded = world.design.payload_kg > 0
-    return (np.where(loaded, world.load_left_N - bare, 0.0), np.where(loaded, world.load_right_N - bare, 0.0))
+def _payload_share(world: World) -> list[FloatArray]:
+    bare, loaded = world.design.vehicle.unladen_load_N, world.design.payload_kg > 0
+    return [np.where(loaded, load - bare, 0.0) for load in (world.load_left_N, world.load_right_N)]
 
 
 def _creep_one(world: World, size: FloatArray, knobs: Knobs) -> None:
     grown = 1 - np.exp(-np.nan_to_num(world.design.minutes_under_load) / knobs["tau_min"])
-    left, right = _payload_share(world)
-    world.enlarge(-size * left * grown, -size * right * grown)
+    world.enlarge(*(-size * share * grown for share in _payload_share(world)))
 
 
 def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -90,9 +100,8 @@ def _warm(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
     warm = 40.0 * np.expm1(np.nan_to_num(world.design.temperature_C - 20.0) / 40.0)
-    mean = float(np.mean(world.mean_load_N))
-    more = (1 + 0.15 * (load / mean - 1) for load in (world.load_left_N, world.load_right_N))
-    world.enlarge(*(size * warm * part for part in more))
+    mean, loads = float(np.mean(world.mean_load_N)), (world.load_left_N, world.load_right_N)
+    world.enlarge(*(size * warm * (1 + 0.15 * (load / mean - 1)) for load in loads))
 
 
 def _session_index(design: Design) -> tuple[FloatArray, int]:
@@ -167,16 +176,6 @@ FORMS = (
 )
 
 
-@while_driving
-def _speed(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    now.roll_more(size * (now.v_mps - 0.5))
-
-
-@while_driving
-def _speed_squared(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    now.roll_more(size * (now.v_mps**2 - 0.25))
-
-
 def _lever(world: World) -> FloatArray:
     vehicle = world.design.vehicle
     return world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
@@ -237,8 +236,7 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
 
 @while_driving
 def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # `size` metres a stop from 0.5 m/s:
-    # braking at a takes v^2/2a metres: the slip size * 2a/0.25 makes size (v/0.5)^2 of them
+    # `size` metres a stop from 0.5 m/s: braking at a takes v^2/2a
     now.roll_more(size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25)
 
 
@@ -268,8 +266,8 @@ def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 MOVING = (
-    Form("speed_radius", "plain", 3e-4, "s/m", _speed, "speeds"),
-    Form("speed_radius", "squared", 3e-4, "s/m", _speed_squared, "speeds"),
+    Form("speed_radius", "plain", 3e-4, "s/m", rolling(lambda now: now.v_mps - 0.5), "speeds"),
+    Form("speed_radius", "squared", 3e-4, "s/m", rolling(lambda now: now.v_mps**2 - 0.25), "speeds"),
     Form("curve_load_transfer", "plain", 1e-5, "1/N", _transfer, "turns speeds loads poses"),
     Form("curve_load_transfer", "roll", 1e-5, "1/N", _transfer_roll, "turns speeds loads poses"),
     Form("load_dependent_track", "plain", 1e-5, "1/N", _loaded_track, "turns loads poses"),

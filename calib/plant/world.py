@@ -20,15 +20,15 @@ class Noise:
     """Scales of the noise, all as standard deviations."""
 
     texture_m: float = 1.5e-4  #: random walk of each wheel's rolled path, metres per square root of a metre
-    #: a run's own relative change of both radii, and of their difference
+    #: of a run: relative change of both radii, and of their difference
     common: float = 4e-5
     differential: float = 1.5e-5
-    start_heading_rad: float = 2e-4  #: error of the reference frame's heading at the start of a run
+    start_heading_rad: float = 2e-4  #: of a run: the reference frame's heading at the start
     laser_m: float = 0.0015
     ref_xy_m: float = 0.002
     ref_theta_rad: float = 0.0008
-    stated_ratio: float = 1.0  #: what the campaign file states of the reference's uncertainty, over the truth
-    #: a run's own steering angle zero, and relative front radius
+    stated_ratio: float = 1.0  #: stated uncertainty of the reference over the true one
+    #: of a run: zero of the steering angle, and relative front radius
     steer_rad: float = 1e-3
     front: float = 3e-4
     reading_rad: float = 2e-3  #: one reading of the steering angle
@@ -48,7 +48,7 @@ class NoiseDraw:
     #: shape (n_runs,): factors on the true radii
     scale_left: FloatArray
     scale_right: FloatArray
-    #: shape (3, n_runs): where the counters (left, right, front) stand between two counts at the start, 0 to 1
+    #: shape (3, n_runs): part of a count at the start, 0 to 1, left, right, front
     phase: FloatArray
     #: shape (n_runs,): errors of instruments and sensors
     laser_m: FloatArray
@@ -119,7 +119,7 @@ def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
 
 @dataclass(slots=True)
 class Moment:
-    """All runs at one time step; effects read the upper part and add to the lower."""
+    """All runs at one time step; effects add to `left` to `drive`."""
 
     t_s: float  #: time since the start
     #: shape (n_runs,): true motion of the rear axle's middle
@@ -157,10 +157,6 @@ class Moment:
         """Add shares to the rolling radii."""
         self.left += left
         self.right += left if right is None else right
-
-    def lose_counts(self, share: FloatArray, *, right: bool) -> None:
-        """Add a share to what the counter of one side loses."""
-        self.added[4 if right else 3] += share
 
 
 @dataclass(slots=True)
@@ -207,8 +203,7 @@ class World:
 
     def enlarge(self, left: FloatArray, right: FloatArray | None = None) -> None:
         """Make the radii larger by shares."""
-        self.left = self.left * (1 + left)
-        self.right = self.right * (1 + (left if right is None else right))
+        self.left, self.right = self.left * (1 + left), self.right * (1 + (left if right is None else right))
 
     @property
     def mean_load_N(self) -> FloatArray:
@@ -233,10 +228,10 @@ class World:
     def settle(self) -> None:
         """Put the true payload on: loads, and radii."""
         design, payload_kg = self.design, self.payload_scale * self.design.payload_kg
-        left_before, right_before = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
+        left_before, right_before = _lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
         x_m, y_m = design.payload_x_m + self.payload_dx_m, design.payload_y_m + self.payload_dy_m
         self.load_left_N, self.load_right_N = wheel_loads(design.vehicle, payload_kg, x_m, y_m)
-        left_after, right_after = lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
+        left_after, right_after = _lawful_radii_m(self.model, self.load_left_N, self.load_right_N)
         self.left, self.right = self.left * left_after / left_before, self.right * right_after / right_before
 
 
@@ -257,8 +252,7 @@ def wheel_loads(
     return left, right
 
 
-def lawful_radii_m(model: OdometryModel, left_N: FloatArray, right_N: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the radii, left and right, that a model believes."""
+def _lawful_radii_m(model: OdometryModel, left_N: FloatArray, right_N: FloatArray) -> tuple[FloatArray, FloatArray]:
     left = model.radius_left_m + model.slope_left_m_per_N * (left_N - model.reference_load_N)
     right = model.radius_right_m + model.slope_right_m_per_N * (right_N - model.reference_load_N)
     return left, right
@@ -272,14 +266,14 @@ def build_world(design: Design, model: OdometryModel) -> World:
     ones = ("left", "right", "track", "laser_scale", "steer_scale", "payload_scale")
     arrays |= {name: np.ones(n_runs) for name in ones} | {"wavelength_m": np.full(n_runs, 5.0)}
     arrays |= {"load_left_N": left_N, "load_right_N": right_N}
-    arrays["believed_left_m"], arrays["believed_right_m"] = lawful_radii_m(model, left_N, right_N)
+    arrays["believed_left_m"], arrays["believed_right_m"] = _lawful_radii_m(model, left_N, right_N)
     return World(design, model, **arrays)
 
 
 Knobs = Mapping[str, float]
 
 
-#: changes the world; the size has one value a run, 0 where the effect is absent
+#: changes the world; a size a run, 0 where the effect is absent
 Act = Callable[[World, FloatArray, Knobs], None]
 #: draws a form's further choices
 Draw = Callable[[np.random.Generator, Design], dict[str, float]]
@@ -318,6 +312,11 @@ def while_driving(act: Callable[[Moment, World, FloatArray, Knobs], None]) -> Ac
     return lambda world, size, knobs: world.during.append(lambda now: act(now, world, size, knobs))
 
 
+def rolling(share: Callable[[Moment], FloatArray]) -> Act:
+    """Return an act that makes both wheels roll more while driving: a share for each unit of its size."""
+    return while_driving(lambda now, _world, size, _knobs: now.roll_more(size * share(now)))
+
+
 @dataclass(frozen=True, slots=True)
 class Form:
     """One form of one effect."""
@@ -327,7 +326,7 @@ class Form:
     typical: float
     unit: str
     act: Act
-    #: what a design must have for the effect to be there at all; see `calib.plant.signal.lacks`
+    #: what a design must have; see `calib.plant.signal.lacks`
     words: str = ""
     knobs: Draw = _NO_KNOBS  #: further choices, once a case
 

@@ -28,11 +28,9 @@ class CoefficientError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class WheelCoefficients:
-    """Law of one wheel: radius = radius_ref + slope (load - reference_load), in SI units.
+    """Law of one wheel: radius = radius_ref + slope (load - reference_load), valid from `load_min_N` to `load_max_N`.
 
-    `variance_radius_ref_m2`, `covariance_m2_per_N` and `variance_slope_m2_per_N2` are the covariance of
-    (radius_ref, slope); `residual_std_m` is the scatter of single runs about the law; `load_min_N` to `load_max_N` is
-    where the law holds.
+    With the covariance of (radius_ref, slope), and the scatter of single runs about the law, `residual_std_m`.
     """
 
     radius_ref_m: float
@@ -47,7 +45,7 @@ class WheelCoefficients:
     counts_per_rev: float
 
     def radius_m(self, load_N: float) -> float:
-        """Return the effective radius in m at `load_N`; the valid range is the caller's to obey."""
+        """Return the radius at `load_N`; the valid range is the caller's to obey."""
         return self.radius_ref_m + self.slope_m_per_N * (load_N - self.reference_load_N)
 
 
@@ -55,10 +53,9 @@ class WheelCoefficients:
 class Coefficients:
     """A coefficient file as the vehicle uses it, in SI units.
 
-    `outside` is ``refuse`` or ``clamp``: what happens to a load that was not measured. `load_table` maps the name of a
-    load point to the wheel loads (left, right) in N. `cross_covariance` couples laws and track that were estimated
-    together: numbers of two parameters in `JOINT`, and their covariance. `unapplied_effects` names effects of the
-    simulator's model that this odometry does not carry.
+    `outside`: ``refuse`` or ``clamp`` a load that was not measured; `load_table`: name -> wheel loads (left, right);
+    `cross_covariance`: numbers in `JOINT` of parameters estimated together, and their covariance; `unapplied_effects`:
+    of the simulator's model, that this odometry lacks.
     """
 
     name: str
@@ -89,13 +86,7 @@ class Coefficients:
 
     @classmethod
     def read(cls, path: str | Path) -> Coefficients:
-        """Read and verify the file at `path`.
-
-        Raises
-        ------
-        CoefficientError
-            Where the file cannot be read, lacks something, or is not what was written.
-        """
+        """Read and verify the file at `path`; raises CoefficientError."""
         try:
             text = Path(path).read_bytes().decode("utf-8-sig")
         except (OSError, ValueError) as error:
@@ -107,7 +98,7 @@ class Coefficients:
 
     @classmethod
     def parse(cls, text: str) -> Coefficients:
-        """Verify and return the coefficients in the JSON `text`; see `read`."""
+        """Return the coefficients in the JSON `text`; see `read`."""
         try:
             document = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -130,7 +121,7 @@ class Coefficients:
             left, right = (_number(point, f"load_{side}", "N", at, low=0.0) for side in ("left", "right"))
             table[str(point.get("name"))] = (left, right)
         vehicle, noise, limits = (_part(document, key) for key in ("vehicle", "noise", "limits"))
-        # by which the wheel loads are computed: the odometry's unless these were calibrated
+        # for wheel loads: the odometry's unless these were calibrated
         own = {f"load_{name}": vehicle.get(name) for name in ("track", "wheelbase")} | vehicle
         coefficients = cls(
             name=str(document.get("name", "")),
@@ -165,14 +156,9 @@ class Coefficients:
         return coefficients
 
     def wheel_loads_N(self, payload_kg: float, payload_x_m: float, payload_y_m: float) -> tuple[float, float, float]:
-        """Return the static loads (left, right, front) in N under a payload (Eqs 1-2 and the force balance).
+        """Return the static loads (left, right, front) under a payload (Eqs 1-2 and the force balance).
 
-        Parameters
-        ----------
-        payload_kg : float
-            Mass of the payload.
-        payload_x_m, payload_y_m : float
-            Its centre of mass, ahead of the rear axle and left of the centre line.
+        `payload_x_m`, `payload_y_m`: its centre of mass, ahead of the rear axle and left of the centre line.
         """
         total = self.mass_kg + payload_kg
         ahead = (self.mass_kg * self.cog_x_m + payload_kg * payload_x_m) / self.load_wheelbase_m
@@ -204,7 +190,7 @@ def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
 
 
 def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float], ...]:
-    """Return covariances between the wheels, and between wheels and track; empty where estimated apart."""
+    """Return covariances between wheels, and with the track; empty where estimated apart."""
     together = document.get("joint_geometry")
     if together is None:
         return ()
@@ -263,7 +249,7 @@ def _number(
 
 
 def _checksum(document: dict[str, Any]) -> str:
-    """Return the SHA-256 of the rest, keys sorted, no white space, numbers as shortest doubles."""
+    """Return the SHA-256 of the rest, keys sorted, numbers as shortest doubles."""
     body = {key: value for key, value in document.items() if key != "checksum"}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()

@@ -7,8 +7,7 @@ Wheel angles in, wheel travel with the effects out::
     motion = effects.step(d_angle_left_rad, d_angle_right_rad, dt_s)
     heading += motion.turn_rad
 
-Effects on readings (a turned or late reference, a rangefinder), at places of the floor, at stops and of the steering do
-not act on the wheels: `Effects.left_out` names those of the file.
+Effects on readings, at places, at stops and of the steering do not act on the wheels: see `Effects.left_out`.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from .coefficients import CoefficientError, Coefficients  # noqa: TID252 the fol
 
 __all__ = ["Effects", "Motion", "Run"]
 
-#: an effect depends a little on the path that it bends: so often it is computed anew, as in a diagnosis
+#: an effect depends on the path that it bends: so often it is computed anew
 PASSES = 3
 #: a shorter way has no curvature
 SHORTEST_STEP_M = 1e-6
@@ -34,8 +33,8 @@ SHORTEST_STEP_M = 1e-6
 class Run:
     """What holds during a run: wheel loads, surroundings, and the numbers that effects act through.
 
-    `speed_mps` is the mean over the run's way; `minutes_under_load` since the payload was put on, at the middle of the
-    run; `direction` is ``out`` or ``back``; `covariates` has further columns of the run table by name.
+    `speed_mps`: mean over the way; `minutes_under_load`: of the payload, in mid-run; `direction`: ``out`` or ``back``;
+    `covariates`: further columns of the run table.
     """
 
     load_left_N: float
@@ -74,7 +73,7 @@ class Motion:
 
 @dataclass(slots=True)
 class _Change:
-    """Relative changes of left travel, right travel and track; motion aside and turn beside them."""
+    """Relative changes of left travel, right travel and track; further motion."""
 
     left: float = 0.0
     right: float = 0.0
@@ -283,8 +282,7 @@ _OTHER_FORMS = ("change of load", "per session", "along the corridor alone", "ot
 class Effects:
     """The law and the named effects of a coefficient file, run by run and step by step.
 
-    `coefficients` is what `Coefficients.read` returns, `document` the same file as JSON. `left_out` names the effects
-    of the file that do not act on the motion of the wheels.
+    `document`: the file of `coefficients` as JSON; `left_out`: its effects that do not act on the wheels.
     """
 
     def __init__(self, coefficients: Coefficients, document: dict[str, Any]) -> None:
@@ -321,10 +319,7 @@ class Effects:
             raise CoefficientError(f"{path}: effects: {type(error).__name__}: {error}") from error
 
     def begin(self, run: Run) -> None:
-        """Begin a run: its loads and surroundings hold until the next one.
-
-        Raises CoefficientError where a load is not finite, or not valid and the file does not say clamp.
-        """
+        """Begin a run; raises CoefficientError where a load is not finite, or not valid and not to be clamped."""
         self._run, file = None, self.coefficients
         loads = {}
         for name, wheel in (("load_left_N", file.left), ("load_right_N", file.right)):
@@ -336,10 +331,7 @@ class Effects:
         self._phases = (run.phase_left_rad, run.phase_right_rad)
 
     def step(self, d_left_rad: float, d_right_rad: float, dt_s: float) -> Motion:
-        """Return the motion of one step in which the wheels turn by these angles.
-
-        Raises CoefficientError where no run was begun.
-        """
+        """Return the motion of a step in which the wheels turn by these angles; CoefficientError without a run."""
         run = self._run
         if run is None:
             raise CoefficientError("step: found no run; expected begin(Run(...)) before it")

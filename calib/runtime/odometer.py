@@ -10,8 +10,8 @@ Covariance. P = J C J' + R + Q, where
 - R <- F R F' + |s| (along^2 a a' + heading^2 h h'), a and h the derivatives of a step by s and by d: a random walk.
 - Q: the uncertainty of one reading of each encoder, once at the first sample (carried along in R) and once at the last.
 
-Faults. A refused sample changes nothing: the pose stays the last good one, and the next sample is measured against the
-last good counts. A fault thus lasts until a plausible sample comes, or until `rebase` gives the motion in between up.
+Faults. A refused sample changes nothing: the next is measured against the last good counts. A fault thus lasts until a
+plausible sample comes, or until `rebase` gives the motion in between up.
 """
 
 from __future__ import annotations
@@ -65,11 +65,10 @@ class OdometerFault(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Last good pose.
+    """Last good pose, `theta_rad` not wrapped.
 
-    `x_m`, `y_m`, `theta_rad` (not wrapped); `distance_m` driven, back and forth both counted; `t_s` of the last good
-    sample; `status` of the last call; `clamped` where a load was outside the valid range and the file says clamp;
-    `interrupted` where motion was given up since the last reset.
+    `distance_m`: back and forth both counted; `t_s`: of the last good sample; `status`: of the last call; `clamped`: a
+    load was; `interrupted`: motion was given up since the last reset.
     """
 
     x_m: float
@@ -134,7 +133,7 @@ class Odometer:
         self._status = Status.OK if self._radii else self._load_fault
 
     def rebase(self) -> None:
-        """Give up the motion since the last good sample: the next sample is a first one, the pose goes on."""
+        """Give up the motion since the last good sample; the pose goes on."""
         if self._counts is not None:
             self._interrupted = True
         self._counts = self._t = None
@@ -177,11 +176,8 @@ class Odometer:
     def set_wheel_loads(self, left_N: float, right_N: float) -> None:
         """Set the loads of the rear wheels; from the next sample on their radii hold.
 
-        Raises
-        ------
-        OdometerFault
-            Where a load is not finite, or outside the valid range and the file says refuse. Samples are then refused
-            until valid loads are set.
+        Raises OdometerFault where a load is not finite, or outside the valid range and the file says refuse; samples
+        are then refused.
         """
         self._radii, self._clamped = None, False
         try:
@@ -201,12 +197,9 @@ class Odometer:
         self._status = Status.OK
 
     def set_payload(self, payload_kg: float, payload_x_m: float = 0.0, payload_y_m: float = 0.0) -> None:
-        """Set the wheel loads from a payload and the position of its centre of mass; see `set_wheel_loads`.
+        """Set the wheel loads from a payload and its centre of mass; see `set_wheel_loads`.
 
-        Raises
-        ------
-        OdometerFault
-            Also where a wheel would lift or carry more than is permitted.
+        Raises OdometerFault also where a wheel would lift or carry too much.
         """
         self._radii, self._clamped = None, False
         try:
@@ -240,14 +233,9 @@ class Odometer:
         return self.pose
 
     def feed(self, counts_left: float, counts_right: float, t_s: float | None = None) -> Status:
-        """Feed the encoders' counters and return what became of it; never raises.
+        """Feed the encoders' counters as read, and return what became of it; never raises.
 
-        Parameters
-        ----------
-        counts_left, counts_right : int or float
-            Counters as read; wraps are undone where the file states the counters' width.
-        t_s : float, optional
-            Time of the sample; without it gaps in time are not seen.
+        Wraps are undone where the file states the counters' width; without `t_s` gaps in time are not seen.
         """
         self._status = self._feed(counts_left, counts_right, t_s)
         return self._status
@@ -338,7 +326,7 @@ class Odometer:
         self._distance += abs(s)
 
     def _reading(self) -> list[float]:
-        """Return the covariance (xx, xy, xt, yy, yt, tt) of one reading of each encoder at the pose."""
+        """Return the covariance (xx, xy, xt, yy, yt, tt) of one reading of each encoder."""
         if self._counts is None:
             return [0.0] * 6
         c = self.coefficients

@@ -36,11 +36,10 @@ BAG_METADATA: Final = "metadata.yaml"
 
 
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
-    """Read a table with its suffix's reader; a recording's streams are joined.
+    """Read a table, or the joined streams of a recording, with its suffix's reader.
 
-    `path`: the file, or the folder of a rosbag2 recording. `wanted`: called with each column name; True keeps the
-    column and makes it numeric; None keeps all as read. Raises BadFileError where the file is missing, of an unknown
-    format or damaged, or a reader's extra is not installed.
+    `path`: a file, or a rosbag2 folder; `wanted`: whether to keep the column of a name, as numbers; None keeps all as
+    read. Raises BadFileError where the file is missing, unknown or damaged, or an extra is not installed.
     """
     read = _reader(path, shown)
     try:

@@ -1,7 +1,6 @@
 """Files of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra.
 
-Objects and cells of MATLAB are never loaded, and the element tree is checked before a reader in C that trusts every tag
-gets it.
+MATLAB's objects are never loaded; its element tree is checked before a reader in C, which trusts every tag.
 """
 
 from __future__ import annotations
@@ -26,18 +25,13 @@ from calib.types import FloatArray, IntArray, floats, grouped
 if TYPE_CHECKING:
     from nptdms import TdmsChannel
 
-_NUMERIC: Final = (
-    "double",
-    "single",
-    "logical",
-    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
-)
+_NUMERIC: Final = ("double", "single", "logical", *(f"{sign}int{8 << n}" for sign in ("", "u") for n in range(4)))
 
 _HEADER_BYTES: Final = 128
 _TAG_BYTES: Final = 8
 _INT32, _UINT32, _MATRIX, _COMPRESSED = 5, 6, 14, 15
 #: types of data elements (MAT-File Format, table 1-1)
-_ELEMENT_TYPES: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18})
+_ELEMENT_TYPES: Final = frozenset(range(1, 19)) - {8, 10, 11}
 #: classes of arrays (table 1-2, with function handles and opaque objects)
 _ARRAY_CLASSES: Final = range(1, 18)
 _CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
-from calib.campaign.readers import table
 from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
 from calib.campaign.readers.table import (
+    HEADER_ROWS,
     LARGEST_VALUE,
     Layout,
     RawTable,
@@ -36,7 +36,7 @@ _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 #: searched for the header
 _HEAD_BYTES: Final = 1 << 16
-#: numpy reads tables of numbers up to so many bytes: importing pandas takes longer
+#: tables of numbers up to so many bytes are read without pandas, whose import takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
 _FEW_ROWS: Final = 8
@@ -83,7 +83,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
-    """Read the plain ones of many small files (with names in messages), those of one header at once; else None."""
+    """Read the plain ones of many small files, those of one header at once; else None."""
     tables: list[RawTable | None] = [None] * len(files)
     plain = ((index, _plain_csv(path, shown)) for index, (path, shown) in enumerate(files))
     groups = grouped((found[0], (index, found[1])) for index, found in plain if found)
@@ -110,7 +110,6 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
     start = data.find(b"\n") + 1
     if not 0 < start < len(data) or not data.isascii() or any(odd in data for odd in _BATCH_ODD):
         return None
-    # one sign is found faster than several
     if b"-" in data and any(zero in data for zero in _BATCH_SIGNED_ZERO):
         return None
     data = data if data.endswith(b"\n") else data + b"\n"
@@ -140,7 +139,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         rows = split_cells(lines, usual)
         if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
-    lines = _first_lines(data, table.HEADER_ROWS + (layout.header_row or 0))
+    lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
             expected = f"the header in row {layout.header_row}"
@@ -190,7 +189,7 @@ def _read_numeric(
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):
         return None
     comma = delimiter != "," and b"," in body
-    # an ambiguous 1,234 only reading cell by cell can tell
+    # 1,234 is ambiguous
     if comma and (b"." in body or not re.search(rb",\d{1,2}(?!\d)|,\d{4}|[+\-;\t\n]0,", body)):
         return None
     if (values := numpy_table(body, rows, len(names), delimiter)) is not None:
@@ -217,7 +216,7 @@ def numpy_table(body: bytes, rows: int, width: int, delimiter: str) -> FloatArra
 def _parsed(
     body: bytes, rows: int, names: Sequence[str], keep: Sequence[str], delimiter: str, decimal: str
 ) -> tuple[FloatArray, list[bool]] | None:
-    """Return the kept columns, shape (rows, n_kept), and which hold decimals; None where a cell is no number."""
+    """Return the kept columns, (rows, n_kept), and which hold decimals; None where a cell is no number."""
     import pandas as pd
 
     try:
@@ -238,7 +237,6 @@ def _parsed(
         kinds = [dtype.kind for dtype in frame.dtypes]
         if len(frame) != rows or not set(kinds) <= set("iuf"):
             return None
-        # all columns at once: asking for each is slower
         values = frame.to_numpy(np.float64)
     except (ValueError, OverflowError):
         return None
@@ -320,7 +318,7 @@ def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text with empty lines for those without cells, so that rows keep their numbers, and notes.
+    """Return a text with empty lines for those without cells, and notes.
 
     Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns.
     """
@@ -370,7 +368,7 @@ def _by_blanks(data: bytes) -> bool:
     lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
     if len(data) > _HEAD_BYTES:
         lines.pop()
-    lines = [line.strip() for line in lines if line.strip()][-table.HEADER_ROWS :]
+    lines = [line.strip() for line in lines if line.strip()][-HEADER_ROWS:]
     lines = lines[-max(_LEAST_LINES, len(lines) // 2) :]
     if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
         return False
@@ -380,7 +378,7 @@ def _by_blanks(data: bytes) -> bool:
 
 
 def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    """Return the cells of lines; a cell over several lines would shift the numbers of the rows."""
+    """Return the cells of lines, none over several lines."""
     with suppress(csv.Error):
         rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
         if len(rows) == len(lines):
@@ -390,7 +388,7 @@ def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 
 def find_delimiter(lines: Sequence[str]) -> str:
     """Return the delimiter that splits the most consecutive lines into one number of cells, above one."""
-    filled = [line for line in lines if line.strip()][: table.HEADER_ROWS]
+    filled = [line for line in lines if line.strip()][:HEADER_ROWS]
     # first of equals: commas as regular as semicolons are decimal
     regular = {}
     for mark in (";", "\t", ","):

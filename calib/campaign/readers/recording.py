@@ -122,9 +122,9 @@ class WantedColumns(frozenset[str]):
 
 
 def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
-    """Return a column at other times, shape (n_times,), linear between samples, NaN outside the span and in gaps.
+    """Return a column at other times, (n_times,), NaN outside the span and in gaps.
 
-    `shift_ns`: the stream's lag, taken off its times first.
+    `shift_ns`: the stream's lag, taken off first.
     """
     known = ~np.isnan(stream.columns[column])
     if stream.time_ns is None or not known.any():
@@ -143,10 +143,9 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
 def joined_table(
     recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
 ) -> RawTable:
-    """Return the recording as one table on one stream's times, the others interpolated.
+    """Return the recording as one table on the times of `base` (by default the longest), the others interpolated.
 
-    `base`: that stream; None: the one with most samples. `shifts_s`: column -> lag, taken off. `clock`: whether `base`
-    has the clock; else columns of its length are taken as they are.
+    `shifts_s`: column -> lag, taken off; `clock`: whether `base` has the clock, else columns of its length are kept.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)

@@ -193,7 +193,6 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     for at, name in enumerate(names):
         unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
         group = (spread[at] if name else own[at]) if unclear else ""
-        # a group's unit stands last, where units are read
         unit = _UNIT_AT_END.search(group) if name else None
         parts = (group[: unit.start()].rstrip(), name, unit[0].strip()) if unit else (group, name)
         out.append(" ".join(part for part in parts if part))
@@ -215,9 +214,9 @@ def _with_units(names: Sequence[str], units: Sequence[str], shown: str) -> tuple
 def finished(
     columns: dict[str, npt.NDArray[Any]], lines: Sequence[int], wanted: Wanted | None, notes: Sequence[Note], shown: str
 ) -> RawTable:
-    """Return a table of cells as read; where `wanted` is given of numbers, times of the clock in s since the first.
+    """Return a table of cells as read; with `wanted` of numbers, clock times in s since the first.
 
-    Raises BadFileError where a cell is no number; for the parameters see `table_rows`.
+    Raises BadFileError where a cell is no number; see `table_rows`.
     """
     line, notes = np.asarray(lines, dtype=np.int64), list(notes)
     if wanted is None:
@@ -255,17 +254,9 @@ def table_rows(
 ) -> tuple[list[str], Rows, list[int], list[Note]]:
     """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
-    A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
-    column repeat goes into its name.
-
-    Parameters
-    ----------
-    names, n_rows
-        Of the columns, and how many of the rows are the header.
-    rows, lines
-        Cells as read, the header's first; their rows in the file, counted from 1.
-    layout, shown
-        Whether the file is a laboratory's, and its name in messages.
+    A row of one text is a remark, unless it is written as others of its column. A unit that all cells of a column
+    repeat goes into its name. `rows`, `lines`: cells as read, and their rows in the file, from 1, the header's `n_rows`
+    first; for `layout` see `Layout`.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:

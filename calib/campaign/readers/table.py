@@ -164,7 +164,7 @@ def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
-    """Return the index of the first row of texts about as wide as those below it, with a number soon beneath."""
+    """Return the index of the first row of texts about as wide as those below, with a number soon beneath."""
     filled = [filled_cells(row) for row in rows]
     for index, cells in enumerate(filled):
         below = sorted(len(row) for row in filled[index + 1 :] if row)
@@ -184,20 +184,10 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 def numbers(
     cells: Cells, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None, notes: Notes = None
 ) -> tuple[FloatArray, bool]:
-    """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
+    """Return cells as numbers, NaN where empty, and whether a decimal comma was read; see `RawTable`.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
-
-    Parameters
-    ----------
-    cells, line : array, shape (n_rows,)
-        Text, numbers or None, and their lines.
-    shown, column
-        File and column, for messages.
-    decimal_comma
-        What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
-    notes : list of Note
-        Added to.
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways. `decimal_comma`: what
+    the rest of the file says; None: nothing, and ``1,234`` is refused; `notes`: added to.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
@@ -311,9 +301,9 @@ def time_format(text: str) -> str | None:
 
 
 def moment_ns(text: str, *, month_first: bool = False) -> int:
-    """Return a time in ns since 1970 (UTC without a zone), a time of day since midnight; raises ValueError.
+    """Return a time in ns since 1970 (UTC without a zone), or midnight; raises ValueError.
 
-    `month_first`: whether the month stands before the day between slashes.
+    `month_first`: before the day, between slashes.
     """
     clean = text.strip()
     if (match := next(filter(None, (form.fullmatch(clean) for form in _TIMES.values())), None)) is None:
@@ -343,7 +333,7 @@ def _month_before_day(cells: Sequence[Any] | npt.NDArray[Any]) -> bool:
 
 
 def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int | None]:
-    """Return times of one format as nanoseconds, see `moment_ns`, and the index of the first cell that is no time."""
+    """Return times of one format, see `moment_ns`, and the index of the first cell that is none."""
     out = np.zeros(len(cells), dtype=np.int64)
     passed_ns = 0
     month_first = len(cells) > 0 and time_format(str(cells[0])) == "slashes" and _month_before_day(cells)

@@ -1,7 +1,4 @@
-"""Excel workbooks (``.xlsx``), and Parquet tables with the ``parquet`` extra.
-
-A workbook's unpacked size is counted before a library lays out every empty place between its cells.
-"""
+"""Excel workbooks (``.xlsx``), counted before they are unpacked, and Parquet tables with the ``parquet`` extra."""
 
 from __future__ import annotations
 
@@ -196,7 +193,7 @@ def _dated(cells: list[Any]) -> list[Any]:
 
 
 def check_size(path: Path, shown: str) -> int:
-    """Return the last row, of any sheet, with a filled cell; raises BadFileError beyond limits of `calib.errors`."""
+    """Return the last filled row of any sheet; raises BadFileError beyond limits of `calib.errors`."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _check_parts(archive, shown)

@@ -102,8 +102,7 @@ class ExportOptions:
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
     """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.
 
-    Returns ``path`` and ``sha256`` of each. Raises BadInputError where a file exists and `force` is False; nothing is
-    then written.
+    Returns ``path`` and ``sha256`` of each. Raises BadInputError where a file exists, unless `force`.
     """
     single = len(artifacts) == 1 and not output.is_dir() and output.suffix != ""
     targets = [output if single else output / artifact.name for artifact in artifacts]
@@ -119,10 +118,7 @@ def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[d
 
 
 def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
-    """Return the load points of the load table, or else both ends and the reference of the common valid range.
-
-    One point where the radii do not follow the load.
-    """
+    """Return the load points of the load table, else ends and reference of the common valid range, or any load."""
     if file.load_table:
         return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
     left, right = file.law.left, file.law.right

@@ -224,10 +224,7 @@ def written(values: tuple[float, ...]) -> str:
 
 
 def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
-    """Write radii, track, and the height of both axles; return what could not be written.
-
-    Each wheel is lowered or raised so that the chassis keeps its height; both move sideways alike, a track apart.
-    """
+    """Write radii, track, and the axles' height, that the chassis keeps its own; return what could not be written."""
     for wheel, radius in ((left, new.left_m), (right, new.right_m)):
         if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:
             raise RefusedError(

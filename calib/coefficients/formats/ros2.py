@@ -112,7 +112,7 @@ class Diagonals:
 
 
 def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
-    """Return the diagonals of odometry from two wheels on an axle at a load point, or the end of the valid range."""
+    """Return the diagonals of odometry from two wheels on an axle at a load point, or the nearest valid one."""
     law, track = file.law, file.vehicle.track.value
     loads = within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])

@@ -18,8 +18,8 @@ from calib.types import BoolArray, FloatArray
 
 #: prior standard deviation of sizes, in typical sizes: only keeps the solution finite
 SIZE_SD = 30.0
-#: prior standard deviation of a recalibration, relative: left, right radius, track, front radius; the last is held: a
-#: front wheel that disagrees is a gap to be named
+#: prior standard deviation of a recalibration, relative: left, right radius, track, front radius; the last is held: its
+#: error is a gap to be named
 CALIBRATION_SD: Final = np.array([0.03, 0.03, 0.1, 1e-6])
 #: halvings of a step that raises the misfit: to a thousandth
 _MAX_HALVINGS: Final = 10
@@ -27,7 +27,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: chance that noise alone makes all linear about a recalibration's path: a small one shows about the model's own too
+#: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001
 
 
@@ -44,7 +44,7 @@ class Fitted:
     left: FloatArray  #: shape (n_units, 6): residuals, not whitened
 
     def at_end(self) -> Fitted:
-        """Return the fit as a file holds it: what counts on is zero at the campaign's end, with the radii there."""
+        """Return the fit as a file holds it: what counts on is zero at the campaign's end."""
         place, turned = 4, np.eye(len(self.covariance))
         for form in self.forms:
             if form.end is not None and form.centre is not None:
@@ -66,7 +66,7 @@ class Fitted:
 
 
 def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | None) -> list[Perturbation]:
-    """Return the perturbations of a recalibration (left, right, track, front), relative, shape (4,)."""
+    """Return the perturbations of a relative recalibration (left, right, track, front), (4,)."""
     ones = np.ones(len(s))
     perturbations = [Perturbation(left=ones * calibration[0], right=ones * calibration[1], track=ones * calibration[2])]
     if calibration[3] != 0 and path is not None:
@@ -77,18 +77,9 @@ def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | No
 def hypothesis_path(
     s: Observations, calibration: FloatArray, forms: Sequence[Form], theta: Sequence[FloatArray], about: Path
 ) -> Path:
-    """Re-simulate under a hypothesis whose perturbations are taken about a path.
+    """Re-simulate under a hypothesis whose perturbations are taken `about` a path.
 
-    Parameters
-    ----------
-    s : Observations
-    calibration : array of float, shape (4,)
-        Relative change of left radius, right radius, track, front radius.
-    forms : sequence of Form
-    theta : sequence of array of float, each shape (n_parameters,)
-        Sizes of each form, in its parameters' units.
-    about : Path
-        Where the perturbations are taken.
+    `calibration`: (4,), see `Fitted`; `theta`: sizes of each of `forms`, in its parameters' units.
     """
     pushes = calibration_pushes(s, calibration, about)
     acting = [(form, sizes) for form, sizes in zip(forms, theta, strict=True) if np.any(sizes != 0)]
@@ -112,7 +103,7 @@ def recalibration_columns(path: Path) -> FloatArray:
 
 
 def hypothesis_columns(path: Path, forms: Sequence[Form]) -> FloatArray:
-    """Return those columns and the forms' signatures times typical sizes, (n_units, 6, 4 + n_parameters)."""
+    """Return those and the forms' signatures times typical sizes, (n_units, 6, 4 + n_parameters)."""
     return np.concatenate([recalibration_columns(path), *signature_columns(path, forms)], axis=2)
 
 
@@ -122,10 +113,7 @@ def by_form(forms: Sequence[Form], values: FloatArray) -> list[FloatArray]:
 
 
 def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
-    """Return a basis, (4 + n_others, k + n_others), of the calibration along directions (k, 4) and of `n_others` sizes.
-
-    Each of unit prior variance.
-    """
+    """Return a basis (4 + n_others, k + n_others), to unit prior variance, of directions (k, 4) and other sizes."""
     whole = np.zeros((4 + n_others, len(along) + n_others))
     scaled = (along / CALIBRATION_SD).T
     whole[:4, : len(along)] = scaled / np.linalg.norm(scaled, axis=0)
@@ -135,7 +123,7 @@ def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """Squares to make small; parameters over their prior standard deviation or typical size."""
+    """Squares of parameters over their prior standard deviation or typical size."""
 
     nominal: Path
     noise: Noise
@@ -177,21 +165,11 @@ def fit(
     start: Fitted | None = None,
     steps: int = 10,
 ) -> Fitted:
-    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
+    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path; see `Fitted`.
 
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-    forms : sequence of Form
-        Effects to fit.
-    along : array, shape (k, 4), optional
-        Directions in which left radius, right radius, track and front radius may change; all by default.
-    start : Fitted, optional
-        Where to begin (its calibration; its parameters where the forms are the same).
-    steps : int
-        At most; a step below a hundredth of the standard uncertainty is the last. 0: stay at the start.
+    `nominal`: the model alone, with its `noise`; `forms`: effects to fit; `along` (k, 4): directions in which the
+    calibration may change, all by default; `start`: where to begin (calibration, and sizes of the same forms); `steps`:
+    at most, 0: stay at the start.
     """
     s = nominal.s
     freedom = np.array([True, True, True, bool(s.usable[:, 4:].any())]) & (not s.calibration_held)
@@ -237,8 +215,8 @@ def fit(
 def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fitted:
     """Return the recalibration alone; none where the model's own leaves no more than noise may.
 
-    Where routes hardly tell a direction (closed loops of one sense: radii and track together), the best recalibration
-    is far off, and nothing linear about its path holds for the model's own.
+    Where routes hardly tell a direction (closed loops of one sense) the best is far off, and nothing linear about it
+    holds for the model's own.
     """
     alone, fitted = fit(nominal, noise, steps=0), fit(nominal, noise, start=start)
     return fitted if is_gain(alone.chi_square - fitted.chi_square, alone) else alone
@@ -253,7 +231,7 @@ def is_gain(squares: float, fitted: Fitted) -> bool:
 
 
 def linear_rest(fitted: Fitted, noise: Noise) -> float:
-    """Return the squares that the linear fit about a hypothesis would leave of the residual."""
+    """Return the squares that a linear fit about a hypothesis would leave."""
     columns = np.append(hypothesis_columns(fitted.path, fitted.forms), fitted.left[:, :, None], axis=2)
     whole = whitened_rows(fitted.path, noise, columns)
     gram = whole.T @ whole
@@ -291,7 +269,7 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
 def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
     """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters).
 
-    Each part of the path is visited once; a form whose signature needs no steps comes whole.
+    Each part of the path is visited once.
     """
 
     def columns(part: Path, form: Form, pushes: Sequence[Perturbation]) -> FloatArray:
@@ -313,10 +291,7 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
-    """Return the parameters whose interval holds zero and reaches beyond what is plausible on both sides.
-
-    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of the intervals.
-    """
+    """Return the parameters whose interval `half_width` (n_parameters,) reaches beyond plausible on both sides."""
     return tuple(
         parameter.name
         for parameter, size, half in zip(parameters, sizes, half_width, strict=True)
@@ -327,10 +302,9 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 def identifiability_message(
     parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
 ) -> str:
-    """Say what the runs leave undetermined or determine only together; else empty.
+    """Say which of an effect's parameters the runs leave undetermined or determine only together; else empty.
 
-    `parameters`: of one effect; `sizes`: (n_parameters,), of `covariance`; `coverage`: half an interval over its
-    standard uncertainty.
+    `coverage`: half an interval over its standard uncertainty.
     """
     spread = np.sqrt(np.diag(covariance))
     open_ones = undetermined(parameters, sizes, coverage * spread)

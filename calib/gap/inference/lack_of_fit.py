@@ -1,8 +1,7 @@
 """Lack of fit: random effects that no effect of the library explains, beside every hypothesis.
 
-y = C beta + sum_k S_k theta_k + R + noise. R is an offset of a channel or the calibration that each condition (or cell)
-has of its own, or a trend on the surroundings that no effect describes; its scale is averaged over a grid that includes
-zero.
+y = C beta + sum_k S_k theta_k + R + noise. R is an offset of channel or calibration that each condition (or cell) has
+of its own, or a trend on the surroundings; its scale is averaged over a grid with zero.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ SCATTER: Final = "recordings"
 MIN_RECORDINGS: Final = 3
 #: largest relative scatter of radii: the largest plausible step between sessions
 LARGEST_SCATTER: Final = 1e-2
-#: fewer offsets are no sample of a lack of fit: a recalibration and an effect make them too
+#: fewest offsets: a recalibration and an effect make some too
 MIN_CELLS: Final = 8
 #: standard deviation of the lack of fit, in noise levels of one run
 LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -36,7 +35,7 @@ LACK_OF_FIT_SCALES: Final = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockColumns:
-    """Columns that some blocks of one length have of their own, of one number."""
+    """Own columns, of one number, of blocks of one length."""
 
     group: int  #: of the length in `Blocks.alike`
     same: IntArray | slice  #: which of the blocks of that length
@@ -71,10 +70,7 @@ class Blocks:
         return values[places[0, 0] : places[-1, -1] + 1].reshape(*places.shape, values.shape[1])
 
     def stacked(self, parts: Sequence[FloatArray]) -> list[BlockColumns]:
-        """Join columns of each block's own, (n_rows of the block, q), where of one shape.
-
-        There are hundreds of small blocks; those without a column are omitted.
-        """
+        """Join columns of each block's own, (n_rows of the block, q), where of one shape."""
         stacks = []
         for group, (numbers, _) in enumerate(self.alike):
             widths = np.array([parts[number].shape[1] for number in numbers])
@@ -94,13 +90,13 @@ class LackOfFit:
     """One component of lack of fit."""
 
     name: str  #: what varies, and from where to where
-    stacks: Sequence[BlockColumns] = ()  #: whitened columns of each block's own, scaled to about the noise of a run
+    stacks: Sequence[BlockColumns] = ()  #: whitened, scaled to about the noise of a run
     common: FloatArray | None = None  #: shape (n_rows, q): whitened columns common to all blocks
-    relative: float = 0.0  #: relative scatter of radii between recordings at a scale of 1
+    relative: float = 0.0  #: scatter of radii between recordings at a scale of 1
 
     @property
     def is_interaction(self) -> bool:
-        """Whether it is a trend under other loads, speeds or turns, looked for last."""
+        """Whether it is a trend under other loads, speeds or turns."""
         return self.name == INTERACTION
 
     @property
@@ -123,11 +119,9 @@ def row_blocks(s: Observations) -> Blocks:
 
 
 def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[LackOfFit]:
-    """Return the components of lack of fit that these runs could show.
+    """Return the components of lack of fit that these runs could show, linearised about `path`.
 
-    What was driven once has no offset of its own: that would be noise.
-
-    `path`: where to linearise.
+    What was driven once has no offset of its own.
     """
     s = path.s
     calibration = whitened_rows(path, noise, path.calibration * CALIBRATION_SD)[:, :3]
@@ -163,7 +157,6 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
             kinds.append(LackOfFit(f"{name} by {grouping}", blocks.stacked(parts)))
     run = s.run[blocks.unit]
     if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():
-        # both wheels stand for a steered one that drives the odometry
         radii = own[:, :2].sum(axis=1, keepdims=True) if s.by_front else own[:, :2]
         columns = _spread(radii, run, np.ones(len(run), dtype=bool))
         kinds.append(LackOfFit(SCATTER, common=columns, relative=float(np.mean(CALIBRATION_SD[:2] / norm[:2]))))

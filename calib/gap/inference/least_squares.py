@@ -22,7 +22,7 @@ from calib.types import BoolArray, FloatArray
 _ROUNDING: Final = 1e-11
 #: halvings of a step that runs away: to a sixty-fourth
 _STEP_HALVINGS: Final = 6
-#: what a step may leave, over what was left before and what it was to leave
+#: what a step may leave, over what was left and what it was to leave
 _MAX_MISFIT_RATIO: Final = 2.0
 #: largest variance of a predicted correction, as a share of its square
 MAX_PREDICTION_VARIANCE: Final = 0.1
@@ -40,8 +40,7 @@ class Weighting:
     system: LinearSystem
     name: str  #: component of lack of fit; empty: none
     scale: float  #: its standard deviation in noise levels of one run; 0: none
-    #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside noise of variance 1: a
-    #: covariance of its rows would grow with their square
+    #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside unit noise
     own: tuple[FloatArray, ...]
     #: shape (n_rows, q): columns common to all blocks, to unit prior variance
     common: FloatArray
@@ -50,7 +49,7 @@ class Weighting:
     def from_component(
         system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
     ) -> Weighting:
-        """Build from a component of lack of fit (-1: none), its scale and each block's deviations, (n_rows, k)."""
+        """Return that of a component (-1: none), its scale and each block's deviations, (n_rows, k)."""
         rest = system.kinds[kind] if kind >= 0 else LackOfFit("")
         nothing = np.zeros((len(system.gap), 0))
         groups = []
@@ -99,7 +98,7 @@ class Weighting:
         weighed = self._products(whole, None if use is None else use[system.blocks.unit].astype(np.float64))
         normal += weighed[:n, :n]
         right = weighed[:n, n]
-        # on a unit diagonal, a little added: columns alike stay solvable
+        # on a unit diagonal columns alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
         p = columns.shape[1]
@@ -112,7 +111,7 @@ class Weighting:
         return float(inside[0, 0] - common)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return sqrt(change^T V change), the gap's standard deviation along a change (n_rows,) of some units."""
+        """Return the gap's standard deviation along a change (n_rows,) of some units, sqrt(change^T V change)."""
         blocks, total = self.system.blocks, 0.0
         used = change * units[blocks.unit]
         for group, own in enumerate(self.own):
@@ -123,13 +122,10 @@ class Weighting:
 
 
 def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
-    """Return a hypothesis fitted in the linear model about a path, and re-simulated.
+    """Return a hypothesis (numbers of forms) fitted in the linear model about a path, and re-simulated.
 
-    A step that leaves more than twice what was left before, and than it was to leave, is halved; of the path's own
-    hypothesis none is taken that leaves more than before. The calibration stays the model's own where it promises no
-    more than noise may: see `recalibrate`.
-
-    `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by.
+    A step that leaves more than `_MAX_MISFIT_RATIO` allows is halved; of the path's own hypothesis none is taken that
+    leaves more than before. The calibration stays the model's own where it promises no more than noise may.
     """
     columns = system.columns_of(model)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])
@@ -177,8 +173,7 @@ def _simulated_at(
 class HeldOutFit:
     """Holds runs out of a fit in turn.
 
-    `fitted`: on all runs; `nominal`: the model alone; `weighting`: lack of fit, none by default; `along`: directions of
-    the calibration, (k, 4).
+    `fitted`: on all runs; `nominal`: the model alone; `weighting`: none by default; `along`: see `fit`.
     """
 
     def __init__(
@@ -216,7 +211,7 @@ class HeldOutFit:
         return np.where(self.observations.usable[:, :, None], columns @ self.basis, 0.0)
 
     def contribution(self, effects: Collection[str]) -> FloatArray:
-        """Return what some effects do to the readings at their fitted sizes, shape (n_units, n_channels)."""
+        """Return what some effects do to the readings, shape (n_units, n_channels)."""
         wanted = [form.effect in effects for form in self.fitted.forms for _ in form.parameters]
         first = self.derivative.shape[2] - len(wanted)
         contributed: FloatArray = self.derivative[:, :, first:] @ (self.fitted.parameters * wanted)
@@ -237,20 +232,14 @@ class HeldOutFit:
         return self._solved[key]
 
     def is_predictive(self, out: BoolArray) -> bool:
-        """Return whether the other units determine what the correction does on the units `out`.
-
-        Where they do not (a turn's effect without turns), leaving out says nothing.
-        """
+        """Return whether the others determine the correction on the units `out` (a turn's effect needs turns)."""
         on = out[self.weighting.system.blocks.unit]
         correction = self.columns[on] @ self.all_estimates
         uncertain = self.prediction_variance(out)[0]
         return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
 
     def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
-        """Return the squares that errors of the estimates add to the prediction of units, and half their variance.
-
-        `out`: (n_units,), units that the estimates are without.
-        """
+        """Return the squares that errors of estimates without the units `out` add there, and half their variance."""
         columns = self.columns[out[self.weighting.system.blocks.unit]]
         spread = (columns.T @ columns) @ self._without(out)[1]
         return float(np.trace(spread)), float(np.trace(spread @ spread))
@@ -260,6 +249,6 @@ class HeldOutFit:
         return fitting.squares_by_unit(self.fitted.path, self.noise, residuals)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return the gap's standard deviation, lack of fit included, along a change of some units' readings."""
+        """Return the gap's standard deviation along a change of some units' readings."""
         white = whitened(self.fitted.path, self.noise, change)
         return self.weighting.spread(white[self.weighting.system.blocks.order], units)

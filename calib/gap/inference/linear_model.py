@@ -1,7 +1,4 @@
-"""The whitened linear model about one path: its design matrix, and scalar products at each scale of the lack of fit.
-
-Products are sums over conditions: lack of fit of a condition's own is taken out condition by condition.
-"""
+"""The whitened linear model about one path: design matrix, and scalar products at each scale of the lack of fit."""
 
 from __future__ import annotations
 
@@ -44,7 +41,6 @@ class LinearSystem:
         place = np.argsort(order)
         edges = np.concatenate(([0], np.cumsum(path.s.usable.sum(axis=1))))
         for number, units, some in fitting.signatures_by_part(path, self.forms):
-            # as they come: to hold them before whitening would take twice the room
             rows = place[edges[units.start] : edges[units.stop]]
             self.of(number)[rows] = fitting.whitened_rows(path, noise, some, units)
         self.left = fitting.whitened(path, noise, residuals(path, nominal))[order]
@@ -70,7 +66,7 @@ class LinearSystem:
 
     @property
     def _common(self) -> dict[int, slice]:
-        return common_places(self.kinds, self._n_narrow + 1 + self.layout.n_wide)
+        return _common_places(self.kinds, self._n_narrow + 1 + self.layout.n_wide)
 
     @cached_property
     def _gram(self) -> FloatArray:
@@ -118,8 +114,8 @@ class LinearSystem:
     ) -> Sums:
         """Return scalar products of forms and gap under each scale of the lack of fit, the recalibration free.
 
-        `deviations`: (n_rows, k), an effect's in each condition, to unit prior variance; `prior_rest`: prior odds of a
-        lack of fit; `interactions`: weigh those of the surroundings too.
+        `deviations`: (n_rows, k), of effects in each condition, to unit prior variance; `prior_rest`: prior odds of a
+        lack of fit; `interactions`: also those of the surroundings.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
@@ -134,12 +130,11 @@ class LinearSystem:
         own = whole[:, : m + p + 1].T @ whole
         gram = np.block([[own], [own[:, m + p + 1 :].T, self._gram[first:, first:]]])
         reduced = Reduced(whole, above_rounding(gram), deviations, self.blocks)
-        kinds, common = list(enumerate(self.kinds)), common_places(self.kinds, m + p + 1)
+        kinds, common = list(enumerate(self.kinds)), _common_places(self.kinds, m + p + 1)
         return scalar_products(reduced, kinds, common, (m, p, 0), LACK_OF_FIT_SCALES, prior_rest)
 
 
-def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
-    """Return the places of columns common to all blocks, from `first` on, by number."""
+def _common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
     places = {}
     for number, kind in enumerate(kinds):
         if kind.common is not None:
@@ -149,10 +144,10 @@ def common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:
 
 
 class WhitenedSystem:
-    """The whitened system about one path: residual, recalibration and form columns, made once each.
+    """Whitened residual, recalibration and form columns about one path, made once each.
 
-    `nominal`: the model alone; `offered`: forms that will be asked for, at once on a path worked through in parts;
-    `known`: a system about the same path with the same noise.
+    `nominal`: the model alone; `offered`: forms to be asked for, made at once on a path in parts; `known`: a system of
+    the same path and noise.
     """
 
     def __init__(
@@ -173,6 +168,6 @@ class WhitenedSystem:
             wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
             self._offered = ()
             for other, columns in zip(wanted, fitting.signature_columns(self.path, wanted), strict=True):
-                # kept with its form, whose id stays its own
+                # with its form, whose id stays its own
                 self._columns[id(other)] = other, fitting.whitened_rows(self.path, self.noise, columns)
         return self._columns[id(form)][1]

@@ -23,35 +23,33 @@ from calib.types import BoolArray, FloatArray
 _FORMS_PER_EFFECT: Final = 2
 #: steps of one pass
 _MAX_STEPS: Final = 24
-#: scales of the lack of fit weighed while stepping: this log-evidence window below the best
+#: log-evidence window of scales of the lack of fit weighed while stepping
 _ACTIVE_WINDOW: Final = 9.0
-#: a lack of fit this small is omitted while stepping
+#: of a lack of fit, omitted while stepping
 _SMALLEST_SCALE: Final = 0.3
-#: scales of the lack of fit beside which an effect's forms are ranked
+#: of the lack of fit beside which an effect's forms are ranked
 _RANKING_SCALES: Final = (3.0, 10.0)
 #: models whose neighbours are weighed at the end
 _EXPANDED_MODELS: Final = 4
-#: models that the recalibration is judged beside, and their least probability over the best
+#: models that the recalibration is judged beside, and least probability over the best
 _MAX_ALTERNATIVES: Final = 4
 _MIN_ALTERNATIVE_ODDS: Final = 0.05
-#: shares of what effects may deviate by, the most probable of which is fitted beside
+#: shares of what effects may deviate by; the most probable counts
 _DEVIATION_SHARES: Final = (1.0, 0.1, 0.0)
 Model = tuple[int, ...]
-#: what is less probable than this is likelier not to be
 EVEN_PROBABILITY: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """Assumptions of the search; fixed on development cases, never on scored ones."""
+    """Assumptions of the search, by development cases."""
 
     further: float = 0.5  #: prior odds of one more effect at work
-    #: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third, and
-    #: outside effects at a signal of 10 still show
+    #: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third
     prior_rest: float = 0.05
     tolerance: float = 0.15  #: share by which an effect may deviate from its form in a condition
     most_effects: int = 6  #: effects named at most
-    #: effects of which all pairs are tried, since one may hide the other; of more, the most probable
+    #: effects of which all pairs are tried: one may hide the other
     paired: int = 60
 
 
@@ -96,7 +94,7 @@ class LocalSearch:
 
     @property
     def deviations(self) -> FloatArray:
-        """Deviations of each condition from the current forms, shape (n_rows, n_forms)."""
+        """Of each condition from the current forms, shape (n_rows, n_forms)."""
         return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
 
     def _sums_beside(self) -> Sums:
@@ -107,7 +105,7 @@ class LocalSearch:
         return tuple(self.columns.forms[k] for k in model)
 
     def weigh(self, models: Sequence[Model], sums: Sums | None = None) -> FloatArray:
-        """Return the log weights of models, (n_scales, n_models); minus infinity for what nothing lets act."""
+        """Return the log weights of models, (n_scales, n_models); -inf for what nothing lets act."""
         weight = log_weights(sums or self.sums, self.columns, models)
         weight[:, [not self._acts(model) for model in models]] = -np.inf
         return weight
@@ -133,12 +131,11 @@ class LocalSearch:
         return float(_total(self.weigh([self.current]))[0])
 
     def weighting(self) -> Weighting:
-        """Return the most probable lack of fit beside the current hypothesis, and its effects' deviations.
+        """Return the most probable lack of fit and deviations beside the current hypothesis.
 
-        Deviations that may be large but are not would leave a strong effect's size to chance.
+        Deviations larger than they are would leave a strong effect's size to chance.
         """
         full_deviations = self.deviations
-        # what else is on offer does not change a scale's odds beside these forms
         own, model = self.system.only(self.current), tuple(range(len(self.current)))
         priors = FormPriors.from_forms(own.forms, self.settings.further)
         weightings = []
@@ -156,7 +153,7 @@ class LocalSearch:
         return controlled_step(self.system, self.current, self.weighting())
 
     def neighbours(self, model: Model) -> list[Model]:
-        """Return the models one effect more, one less or one exchanged away, this one first."""
+        """Return this model, and those one effect more, less or exchanged away."""
         name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
         held = {name[k] for k in model}
         models = [model, *(tuple(j for j in model if j != k) for k in model)]
@@ -218,7 +215,7 @@ class LocalSearch:
     def greedy_search(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.
 
-        A move has to pay beside the deviations before and after it, else two hypotheses would alternate.
+        A move has to pay beside the deviations before and after it, or two would alternate.
         """
         refused: set[frozenset[int]] = set()
         models, value = self._weighed_around(refused)
@@ -254,7 +251,7 @@ class LocalSearch:
         self.sums = self._sums_beside()
 
     def posterior(self) -> tuple[list[Model], FloatArray]:
-        """Return the models about the best ones, and their log weights (n_scales, n_models)."""
+        """Return the models about the best, and their log weights (n_scales, n_models)."""
         models: dict[Model, None] = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
         self.current = tuple(sorted(self.current))
         listed = list(models)
@@ -290,14 +287,13 @@ class SearchResult:
     fitted: Fitted  #: the best hypothesis, a recalibration free beside it
     base: Fitted  #: the recalibration alone
     alone: LinearSystem  #: about its path, with every form
-    system: LinearSystem  #: about the best hypothesis' path, with all effects' best forms
-    forms: dict[str, list[Form]]  #: forms of each effect on this campaign
-    models: tuple[tuple[str, ...], ...]  #: sets of effects weighed, best first
-    probabilities: FloatArray  #: shape (n_models,): of each set
-    #: best other models, by form numbers in `system`, each with its odds over the best
-    alternatives: tuple[tuple[Model, float], ...]
-    rest: float  #: probability of a lack of fit beside anything else that acts
-    weighting: Weighting  #: lack of fit beside the best hypothesis, and its effects' deviations
+    system: LinearSystem  #: about the best hypothesis' path, with the best forms
+    forms: dict[str, list[Form]]  #: of each effect
+    models: tuple[tuple[str, ...], ...]  #: sets of effects, best first
+    probabilities: FloatArray  #: shape (n_models,)
+    alternatives: tuple[tuple[Model, float], ...]  #: best others, in forms of `system`, and odds over the best
+    rest: float  #: probability of a lack of fit
+    weighting: Weighting  #: beside the best hypothesis
     nothing: float  #: probability of neither an effect nor a lack of fit, recalibration free
 
     @property

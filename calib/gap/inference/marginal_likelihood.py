@@ -20,14 +20,14 @@ _BATCH_SIZE: Final = 400
 _BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
-#: smallest prior scale of a column, in typical sizes, and ridge beside which sizes are fitted to choose it
+#: smallest prior scale of a column, in typical sizes, and ridge of the sizes that choose it
 _LEAST_SCALE: Final = 0.1
 _RIDGE: Final = 1e-2
 #: probability of a scale that adds nothing to an average
 _NO_WEIGHT: Final = 1e-15
-#: pivot of a unit-diagonal matrix: smaller ones are rounding
+#: of a unit-diagonal matrix: smaller is rounding
 _LEAST_PIVOT: Final = 1e-12
-#: wide forms that cannot come within this log-evidence window of the best are not weighed
+#: log-evidence window of the best, beyond which wide forms are not weighed
 _NEGLIGIBLE: Final = 60.0
 
 
@@ -43,7 +43,7 @@ class Nuisance:
     def of(columns: FloatArray) -> Nuisance:
         """Make it of whitened columns (n_rows, k) to unit prior variance."""
         gram = np.eye(columns.shape[1]) + columns.T @ columns
-        # on a unit diagonal: columns of very different size, or alike, stay factorable
+        # on a unit diagonal columns alike stay factorable
         root = np.sqrt(np.diag(gram))
         lower = np.linalg.cholesky(gram / np.outer(root, root) + 1e-11 * np.eye(len(gram)))
         inverse = np.linalg.solve(lower, np.diag(1.0 / root))
@@ -57,32 +57,24 @@ class Nuisance:
 
 
 def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
-    """Return the log evidence of a Gaussian hypothesis whose noise level is known up to a common factor.
+    """Return the log evidence of a Gaussian hypothesis, a common factor of the noise level integrated out.
 
-    With the factor integrated out (Student's t, without its constant), a noise level too small by a quarter or heavy
-    tails do not pass for a cause.
-
-    `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same shape; `n_rows`: length of y.
+    Student's t, without its constant: heavy tails do not pass for a cause. `square`: y^T C^-1 y; `log_det`: log |C|;
+    `n_rows`: length of y.
     """
     spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
     return np.asarray(spread - 0.5 * np.asarray(log_det))
 
 
 def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
-    """Return columns projected by about (I + X X^T)^(-1/2): their residual beside the nuisance.
-
-    P^T P is the product of `Nuisance.scalar` in the limit of a broad nuisance.
-    """
+    """Return columns projected by about (I + X X^T)^(-1/2): their residual beside a broad nuisance."""
     weights = nuisance.factor.T @ (nuisance.factor @ (nuisance.columns.T @ columns))
     products: FloatArray = columns - nuisance.columns @ weights
     return products
 
 
 def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
-    """Solve (G + ridge I) x = g on a unit diagonal: columns alike do no harm.
-
-    `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), with the residual. Returns shape (..., p).
-    """
+    """Solve (G + ridge I) x = g, G (..., p, p) and g (..., p), on a unit diagonal: columns alike do no harm."""
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
     if gram.ndim == 2:
@@ -101,14 +93,14 @@ def _with_diagonal(matrix: FloatArray, value: float) -> FloatArray:
 
 
 def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...]]) -> FloatArray:
-    """Return log evidence plus log prior of each model at each scale of the lack of fit, shape (n_scales, n_models).
+    """Return log evidence plus log prior of each model at each scale of the lack of fit, (n_scales, n_models).
 
-    Minus infinity where a model of a wide form cannot come near the best of all.
+    -inf where a wide form cannot come near the best.
     """
     value = np.full((len(sums.square), len(models)), -np.inf)
     wide = np.array([columns.layout.wide in model for model in models], dtype=bool)
     prior, widths = columns.priors(models), columns.widths(models)
-    # models of like width together: padding would cost the cube of the widest
+    # padding would cost the cube of the widest
     group = np.where(wide, -1, np.searchsorted(_WIDTH_CLASSES, widths))
     for number in np.unique(group[~wide]):
         places = np.flatnonzero(group == number)
@@ -133,7 +125,7 @@ def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) ->
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     there = index >= 0
-    # models stand last in memory: a column of all is worked on at once
+    # models last in memory: a column of all at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
     gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
@@ -175,7 +167,7 @@ def _log_evidence(
 def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...]], best: float) -> FloatArray:
     """Return what `_batch` does of models with the wide form, (n_scales, n_models).
 
-    Not weighed where even the largest sizes leave too much of the gap; a larger lack of fit of the kind leaves less.
+    Not weighed where even the largest sizes leave too much of the gap.
     """
     value, wide = np.full((len(sums.square), len(models)), -np.inf), priors.layout.wide
     index, owner = priors.index([tuple(form for form in model if form != wide) for model in models])
@@ -209,10 +201,7 @@ def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
 
 
 def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
-    """Return the log evidence (n_models,) of the wide form beside narrow columns (n_models, k) at a scale.
-
-    In the axes of its columns' products each prior scale takes a division a column.
-    """
+    """Return the log evidence (n_models,) of the wide form beside narrow columns (n_models, k) at a scale."""
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     eigen, axes = np.linalg.eigh(own)
@@ -239,10 +228,7 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
-    """Return each column's prior scale: its form's root mean square size, from a tenth to what is plausible.
-
-    A shift of the zero point has no part in it: the sizes make it as large as it is.
-    """
+    """Return each column's prior scale: its form's rms size without shifts, from a tenth to what is plausible."""
     most = columns.most[index]
     alike = (owner[:, :, None] == owner[:, None, :]) * columns.own[index][:, None, :]
     alike /= np.maximum(alike.sum(axis=2, keepdims=True), 1.0)
@@ -251,7 +237,7 @@ def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: 
 
 
 def effect_scale(sizes: FloatArray, form: Form) -> float:
-    """Return the prior scale of a form in typical sizes: its fitted size, from a tenth to what is plausible."""
+    """Return the prior scale of a form in typical sizes; see `prior_scale`."""
     own = [not p.shift for p in form.parameters]
     size = float(np.sqrt(np.mean(sizes[own] ** 2))) if len(sizes) else 1.0
     most = max([3.0, *(p.largest / p.typical for p in form.parameters)])
@@ -268,10 +254,9 @@ def log_evidence_parts(gram: FloatArray, right: FloatArray, variance: FloatArray
 
 
 def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArray, sign: IntArray) -> FloatArray:
-    """Return the log probability that sizes have their only possible sign, both as likely before, shape (...).
+    """Return the log probability that sizes have their only possible sign, (...), each as if independent.
 
-    Each by itself, as if independent. `gram`: (..., k, k); `right`, `variance`, `sign`: (..., k), sign 0 where either
-    may be.
+    `gram`: (..., k, k); `right`, `variance`, `sign`: (..., k), sign 0 for either.
     """
     from scipy.special import log_ndtr
 
@@ -293,10 +278,8 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all at once.
 
-    LAPACK takes a microsecond a matrix; a search has some hundred thousand of two to five columns.
-
-    Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...) of the upper triangle and right
-    sides; a^T matrix^-1 b of two of these is the sum of a b / pivot.
+    A search has some hundred thousand, for LAPACK a microsecond each. Returns pivots (k, ...), whose product is the
+    determinant, and rows (k, k + q, ...); a^T matrix^-1 b of two sides is the sum of a b / pivot.
     """
     k, lead = matrix.shape[-1], matrix.shape[:-2]
     rows = np.empty((k, k + sides.shape[-1], *lead))

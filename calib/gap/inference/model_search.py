@@ -25,34 +25,31 @@ from calib.types import BoolArray, FloatArray
 _MAX_PASSES: Final = 7
 #: a step below this share of the standard uncertainty is the last
 _CONVERGED_STEP: Final = 0.2
-#: most probable causes about the recalibration's path that are fitted alone, to begin with the best
+#: most probable causes that are fitted alone, to begin with the best
 _SINGLE_STARTS: Final = 3
 #: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
-#: least probability of a reported gap: to look at runs once more costs less than a gap not seen
+#: least probability of a reported gap
 REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 #: beside a larger lack of fit the search begins anew
 _SMALL_LACK_OF_FIT: Final = 1.0
-#: rms residual, in noise levels, beyond which the search is not begun there: the largest scale of lack of fit but one,
-#: a margin for the linear model's error
+#: rms residual, in noise levels, beyond which no search begins: the largest scale of lack of fit but one
 _FAR_RMS: Final = 30.0
-#: Gauss-Newton steps of each trial from far away; what explains the gap is near its size by then
+#: Gauss-Newton steps of each trial from far away
 _TRIAL_STEPS: Final = 4
-#: of these, before trials are dropped that leave so many times the squares of the best: such a step leaves a share of
-#: an effect's gap, but not a hundred times another's
+#: of these, before trials are dropped that leave so many times the squares of the best
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and trials whose linear fit leaves so many times what the best has left at last; nor is a set moved to that leaves
-#: so many times what the one before does
+#: and those whose linear fit leaves so many times what the best has left; also of sets moved to
 _OUTDONE: Final = 2.0
-#: no further step where squares are within this share of the promise: the gap is linear in the effect
+#: share of the promise within which no further step is taken
 _SETTLED_SHARE: Final = 0.02
-#: what leaves more of the squares is not what makes them so many
+#: most of the squares that a cause of a large gap may leave
 _MAX_RESIDUAL_SHARE: Final = 0.5
-#: an effect whose linear fit leaves more is not tried: four steps of a tenth leave 0.66
+#: and its linear fit: four steps of a tenth leave 0.66
 _MAX_LINEAR_SHARE: Final = 0.9
 #: a linearisation, and what was fitted about it
 _Settled = tuple[LocalSearch, Fitted]
@@ -67,22 +64,10 @@ def search(
     start: SearchResult | None = None,
     passed: Callable[[], None] | None = None,
 ) -> SearchResult:
-    """Search the library.
+    """Search the library; see `SearchResult`.
 
-    Parameters
-    ----------
-    nominal : Path
-        The model alone.
-    noise : Noise
-    base : Fitted
-        The recalibration alone.
-    effects : sequence of Effect
-        The library; the calibration's own three are left to the recalibration.
-    settings : SearchSettings, optional
-    start : SearchResult, optional
-        Where to begin, beside another noise level; the recalibration alone by default.
-    passed : callable, optional
-        Called before each pass.
+    `nominal`: the model alone; `base`: the recalibration alone; `effects`: the calibration's own three are left to the
+    recalibration; `start`: where to begin, beside another noise level; `passed`: called before each pass.
     """
     settings = settings or SearchSettings()
     shifts = {effect.id: effect.own_shifts for effect in effects}
@@ -93,7 +78,7 @@ def search(
     converge = partial(_converge, all_forms=all_forms, passed=passed)
     begin = _begin_at(start, initial)
     local, fitted = converge(
-        # not named, so that it goes when the search has left it
+        # unnamed, to be freed
         copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings)
     )
     if begin is base and _near((local, fitted), base) is None:
@@ -131,11 +116,7 @@ def search(
 
 
 def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Settled:
-    """Return the better search begun: without a lack of fit, or with the best cause fitted alone.
-
-    Several causes may leave little together and each alone a large lack of fit; far off the true path one cause looks
-    like several.
-    """
+    """Return the better search begun: without a lack of fit (for several causes), or with the best cause alone."""
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
     starts = [converge(start, greedy=False)[0] for start in starts]
     # what grows beyond bounds when fitted alone has no evidence
@@ -145,7 +126,6 @@ def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Set
 
 
 def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
-    """Return forms that the runs could show, by effect id, without the calibration's own."""
     forms = {effect.id: effect.forms(nominal.s) for effect in effects if not effect.calibration}
     return {name: offered for name, offered in forms.items() if offered}
 
@@ -155,7 +135,7 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
         return start.fitted
     system = initial.system
     if system.path.s.calibration_held and is_far(system.fitted):
-        # two parameters of a simulator far off: neither leads near by itself, but they are so linear that both show
+        # two parameters of a simulator far off: neither leads near alone, but both show
         forms = initial.forms_of(copy(initial).greedy_search())
         fitted = fit(system.nominal, system.noise, forms, start=system.fitted, steps=_TRIAL_STEPS)
         if not is_far(fitted):
@@ -170,11 +150,9 @@ def is_far(fitted: Fitted) -> bool:
 
 
 def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
-    """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
+    """Return a hypothesis near which the gap is linear: the recalibration alone, effects added as they fit.
 
-    The system's own where it is not far off, or no effect takes half of it away.
-
-    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: added at most.
+    None is added where it is not far off, or none takes half of it away.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 
@@ -193,7 +171,7 @@ def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
             ]
             least = min((trial.chi_square for trial in second), default=0.0)
             trials: list[Fitted] = []
-            # the best first: what even the linear fit leaves far behind is not followed
+            # the best first
             for one, two in sorted(zip(first, second, strict=True), key=lambda pair: pair[1].chi_square):
                 if two.chi_square <= _HOPELESS * least:
                     ended = _settled(two.chi_square, one.chi_square) or (
@@ -212,10 +190,7 @@ def _settled(squares: float, before: float) -> bool:
 
 
 def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
-    """Return forms of further effects that take a share of the squares away in the linear fit, and what it leaves.
-
-    A trial re-simulates all runs several times; a linear fit costs a few products.
-    """
+    """Return forms of further effects that take squares away in the linear fit, which is cheap, and what it leaves."""
     fitted = system.fitted
     effects = {form.effect for form in fitted.forms}
     beside = system.columns_of(system.numbers(fitted.forms))
@@ -236,15 +211,11 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeighedModels:
-    """Models about the best of one linearisation, with probabilities."""
-
     models: list[Model]
     probability: FloatArray  #: shape (n_scales, n_models)
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
-    #: probability that the calibration is as believed without an effect; 1 where that is unlikely
-    as_believed: float
-    #: log weight of the current model over all of lack of fit and calibration
-    current_weight: float
+    as_believed: float  #: probability of the calibration as believed without an effect; 1 where that is unlikely
+    current_weight: float  #: log weight of the current model
 
     @property
     def nothing(self) -> float:
@@ -254,8 +225,7 @@ class _WeighedModels:
 def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
     """Weigh the models about the best ones.
 
-    Steps leave the calibration free. What is likely at the end is weighed with which of its parameters must be off: an
-    effect that explains their shift too needs none.
+    Likely ones with which of the calibration's parameters must be off: an effect that explains their shift needs none.
     """
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
@@ -263,7 +233,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     none, is_noise = models.index(()), local.is_noise
     near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
     if near and ScaleEvidence.is_open(local.system):
-        # whether there is a gap rests on the noise; where there surely is one, the estimated noise serves
+        # where there surely is a gap, the estimated noise serves
         integrated = {*likely, none, models.index(local.current)}
         gained = weight + scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
         if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
@@ -278,7 +248,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
-    # hardly likely ones are taken as needy as the neediest of the likely
+    # others as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
@@ -288,8 +258,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     """Return where a search has moved to, None where that leaves far more than before.
 
-    A payload's slope is read off the path: away from its law, the fit leaves what that had taken. Without a lack of fit
-    more forms leave no more; where they do, the path is not their optimum's.
+    Without a lack of fit more forms leave no more; where they do, the path is not their optimum's.
     """
     local, fitted = moved
     most = _OUTDONE * max(left.chi_square, float(len(local.system.gap)))
@@ -308,8 +277,7 @@ def _most_probable(
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Move to the most probable set of effects until the current one is so about its own path, too.
 
-    Of sets that take turns, that of the fewest effects, then the most probable one; none whose fit runs away (`settle`
-    gives None).
+    Of sets that take turns, that of the fewest effects, then the most probable; none whose fit runs away.
     """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):
@@ -338,11 +306,11 @@ def _converge(
     largest_scale: float = np.inf,
     greedy: bool = True,
 ) -> _Settled:
-    """Search (where `greedy`), fit and linearise until converged; `largest_scale` limits the lack of fit meanwhile."""
+    """Search (where `greedy`), fit and linearise until converged."""
     for number in range(_MAX_PASSES):
         if passed is not None:
             passed()
-        # two equally probable hypotheses must not alternate: the last passes keep the set
+        # the last passes keep the set: two equally probable ones must not alternate
         if greedy and number < _MAX_PASSES - 2:
             local.largest_scale = largest_scale
             local.greedy_search()
@@ -352,7 +320,7 @@ def _converge(
             break
         if number < _MAX_PASSES - 1:
             nominal, noise, settings = local.system.nominal, local.system.noise, local.settings
-            # what was linear about the path before makes room
+            # makes room
             del before, local
             local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms), settings)
     return local, fitted

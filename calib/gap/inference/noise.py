@@ -1,8 +1,7 @@
 """The noise of each run: its covariance over the channels, and what supports it.
 
-Heading noise along a path becomes lateral error at its end, so the channels of a run are correlated, each run in its
-own way. The covariance is a sum of components; their scales are estimated from replicates, beside a mean in each
-channel and a calibration of each group. The noise of windows is checked by its growth with their length.
+A sum of components, correlated as heading noise becomes lateral error; their scales are estimated from replicates,
+beside a mean in each channel and a calibration of each group. That of windows is checked by its growth with length.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ ENOUGH_DOF: Final = 30.0
 MIN_DOF: Final = 8.0
 #: units of a neighbourhood, driven one after the other
 NEIGHBOURS_TOGETHER: Final = 3
-#: windows of a neighbourhood: enough to be compared where each has a shape of its own
+#: windows of a neighbourhood, each of a shape of its own
 WINDOWS_TOGETHER: Final = 5
-#: a noise level without repeats is believed up to so many times the stated one
+#: most that a noise level without repeats may exceed the stated one
 MAX_NOISE_EXCESS: Final = 5.0
-#: fewest units for which stated sigmas alone are a noise level
+#: fewest units for stated sigmas alone
 MIN_RUNS: Final = 4
-#: a noise level so many times the stated one is said first
+#: excess over the stated noise level that is said first
 REPORTED_EXCESS: Final = 4.0
-#: windows' noise level about as large as the stated one needs no more support
+#: excess of windows that needs no more support
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
@@ -62,62 +61,55 @@ class Basis(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NoiseSupport:
-    """One way to find a noise level."""
-
+class _NoiseSupport:
     basis: Basis
     labels: IntArray  #: shape (n_units,): units that are compared share a number
     trends: components.Trends | None  #: what may differ between them and is no noise
     dof: float
 
 
-def noise_supports(path: Path) -> Iterator[NoiseSupport]:
-    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that suffice.
-
-    Not all units pooled: motion that no wheel sees would become noise.
-    """
+def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
+    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that suffice."""
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
     ambient = components.ambient_trends(path)
     trends = replace(ambient, after=np.concatenate([ambient.after, *components.ambient_interactions(path)], axis=2))
-    yield NoiseSupport(alike, observations.cell, None, enough)
-    yield NoiseSupport(alike, observations.condition, trends, enough)
+    yield _NoiseSupport(alike, observations.cell, None, enough)
+    yield _NoiseSupport(alike, observations.condition, trends, enough)
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
-    # neighbours are alike but for this: a session may end between them
-    yield NoiseSupport(near, beside, components.session_steps(path), enough)
-    yield NoiseSupport(near, beside, None, enough)
-    yield NoiseSupport(alike, observations.condition, trends, MIN_DOF)
-    yield NoiseSupport(alike, observations.cell, None, MIN_DOF)
-    yield NoiseSupport(near, beside, None, MIN_DOF)
+    # a session may end between neighbours
+    yield _NoiseSupport(near, beside, components.session_steps(path), enough)
+    yield _NoiseSupport(near, beside, None, enough)
+    yield _NoiseSupport(alike, observations.condition, trends, MIN_DOF)
+    yield _NoiseSupport(alike, observations.cell, None, MIN_DOF)
+    yield _NoiseSupport(near, beside, None, MIN_DOF)
     if observations.windowed:
-        yield NoiseSupport(near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
+        yield _NoiseSupport(near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
     else:
         loads = components.load_speed_trends(path)
         with_loads = replace(trends, before=np.concatenate([loads, trends.before], axis=2))
-        yield NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
-        yield NoiseSupport(Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF)
+        yield _NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
+        yield _NoiseSupport(Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF)
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """Covariance of every unit, and what it rests on."""
 
-    #: shape (n_units, 6, 6): over (distance, along, lateral, heading, front, steering); unit variance without the
-    #: channel
-    covariance: FloatArray
-    scales: dict[str, float]  #: scale of each component
-    dof: float  #: from replicates; 0 where the stated instruments carry it
-    weight: FloatArray  #: shape (n_units,): 1, less for those far from their repeats
+    covariance: FloatArray  #: shape (n_units, 6, 6): over the channels; unit variance without one
+    scales: dict[str, float]  #: of each component
+    dof: float  #: from replicates, else 0
+    weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
     supported: bool = True  #: whether the runs support a noise level
     support: str = ""  #: by what, in words; else why not
-    #: shape (6,): noise level over that of stated sigmas and typical walks, median over units; NaN without the channel
+    #: shape (6,): median noise level over that of stated sigmas and typical walks; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
     @property
     def finding(self) -> str:
-        """What is said first where the noise level is far above the stated sigmas."""
+        """What is said first of a noise level far above the stated sigmas."""
         most = int(np.nanargmax(self.excess)) if np.isfinite(self.excess).any() else 0
         if not (self.supported and self.excess[most] > REPORTED_EXCESS):
             return ""
@@ -141,13 +133,11 @@ class Noise:
 def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
     """Estimate the noise from replicates.
 
-    These are units of one cell; else of one condition, with trends on temperature, dwell, session and further columns
-    removed; else neighbours in the order driven; else runs of one route with trends on loads and speeds; at last the
-    stated sigmas stand alone. The first that supports a floor is taken, else the first with the degrees of freedom.
+    These are units of one cell; else of one condition, with trends on the surroundings removed; else neighbours; else
+    runs of one route with trends on loads and speeds; at last the stated sigmas. The first that supports a floor is
+    taken, else the first with the degrees of freedom. Scales not determined keep their prior.
 
-    Scales that repeats do not determine keep their prior, for the first three the stated uncertainty.
-
-    `gap`: (n_units, 6), measured minus predicted about `path`; `start`: an estimate about another path, to begin at.
+    `gap`: (n_units, 6), measured minus predicted about `path`; `start`: an estimate about another path.
     """
     shapes = components.NoiseComponents.about(path)
     begin = np.log(components.PRIOR_MEDIANS)
@@ -155,7 +145,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         known = [start.scales.get(name, median) for name, median, _ in components.COMPONENTS]
         begin = np.log(np.maximum(known, 1e-300))
     first = None
-    for support in noise_supports(path):
+    for support in _noise_supports(path):
         grouped = repeatability.Replicates.by(support.labels)
         if len(grouped.units) == 0:
             continue
@@ -170,7 +160,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
         if noise.supported:
             return noise
-        # units whose differences cannot be told from a gap are worth nothing: the next support
+        # differences that may be a gap: the next support
         first = first or noise
     return first or _noise(path, shapes, np.log(components.PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
 
@@ -178,7 +168,6 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 def _noise(
     path: Path, shapes: components.NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
 ) -> Noise:
-    """Return the noise of scales (n_components,) and weights (n_units,)."""
     covariance = shapes.covariance(log_scale, weight)
     scales = {
         name: float(np.exp(v))
@@ -217,10 +206,10 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
 
 
 def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowGrowth | None) -> tuple[bool, str]:
-    """Return whether windows' noise, above the stated one, grows with their length as noise does."""
+    """Return whether windows' noise grows with their length as noise does."""
     if growth is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
-    # a walk of the heading leads the place astray by length^(3/2): the heading alone tells
+    # the place strays by length^(3/2): the heading alone tells
     heading = Channel.HEADING
     floor = float(np.sqrt(covariance[path.s.usable[:, heading], heading, heading].mean()))
     if floor > MAX_GROWTH_RATIO * growth.noise_rms[2]:
@@ -233,13 +222,12 @@ class WindowGrowth:
     """Mean squares of the residual in windows of several lengths, by their growth."""
 
     length_m: FloatArray  #: shape (n_lengths,): mean length of the windows
-    #: shape (3, 3): of along, lateral, heading at the shortest length: constant, growing with the length, and its
-    #: square
+    #: shape (3, 3): of along, lateral, heading at the shortest length: constant, with the length, with its square
     parts: FloatArray
 
     @property
     def noise_rms(self) -> FloatArray:
-        """Root mean square that is noise in the shortest windows, along, lateral, heading, shape (3,)."""
+        """Rms that is noise in the shortest windows, along, lateral, heading, shape (3,)."""
         rms: FloatArray = np.sqrt(self.parts[:, 0] + self.parts[:, 1])
         return rms
 
@@ -263,7 +251,7 @@ def window_growth(path: Path) -> WindowGrowth | None:
     length, square = np.array(lengths), np.array(squares)
     times = length / length[0]
     laws = np.stack([np.ones(len(times)), times, times**2], axis=1)
-    # by relative uncertainty: half as many windows are a root of two less certain
+    # by relative uncertainty
     weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times)[:, None])
     parts = np.stack([nnls(laws * weight[:, [k]], square[:, k] * weight[:, k])[0] for k in range(3)])
     return WindowGrowth(length, parts)

@@ -30,7 +30,7 @@ COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
 )
 PRIOR_MEDIANS: Final = np.array([median for _, median, _ in COMPONENTS])
 N_CHANNELS: Final = 6
-#: relative change of a radius by a standardised trend at unit prior variance
+#: relative change of a radius by a standardised trend
 STEP: Final = 1e-2
 Column = tuple[FloatArray, tuple[int, ...]]
 
@@ -112,7 +112,7 @@ def quantisation(path: Path) -> FloatArray:
     covariance = np.zeros((len(observations), N_CHANNELS, N_CHANNELS))
     radius = observations.vehicle.wheel_radius_m
     for wheel, sign in ((0, -1.0), (1, 1.0)):
-        # first and last count are each off by a uniform share of one
+        # both ends are off by a uniform share of a count
         sigma = observations.count_rad[wheel] * radius / np.sqrt(6.0)
         rows = np.zeros(N_CHANNELS)
         rows[[0, 1, 4]] = 0.5 * sigma
@@ -121,8 +121,8 @@ def quantisation(path: Path) -> FloatArray:
     return covariance
 
 
-def fixed_noise(path: Path) -> FloatArray:
-    """Return the covariance that has no scale of its own, shape (n_units, 6, 6): counting, and a start frame read."""
+def _fixed_noise(path: Path) -> FloatArray:
+    """Return the covariance of counting and of a start frame read, (n_units, 6, 6)."""
     start = _start_turn(path) * path.s.sigma_start_rad[:, None]
     return quantisation(path) + start[:, :, None] * start[:, None, :]
 
@@ -158,7 +158,7 @@ class NoiseComponents:
         usable, shapes = path.s.usable, kernels(path)
         both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
         active = np.array([bool((np.abs(shape) * both).sum() > 0) for shape in shapes])
-        return NoiseComponents(shapes, fixed_noise(path), usable, active)
+        return NoiseComponents(shapes, _fixed_noise(path), usable, active)
 
     def covariance(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the covariance of each unit, shape (n_units, 6, 6)."""
@@ -215,7 +215,7 @@ class Trends:
 
 
 def ambient_trends(path: Path) -> Trends:
-    """Return what both radii may do with the surroundings and from session to session."""
+    """Return what both radii may do with the surroundings and by session."""
     observations = path.s
     waited = observations.number("minutes_under_load")
     load = observations.number("load_left_N") + observations.number("load_right_N")
@@ -228,10 +228,7 @@ def ambient_trends(path: Path) -> Trends:
 
 
 def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
-    """Return a hundredth of columns on the scale of the pose reference, (n_units, 6, k).
-
-    Without it, what it does beside another instrument's distances would be noise of both.
-    """
+    """Return a hundredth of columns on the scale of the pose reference, (n_units, 6, k), where lasers measure too."""
     usable = path.s.usable
     moved = np.zeros(usable.shape)
     if usable[:, 0].any():
@@ -250,9 +247,9 @@ def session_steps(path: Path) -> Trends:
 
 
 def ambient_interactions(path: Path) -> list[FloatArray]:
-    """Return what the surroundings may do differently at another load or speed.
+    """Return what temperature and dwell may do differently at another total or own load, speed or turning.
 
-    (n_units, 6, 2) for each of temperature and dwell with each of total load, own load, speed and turning that varies.
+    (n_units, 6, 2) for each pair that varies.
     """
     observations = path.s
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
@@ -270,7 +267,7 @@ def ambient_interactions(path: Path) -> list[FloatArray]:
 
 
 def load_speed_trends(path: Path) -> FloatArray:
-    """Return what radii may do with load (straight and curved) and speed, (n_units, 6, k), of routes never repeated."""
+    """Return what radii may do with load (straight and curved) and speed, (n_units, 6, k)."""
     observations = path.s
     columns: list[Column] = []
     for wheel, side in enumerate(("left", "right")):

@@ -23,13 +23,13 @@ from calib.types import FloatArray
 
 #: prior odds of each being off by itself
 PRIOR_SHIFT_ODDS: Final = 0.3
-#: share of an effect's whitened size up to which a shift belongs to it
+#: most that a shift of an effect's zero may have of its whitened size
 ATTRIBUTED_SHIFT_SHARE: Final = 0.5
 #: least prior standard deviation of a found effect's size, in typical sizes
 MIN_EFFECT_SD: Final = 3.0
 #: subsets of the relative calibration: both radii (0), their ratio (1), the track (2)
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
-#: one wheel's radius, left (3) or right (4), is as likely off, alone or beside the track: scale and ratio are then off
+#: one wheel's radius, left (3) or right (4), alone or beside the track: scale and ratio are then off
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
 #: half a 95 % interval, in standard deviations
 _COVERAGE_SD: Final = 1.96
@@ -37,7 +37,7 @@ _COVERAGE_SD: Final = 1.96
 _OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
 #: an alternative set is likely above this share of the best one's probability
 ALTERNATIVE_ODDS: Final = 0.1
-#: a calibration parameter less probable beside an alternative is needless there
+#: a less probable parameter is needless beside an alternative
 NEEDLESS_PROBABILITY: Final = 0.2
 
 
@@ -56,18 +56,14 @@ class SubsetWeights:
 
     @property
     def over_free(self) -> float:
-        """Log weight of all subsets together over that of a calibration left free.
-
-        Causes that explain the gap with the calibration as it is say more than ones that need it off.
-        """
+        """Log weight of all subsets over a calibration left free."""
         return float(np.logaddexp.reduce(self.each)) - self.free
 
 
 def log_prior_of(count: int, settings: SearchSettings) -> float:
     """Return the log prior odds of one subset of so many parameters, over none being off.
 
-    Every number is less likely than one fewer by the same odds, as with effects: one alone is rarely off where a
-    vehicle was never calibrated. Of so many all subsets are as likely.
+    Every number is less likely than one fewer by the same odds; of so many all subsets are as likely.
     """
     if not count:
         return 0.0
@@ -78,12 +74,7 @@ def log_prior_of(count: int, settings: SearchSettings) -> float:
 def without_unidentified(
     subset: tuple[int, ...], probabilities: FloatArray, settings: SearchSettings
 ) -> tuple[int, ...]:
-    """Return a subset without parameters that are no likelier for what was measured.
-
-    Of what does not show only the prior is left, by which three may well be off together.
-
-    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,).
-    """
+    """Return a subset without parameters that only their prior makes likely; `probabilities`: (n_subsets,)."""
     prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
     for way in _ONE_WHEEL:
         prior[_both_radii(way)] += np.exp(log_prior_of(len(way), settings))
@@ -103,9 +94,9 @@ def _both_radii(way: tuple[int, ...]) -> tuple[int, ...]:
 def free_estimates(
     system: LinearSystem, model: Sequence[int], weighting: Weighting
 ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """Return each form's size in typical sizes, the relative calibration (3,), and their covariance, all free.
+    """Return each form's size in typical sizes, the relative calibration (3,), and the covariance, all free.
 
-    The covariance is that of left radius, right radius, track and front radius, relative, and the sizes.
+    It is that of left radius, right radius, track and front radius, relative, and the sizes.
     """
     columns = system.columns_of(model)
     estimates, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
@@ -116,8 +107,6 @@ def free_estimates(
 
 def _reaches(form: Form, shift: FloatArray, size: float, value: float, covariance: FloatArray) -> bool:
     """Return whether another zero point of a one-parameter form can make a shift, by its 95 % interval.
-
-    At its lower end effect and shift together are on one side of zero, at the upper end on the other.
 
     `shift`: of left radius, right radius and track, per unit; `covariance`: (4, 4), of the three and the size.
     """
@@ -139,26 +128,13 @@ def weigh_subsets(
     settings: SearchSettings,
     shifts: Mapping[str, tuple[str, ...]],
 ) -> SubsetWeights:
-    """Weigh the subsets of the calibration's parameters beside some forms.
+    """Weigh the subsets of the calibration's parameters beside the forms of a model.
 
     An effect may be centred elsewhere, or deviate from its form; a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own
     size counts as part of it, where its zero can lie so far off.
 
-    Parameters
-    ----------
-    system : LinearSystem
-    model : sequence of int
-        Forms, by their numbers in the system.
-    sizes : sequence of array of float
-        Size of each, in typical sizes.
-    values : array of float, shape (3,)
-        Relative size of each calibration parameter, all free.
-    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
-        Of left radius, right radius, track and front radius, relative, and the sizes.
-    settings : SearchSettings
-        Assumptions of the search.
-    shifts : mapping of str to tuple of str
-        Calibration parameters that another zero point of each effect would look like.
+    `sizes`, `values`, `covariance`: see `free_estimates`; `shifts`: calibration parameters that another zero point of
+    each effect would look like.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
@@ -192,7 +168,7 @@ def weigh_subsets(
     def of_subset(subset: tuple[int, ...]) -> float:
         if not subset:
             return weight([], 1.0)
-        # one scale for all that is off, as with a form's parameters, chosen by size and paid for once
+        # one scale for all that is off, chosen by size
         scale = float(np.clip(np.sqrt(np.mean(times[[*subset]] ** 2)), 0.1, 10.0))
         return weight([*subset], scale) + log_prior_of(len(subset), settings) - SCALE_CHOICE_COST
 
@@ -205,34 +181,17 @@ def weigh_subsets(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recalibration:
-    """Which calibration parameters are off.
+    """Which calibration parameters are off."""
 
-    Parameters
-    ----------
-    subsets : tuple of tuple of str
-        All subsets of `NAMES`, best first.
-    probabilities : array of float, shape (n_subsets,)
-        Their posterior probabilities.
-    values, sd : array of float, shape (3,)
-        Relative size of each, all free, and its standard uncertainty.
-    signal : array of float, shape (3,)
-        Whitened norm of each at its fitted size.
-    instead : mapping of str to tuple of str
-        Effects of other likely sets beside which each is hardly off.
-    likeliest : tuple of str
-        The most probable subset; if empty, all likelier off than not, without what the runs say nothing of.
-    needed : tuple of str
-        The same where something has to be off, as no effect is named: if none is, what is beside the best hypothesis
-        alone or, where one is likelier off than not, the next.
-    """
-
-    subsets: tuple[tuple[str, ...], ...]
-    probabilities: FloatArray
+    subsets: tuple[tuple[str, ...], ...]  #: all of `NAMES`, best first
+    probabilities: FloatArray  #: shape (n_subsets,)
+    #: shape (3,): relative size of each, all free, and its standard uncertainty
     values: FloatArray
     sd: FloatArray
-    signal: FloatArray
-    instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    likeliest: tuple[str, ...] = ()
+    signal: FloatArray  #: shape (3,): whitened norm of each
+    instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  #: other likely effects that need it not off
+    likeliest: tuple[str, ...] = ()  #: most probable subset; if empty, all likelier off than not, if the runs show them
+    #: the same where no effect is named and something has to be off: that beside the best hypothesis, or the next
     needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:
@@ -248,12 +207,9 @@ def judge_recalibration(
     shifts: Mapping[str, tuple[str, ...]] | None = None,
     search: SearchResult | None = None,
 ) -> Recalibration:
-    """Weigh the subsets of the calibration's parameters against each other.
+    """Weigh the subsets of the calibration's parameters, beside each likely set of effects that `search` has.
 
-    Where other sets of effects are likely too (`search` has them), it is judged beside each.
-
-    `fitted`: of the effects found, recalibration free; `settings` and `shifts` are
-    those of `weigh_subsets`.
+    `fitted`: of the effects found, recalibration free; for `settings` and `shifts` see `weigh_subsets`.
     """
     if nominal.s.calibration_held:
         held = np.zeros(len(NAMES))
@@ -277,7 +233,6 @@ def judge_recalibration(
     order = np.argsort(-probability, kind="stable")
     likeliest = needed = SUBSETS[int(order[0])]
     if not likeliest:
-        # sets may divide it with parameters that the runs say nothing of
         off = [float(sum(p for s, p in zip(SUBSETS, probability, strict=True) if k in s)) for k in range(3)]
         likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN_PROBABILITY)
     if not likeliest:

@@ -1,7 +1,6 @@
 """Columns of forms, their priors, and their scalar products at each scale of the lack of fit.
 
-A form of more columns than `WIDE_FORM` (a step of each radius in each session) is taken up at the scales asked for
-only: at all it would cost the square of the number of sessions.
+A form of more columns than `WIDE_FORM` (a step of each radius in each session) is taken up only where asked for.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24
-#: of a sum of some thousand products in double precision, relative to its largest part
+#: of a sum of some thousand products in double precision, relative
 _ROUNDING: Final = 1e-13
 
 
@@ -70,16 +69,15 @@ class FormPriors:
     layout: Layout
     most: FloatArray  #: shape (p,): largest prior scale of each column, in typical sizes
     sign: IntArray  #: shape (p,): 1 or -1 where sizes have that sign only, else 0
-    own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point, which chooses no prior scale
-    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect, search over forms and scales paid
+    own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point
+    log_prior: FloatArray  #: shape (n_forms,): of each form of its effect
     by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
     @staticmethod
     def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
         """Make it of forms and the prior odds of one effect more at work.
 
-        Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely:
-        the more the library offers, the less speaks for any one; effects at work speak for no others.
+        Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely.
         Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
         """
         n_effects = len({form.effect for form in forms})
@@ -178,8 +176,8 @@ class Sums:
 class Reduced:
     """Scalar products without what each block may have of its own.
 
-    `whole`: (n_rows, width), whitened columns and gap; `gram`: (width, width), their products, see `above_rounding`;
-    `deviations`: (n_rows, k), each block's own, to unit prior variance.
+    `whole`: (n_rows, width), whitened columns and gap; `gram`: their products, see `above_rounding`; `deviations`:
+    (n_rows, k), each block's own, to unit prior variance.
     """
 
     def __init__(self, whole: FloatArray, gram: FloatArray, deviations: FloatArray, blocks: Blocks) -> None:
@@ -201,9 +199,9 @@ class Reduced:
         self.gram = self.gram - rows.T @ rows
 
     def turned(self, kind: LackOfFit, where: slice | None, columns: slice) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (q,) of a lack of fit's products, and the turned products (q, n) with some columns.
+        """Return eigenvalues (q,) of a lack of fit's products, and turned products (q, n) with some columns.
 
-        `where`: columns common to all blocks, None where each has its own.
+        `where`: columns common to all blocks; None: each has its own.
         """
         if where is not None:
             eigen, vectors = np.linalg.eigh(self.gram[where, where])
@@ -236,22 +234,11 @@ def scalar_products(
     scales: Sequence[float],
     prior_rest: float,
 ) -> Sums:
-    """Return the scalar products of columns and gap under each scale of the lack of fit.
+    """Return the scalar products of columns and gap under each scale of the lack of fit; see `Sums`.
 
-    Parameters
-    ----------
-    reduced : Reduced
-        Nuisances, columns, gap, a wide form's columns, those common to all blocks.
-    kinds : sequence of tuple
-        Components of the lack of fit, each with its number.
-    common : dict of int to slice
-        Places of columns common to all blocks, by number.
-    sizes : tuple of int
-        Numbers of nuisances, columns and a wide form's columns.
-    scales : sequence of float
-        Of the lack of fit.
-    prior_rest : float
-        Prior odds of a lack of fit.
+    `reduced`: nuisances, columns, gap, a wide form's columns, those common to all blocks; `kinds`: components of the
+    lack of fit, numbered; `common`: places of columns common to all blocks, by number; `sizes`: numbers of nuisances,
+    columns and a wide form's columns; `prior_rest`: prior odds of a lack of fit.
     """
     m, p, w = sizes
     core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)
@@ -262,7 +249,6 @@ def scalar_products(
     for number, kind in kinds:
         eigen, turned_of[number] = reduced.turned(kind, common.get(number), core)
         for scale in scales:
-            # a matrix times itself: half the time
             shrinking.append(scale / np.sqrt(1.0 + scale**2 * eigen))
             shrunk = turned_of[number] * shrinking[-1][:, None]
             np.subtract(gram[0], shrunk.T @ shrunk, out=gram[len(labels)])
@@ -303,10 +289,7 @@ def scalar_products(
 
 
 def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float], prior_rest: float) -> FloatArray:
-    """Return log prior odds of no lack of fit, then of each kind at each scale, (1 + n_kinds * n_scales,).
-
-    Noise that windows share is as likely as none.
-    """
+    """Return log prior odds of no lack of fit, then of each kind at each scale, (1 + n_kinds * n_scales,)."""
     others = sum(not kind.is_scatter for kind in kinds)
     odds = [
         float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others

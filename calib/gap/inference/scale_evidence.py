@@ -1,8 +1,8 @@
 """The evidence of models integrated over the scales of the noise, component by component.
 
-The search weighs models beside one estimate from replicates. Few runs tell scales badly, and noise estimated too small
-passes for a gap. All runs tell them under each model: the integral is taken about the most likely ones (Laplace).
-Tierney, Kadane: Accurate approximations for posterior moments and marginal densities, JASA 81 (1986), 82-86.
+Noise estimated too small from few replicates passes for a gap. All runs tell the scales under each model: the integral
+is taken about the most likely ones (Laplace; Tierney, Kadane: Accurate approximations for posterior moments and
+marginal densities, JASA 81 (1986), 82-86).
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from calib.types import FloatArray
 #: steps from the scales of replicates to the most likely ones
 _MAX_STEPS: Final = 30
 _RIDGE: Final = 1e-2
-#: noise alone weighs least, and gains most, where it was estimated too small: by 1.4 in one channel of a hundred runs
-#: costs it so much, and 30 degrees of freedom err by no more (three standard deviations)
+#: cost of noise estimated too small by 1.4 in one channel of a hundred runs: 30 degrees of freedom err by no more
 NOISE_WINDOW: Final = 14.0
 #: of variances: channels exactly alike stay factorable
 _ROUNDING: Final = 1e-9
@@ -122,16 +121,8 @@ def scale_gains(
 ) -> FloatArray:
     """Return the change of the log weights by the integral over the noise's scales, in the shape of `weight`.
 
-    Parameters
-    ----------
-    local : LocalSearch
-    weight : array of float, shape (n_scales, n_models)
-        Log weights beside the noise as it was estimated.
-    likely : iterable of int
-        Models to integrate; the gain of the others is the least of theirs.
-    models : list of tuple of int
-    window : float
-        Weights this far below the best are not integrated; that of noise alone is by `NOISE_WINDOW`.
+    `weight`: (n_scales, n_models), beside the estimated noise; `likely`: of the models, to integrate; the others gain
+    the least of theirs; `window`: below the best, for noise alone see `NOISE_WINDOW`.
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
     for n in likely:

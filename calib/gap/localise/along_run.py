@@ -28,7 +28,7 @@ MAX_GRID_POINTS: Final = 120
 MAX_STRETCH_SHARE: Final = 0.4
 MIN_TRACED_RUNS: Final = 4
 MIN_TURN_RAD: Final = 0.3
-#: share of the usual length below which runs are omitted, and with them the last part of the route
+#: share of the usual length below which runs are omitted
 WHOLE_RUN_SHARE: Final = 0.95
 #: least of a stretch beside the trend, as a share of the grid
 MIN_STRETCH_NORM: Final = 1e-3
@@ -38,17 +38,15 @@ MIN_STRETCH_NORM: Final = 1e-3
 class Trace:
     """Gap along one run: reference minus odometry, accumulated in the vehicle's own frame."""
 
-    #: run_id, kind: of the run
     run_id: str
     kind: str
     back: bool  #: along a corridor
-    #: way_m, turn_rad: shape (n,): distance and heading, by odometry
+    #: shape (n,): distance, heading and place in the run's frame, by odometry
     way_m: FloatArray
     turn_rad: FloatArray
-    #: x_m, y_m: shape (n,): by odometry, in the run's frame
     x_m: FloatArray
     y_m: FloatArray
-    #: along_m, heading_rad: shape (n,): accumulated gap; the second is NaN with a rangefinder only
+    #: shape (n,): accumulated gap; of the heading NaN with a rangefinder only
     along_m: FloatArray
     heading_rad: FloatArray
     stops: FloatArray  #: shape (n,): so far
@@ -79,7 +77,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
-    """Return counts and reference (poses before ranges) where all known; None if too few."""
+    """Return counts and reference (poses before ranges) where known; None if too few."""
     needed = (*COUNT_COLUMNS, *(POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
@@ -90,7 +88,7 @@ def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
 def _trace(
     log: Mapping[str, FloatArray], left_m: FloatArray, right_m: FloatArray, track_m: float, label: tuple[str, str, bool]
 ) -> Trace:
-    """Return the trace of a log; `label`: name and kind of the run, and whether it was driven back along a corridor."""
+    """Return the trace of a log; `label`: see `Trace`."""
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m
     heading = _summed(turn)
@@ -105,7 +103,7 @@ def _trace(
         along, turned = np.abs(log["range_m"] - log["range_m"][0]) - np.abs(x), np.full(len(x), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         moving = np.flatnonzero(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])) > MOVING_MPS)
-    # a stop is a gap between moving steps, and begins behind the first
+    # a stop is a gap between moving steps
     stops = _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(step)))
     since_start = log["t_s"] - log["t_s"][0]
     return Trace(*label, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
@@ -119,21 +117,20 @@ def _summed(steps: FloatArray | IntArray) -> FloatArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Route:
     traces: list[Trace]
-    grid: FloatArray  #: shape (n_grid,): distance from the start; place on the ground of corridors both ways
-    #: spacing_m, length_m: of grid and route
-    spacing_m: float
+    grid: FloatArray  #: shape (n_grid,): distance from the start, or place on the ground
+    spacing_m: float  #: of the grid
     length_m: float
     on_floor: bool  #: whether the grid is on the ground
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
-        """Return what a run accumulated on the grid, (n_grid,); from its far end on a run back."""
+        """Return what a run accumulated on the grid, (n_grid,)."""
         if self.on_floor and trace.back:
-            # gained between two places on the ground, each way they are passed
+            # gained between places on the ground, either way
             return -np.interp(self.length_m - self.grid, trace.way_m, values)
         return np.interp(self.grid, trace.way_m, values)
 
     def on_the_floor(self, place_m: float) -> tuple[float, float]:
-        """Return x and y of a place of the grid on the ground, by the first run."""
+        """Return x and y of a place on the ground, by the first run."""
         trace = self.traces[0]
         way = self.length_m - place_m if self.on_floor and trace.back else place_m
         x, y = (float(np.interp(way, trace.way_m, values)) for values in (trace.x_m, trace.y_m))
@@ -143,20 +140,10 @@ class _Route:
 def scan_route(
     kind: str, traces: list[Trace], channel: Channel, rng: np.random.Generator, *, signed: bool
 ) -> tuple[PlaceResult, int] | None:
-    """Search a route for the stretch where a channel's gap grows, and count those searched.
+    """Search a route for the stretch where a channel's gap grows, and count those searched; see `PlaceResult`.
 
-    The p value is the best stretch's alone; None for too few whole runs.
-
-    Parameters
-    ----------
-    kind : str
-    traces : list of Trace
-    channel : Channel
-        Along or heading.
-    rng : numpy.random.Generator
-        For the bootstrap.
-    signed : bool
-        Look for a gap of the other sign on the way back.
+    The p value is the best stretch's alone; None for too few whole runs. `channel`: along or heading; `signed`: with
+    the other sign on the way back.
     """
     from scipy.special import stdtr
 
@@ -200,7 +187,7 @@ def scan_route(
 
 
 def _route(traces: list[Trace]) -> _Route | None:
-    """Return runs about as long as usual, with their grid; None if too few or too short."""
+    """Return runs of about the usual length, with their grid; None if too few or too short."""
     if len(traces) < MIN_TRACED_RUNS:
         return None
     length = float(np.median([float(trace.way_m[-1]) for trace in traces]))
@@ -215,14 +202,14 @@ def _route(traces: list[Trace]) -> _Route | None:
 
 
 def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return each run's growth of the gap (n_runs, n_grid) over stretches, beside its calibration.
+    """Return runs' growth of the gap (n_runs, n_grid) over stretches, (n_runs, n_stretches), beside their calibration.
 
-    Sizes (n_runs, n_stretches); each stretch's squares beside the calibration, start and end on the grid.
+    And each stretch's squares beside it, start and end on the grid.
     """
     grid = route.grid
     starts, ends = _stretches(len(grid))
     ramp = np.clip((grid[None, :] - grid[starts][:, None]) / (grid[ends] - grid[starts])[:, None], 0.0, 1.0)
-    # what correlates with turns is asked of the turns, not of a place
+    # turns are asked apart
     turned = np.stack([route.read(trace, trace.turn_rad) for trace in route.traces]).mean(axis=0)
     trend = [np.ones_like(grid), grid - grid.mean()]
     if np.ptp(turned) > MIN_TURN_RAD:

@@ -18,7 +18,7 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 #: known values that a test needs
 MIN_RUNS: Final = 6
-#: differences of turns that are the wheels' own noise, which the gap shares
+#: of turns that differ by the wheels' noise, which the gap shares
 MIN_TURN_RAD: Final = 0.3
 MIN_LENGTH_VARIATION: Final = 0.05
 BOOTSTRAP_DRAWS: Final = 300
@@ -27,11 +27,11 @@ MAX_WHEEL_CORRELATION: Final = 0.9999
 
 
 def covariate_values(observations: Observations) -> dict[str, FloatArray | StrArray]:
-    """Return what varies and the gap may depend on, by name, (n_units,): numbers, else NaN; labels, else empty."""
+    """Return what varies and the gap may depend on, by name, (n_units,): numbers, or labels."""
     number, labels = observations.number, observations.labels
     load_left, load_right = observations.wheel_loads_N
     by_wheels = observations.total(observations.turn_rad)
-    # by the reference if measured: the wheels' turn shares the gap's errors
+    # the wheels' turn shares the gap's errors
     turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
     speed = number("speed_mps")
     values: dict[str, FloatArray | StrArray] = {"route": labels["kind"]}
@@ -59,23 +59,11 @@ def _varied(values: FloatArray | StrArray) -> bool:
 def covariate_test(
     name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
 ) -> CovariateResult | None:
-    """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
+    """Test a covariate (n_units,) in every channel by an F test; None where no channel allows it.
 
-    Parameters
-    ----------
-    name : str
-    values : array of float or str, shape (n_units,)
-    scaled : array of float, shape (n_units, n_channels)
-        Gap over noise level; NaN where a unit lacks the channel.
-    weights : array of float, shape (n_draws, n_units)
-        How often the bootstrap draws each unit.
-    most_dof : float
-        How well the noise level is known.
-
-    Returns
-    -------
-    CovariateResult or None
-        The channel of the smallest p, times the number of channels; not yet held to the table's error.
+    Returns the channel of the smallest p, times the number of channels; see `holm_corrected`. `scaled`: (n_units,
+    n_channels), gap over noise level, NaN without the channel; `weights`: (n_draws, n_units), how often the bootstrap
+    draws each unit; `most_dof`: how well the noise level is known.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:
@@ -129,7 +117,7 @@ class _Dependence:
         return 1 if self.group is None else int(self.group.max())
 
     def squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (about the mean, explained, units) for weights (n_draws, n), each shape (n_draws,)."""
+        """Return squares about the mean, explained ones, units for weights (n_draws, n), each (n_draws,)."""
         n = weight.sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = weight @ self.y / n
@@ -146,7 +134,7 @@ class _Dependence:
         return total, explained, n
 
     def p_value(self, most_dof: float) -> float:
-        """Return the p of an F test, the residual no smaller or better known than the noise level."""
+        """Return p of an F test, the residual no smaller or better known than the noise level."""
         from scipy.special import fdtrc
 
         total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
@@ -161,20 +149,14 @@ class _Dependence:
 
 
 def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Return the share of squares beyond the noise level explained by `df` parameters, (n,).
-
-    Less what they explain by chance, from the squares `left` at `dof`.
-    """
+    """Return the share of squares `beyond` the noise level that `df` parameters explain but by chance, (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
         return np.asarray(np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0))
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
-    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), beside each other.
-
-    Of all channels; empty where the wheels cannot be told apart.
-    """
+    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), if they are told apart."""
     from scipy.special import fdtrc
 
     products, sizes = _products(nominal, noise, gap)
@@ -188,7 +170,7 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
     for wheel, name in enumerate(("left wheel", "right wheel")):
         explained, rest = _partial_squares(whole[None], wheel)
         residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
-        # without an intercept the test leans on the noise level's scale, known as well as repeats know it
+        # without an intercept the noise level is as well known as by repeats
         p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
         share = float(_shares(whole[None], np.array([n]), wheel)[0])
         ci95 = interval(_shares(np.tensordot(draws, products, axes=1), draws @ sizes, wheel))

@@ -38,26 +38,13 @@ def locate(
     floor: FloatArray | None = None,
     campaign: Campaign | None = None,
 ) -> GapLocation:
-    """Say where the gap lies.
+    """Say where the gap (n_units, n_channels), 0 without the channel, lies.
 
-    Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
-    multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
-    Shares have bootstrap intervals over units.
+    Covariates are tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in twenty of
+    any false finding. Shares have bootstrap intervals over units.
 
-    Parameters
-    ----------
-    observations : Observations
-    nominal : Path
-        The model alone.
-    noise : Noise
-    gap : array of float, shape (n_units, n_channels)
-        Measured minus simulated; 0 where a unit lacks the channel.
-    rng : numpy.random.Generator
-        For the bootstrap.
-    floor : array of float, shape (n_units, n_channels), optional
-        What the gap is shown against; by default that of `noise`.
-    campaign : Campaign, optional
-        The same runs with their logs: without it, no places inside runs.
+    `nominal`: the model alone; `floor` (n_units, n_channels): shown beside the gap, that of `noise` by default;
+    `campaign`: the same runs with logs, for places inside runs.
     """
     lines = wheel_tests(nominal, noise, gap, rng)
     n = len(observations)
@@ -69,7 +56,7 @@ def locate(
     places: tuple[PlaceResult, ...] = ()
     notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
     if campaign is not None:
-        places, notes = find_places(campaign, observations, rng)
+        places, notes = _find_places(campaign, observations, rng)
     shown = noise.floor if floor is None else floor
     channels, runs = _by_channel(observations, shown, gap), _by_run(observations, shown, gap)
     return GapLocation(channels=channels, covariates=holm_corrected(lines), runs=runs, places=places, notes=notes)
@@ -117,24 +104,22 @@ def _times(observations: Observations, unit: int) -> dict[str, float]:
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
     """Return the table, smallest p first, held by Holm's steps to its chance of any false line.
 
-    Own code: statsmodels takes longer to import than all this.
+    Importing statsmodels takes longer than all this.
     """
-    # covariates that vary alike differ by rounding, which must not order them
+    # rounding must not order covariates that vary alike
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
     stands = np.maximum.accumulate(stepped) <= FALSE_FINDING_PROBABILITY
     return tuple(replace(one, significant=bool(significant)) for one, significant in zip(ordered, stands, strict=True))
 
 
-def find_places(
+def _find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
 
-    A run's calibration (offset and slope along the way) is taken off first. The rest is searched for a stretch over
-    which it grows in all runs of a route (corridors out and back by place on the ground), and compared between turns
-    and straights, stops and none. p values are multiplied by the number of places, for a chance of 5 % of any false
-    one.
+    Beside each run's offset and slope, it is searched for a stretch over which it grows in all runs of a route, and
+    compared between turns and straights, stops and none. p values are multiplied by the number of places.
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:
@@ -180,7 +165,7 @@ def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
 
 
 def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
-    """Return gains of windows of about a metre, by field of a trace, and their runs, (n_windows,)."""
+    """Return gains of windows of a metre, by field of a trace, and their runs, (n_windows,)."""
     edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
     gained = {
         name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
@@ -208,9 +193,9 @@ def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what
 
 
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    """Return the second coefficient of a regression on way and what is asked (n, 2), its error and dof.
+    """Return the second coefficient of a regression (n, 2), its error and dof, clustered by run if runs suffice.
 
-    Clustered by run if runs suffice. Own code: statsmodels divides clustered squares by other dof than its t's.
+    statsmodels divides clustered squares by other dof than its t's.
     """
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)

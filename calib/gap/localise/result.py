@@ -21,7 +21,7 @@ class ChannelGap:
     """The gap in one channel."""
 
     channel: Channel = field(metadata={"json": False})
-    #: rms, floor: root mean squares of gap and noise level, in the channel's unit
+    #: root mean squares of gap and noise level, in the channel's unit
     rms: float
     floor: float
     mean: float = 0.0  #: mean of the gap
@@ -61,14 +61,14 @@ class CovariateResult:
 
 @dataclass(frozen=True, slots=True)
 class RunDeviation:
-    """A run that deviates much: gap and floor in the channel's unit, and their ratio `z`."""
+    """A run that deviates much: gap, floor and their ratio `z`."""
 
     run_id: str
     channel: Channel
     value: float
     floor: float
     z: float
-    #: from_s, to_s: of a window of a recording, else None
+    #: of a window of a recording
     from_s: float | None = None
     to_s: float | None = None
 
@@ -96,13 +96,13 @@ class PlaceResult:
     p_value: float  #: times the number of places looked at
     n_runs: int  #: looked at
     what: str = ""  #: of turns and stops, what the size counts: ``per stop``
-    #: route, coordinate: of a stretch: kind of runs, and what counts its place
+    #: of a stretch: kind of runs, and what counts its place
     route: str = ""
     coordinate: str = ""
-    place: tuple[float, float] | None = None  #: of a stretch: ends in m
-    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None  #: of either end in m
-    by_direction: bool = False  #: of a stretch: whether the sign changes on the way back
-    #: of a stretch: x and y of its ends on the ground, m
+    place: tuple[float, float] | None = None  #: its ends in m
+    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None
+    by_direction: bool = False  #: whether its sign changes on the way back
+    #: x and y of its ends on the ground, m
     floor: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     def to_dict(self) -> dict[str, Any]:

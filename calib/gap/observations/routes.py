@@ -19,7 +19,7 @@ ROUTE_KNOTS: Final = 10
 ROUTE_LENGTH_SHARE: Final = 0.15
 #: and within these turns: absolute, and as a share of all the turning
 ROUTE_TURN_RAD, ROUTE_TURN_SHARE = 0.25, 0.05
-#: difference of wheels that pass for one route without measured heading, as a share
+#: share by which wheels on one route differ, without measured heading
 ROUTE_WHEELS_SHARE: Final = 0.02
 #: end of a kind that names a lane of the same floor
 _LANE: Final = re.compile(r"_([b-z]|\d+)$")
@@ -30,7 +30,7 @@ class WheelTravel:
     """Steps of all observations, end to end, by wheels and model."""
 
     starts: IntArray  #: shape (n_obs + 1,): observation u has steps ``starts[u]:starts[u + 1]``
-    #: left_m, right_m: shape (n_steps,): travel in each step
+    #: shape (n_steps,): travel
     left_m: FloatArray
     right_m: FloatArray
     track_m: float
@@ -53,14 +53,14 @@ class WheelTravel:
 
     @property
     def rolled_m(self) -> FloatArray:
-        """Mean unsigned travel of both wheels in each step, turns on the spot included, shape (n_steps,)."""
+        """Mean unsigned travel of both wheels in each step, shape (n_steps,)."""
         return np.asarray(0.5 * (np.abs(self.left_m) + np.abs(self.right_m)))
 
 
 def levels(values: FloatArray, width: float) -> IntArray:
-    """Return a number for each level that values stand at, (n,).
+    """Return a number for each level of values, (n,).
 
-    Values within `width` of a neighbour in size are one level; without steps, bins of twice the width; NaN its own.
+    Those within `width` of a neighbour in size are one level; without steps, bins of twice the width; NaN its own.
     """
     number = np.full(len(values), -1, dtype=np.int64)
     known = np.flatnonzero(np.isfinite(values))
@@ -94,8 +94,7 @@ def row_numbers(columns: Sequence[IntArray | FloatArray | StrArray]) -> IntArray
 def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
     """Return each observation's number of route, (n_obs,), by first appearance.
 
-    One route agrees in length, heading and distance at every tenth of the wheels' rolling. The wheels' heading is drawn
-    linearly to the one measured at the end: unequal radii make no other route.
+    One route agrees in length, and in heading (drawn linearly to the one measured) and distance at every tenth.
     """
     shapes, rolled, tolerance = _shapes(driven, heading_rad)
     route = np.full(len(rolled), -1, dtype=np.int64)
@@ -115,7 +114,7 @@ def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
 
 
 def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return heading and distance at the knots (n_obs, 2, n_knots), length (n_obs,) and tolerances (n_obs, 2)."""
+    """Return heading and distance at knots (n_obs, 2, n_knots), length (n_obs,), tolerances (n_obs, 2)."""
     starts, n = driven.starts, len(driven.starts) - 1
     sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (driven.rolled_m, driven.turn_rad, driven.path_m)]
     length = np.maximum(sums[0][starts[1:]] - sums[0][starts[:-1]], 1e-9)
@@ -131,8 +130,7 @@ def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, F
     return np.stack([heading, way], axis=1), length, tolerance
 
 
-def load_width_N(vehicle: Vehicle) -> float:
-    """Return the difference of wheel loads that tells runs apart."""
+def _load_width_N(vehicle: Vehicle) -> float:
     return 0.017 * vehicle.unladen_load_N
 
 
@@ -148,8 +146,8 @@ def lane_names(kind: StrArray) -> StrArray:
     return np.array([match.group(1) if match else "" for match in ending], dtype=np.str_)
 
 
-def measured_speed(driven: WheelTravel) -> FloatArray:
-    """Return each observation's mean speed over its way by its log, else NaN, (n_obs,): standing weighs nothing."""
+def _measured_speed(driven: WheelTravel) -> FloatArray:
+    """Return mean speeds over the way by logs, else NaN, (n_obs,): standing weighs nothing."""
     way_m = driven.rolled_m
     with np.errstate(divide="ignore", invalid="ignore"):
         pace = np.where(driven.duration_s > 0, way_m**2 / driven.duration_s, 0.0)
@@ -164,27 +162,16 @@ def replicates(
     numbers: Mapping[str, FloatArray],
     labels: Mapping[str, StrArray],
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return the route, the condition and the cell of each observation, each shape (n_obs,).
+    """Return route, condition and cell of each observation, each (n_obs,); see `WheelTravel`.
 
     Replicates share a condition; those of one session, temperature, dwell and further columns share a cell.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Its vehicle scales the loads that are told apart; its further columns tell cells apart.
-    driven : WheelTravel
-    heading_rad : array of float, shape (n_obs,)
-        Measured turn, NaN where not measured.
-    numbers : mapping of str to array of float, shape (n_obs,)
-        Covariates.
-    labels : mapping of str to array of str, shape (n_obs,)
-        ``session``, ``kind`` and ``direction``.
+    `heading_rad`: measured turn, else NaN; `numbers`: covariates; `labels`: ``session``, ``kind`` and ``direction``.
     """
     route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
     nothing = np.zeros(len(route))
-    speed = measured_speed(driven)
+    speed = _measured_speed(driven)
     speed = np.where(np.isfinite(speed), speed, numbers.get("speed_mps", nothing + np.nan))
-    loads = [levels(numbers[name], load_width_N(campaign.vehicle)) for name in ("load_left_N", "load_right_N")]
+    loads = [levels(numbers[name], _load_width_N(campaign.vehicle)) for name in ("load_left_N", "load_right_N")]
     condition = row_numbers([route, *loads, levels(speed, speed_width_mps(speed))])
     warmth, dwell = (numbers.get(name, nothing) for name in ("temperature_C", "minutes_under_load"))
     further = [levels(numbers[name], _column_width(numbers[name])) for name in campaign.runs.covariates]
@@ -206,13 +193,12 @@ def heading_by_straightness(
 ) -> tuple[FloatArray, BoolArray]:
     """Return the uncertainty of a straight run's heading at the end, and where it was assumed, each (n_obs,).
 
-    A stated weave of amplitude A and wavelength l (NaN: not stated) turns by up to 2 pi A / l; else `weave_of_log`;
-    else a stray of `ASSUMED_LATERAL_M` in one wave over the length.
+    A stated weave turns by up to 2 pi A / l; else `weave_of_log`; else a stray of `ASSUMED_LATERAL_M` over the length.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
         assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)
-    # both ends lie on the wave, and add its root mean square each
+    # each end adds the wave's root mean square
     seen = np.sqrt(2.0) * weave_rad
     has_stated, has_seen = np.isfinite(stated) & (stated > 0), np.isfinite(weave_rad)
     sigma = np.where(has_stated, stated, np.where(has_seen, np.maximum(seen, 0.1 * assumed), assumed))
@@ -220,10 +206,7 @@ def heading_by_straightness(
 
 
 def weave_of_log(driven: WheelTravel) -> FloatArray:
-    """Return the heading's root mean square about its trend along the path, (n_obs,); NaN without a log.
-
-    The trend is that of unequal radii.
-    """
+    """Return the heading's rms about its trend along the path, that of unequal radii, (n_obs,); NaN without a log."""
     starts = driven.starts
     unit = np.repeat(np.arange(len(driven.logged)), np.diff(starts))
 

@@ -1,4 +1,4 @@
-"""Identifiability: which effects some runs would detect, at which size, and from which others they separate them."""
+"""Identifiability: which effects some runs would detect, at which size, and separate from which others."""
 
 from __future__ import annotations
 
@@ -24,32 +24,27 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
 
-#: standard deviations within which signatures are confounded: no test at 1 % separates them
+#: standard deviations within which signatures are confounded
 SEPARATION_SD: Final = 3.0
 #: an alternative's limit over its largest plausible size, which is a judgement
 PLAUSIBLE_FACTOR: Final = 2.0
 #: whitened norm at which an effect is detected among the whole library
 DETECTION_SIGNAL: Final = 5.0
-#: share left by a recalibration below which an effect is indistinguishable from it: rounding is near
+#: share left by a recalibration below which an effect is indistinguishable from it
 ABSORBED_SHARE: Final = 1e-3
 #: proportions of an effect's parameters, unless stated: no two alike
 _PROPORTIONS: Final = (1.0, 0.7, -0.8, 0.9, -0.6, 0.5, -0.7, 0.8)
 
 
 def distance(system: WhitenedSystem, nuisance: Nuisance, contribution: FloatArray, form: Form) -> float:
-    """Return the distance of a contribution (n_rows,) from all that a form can do, in standard deviations.
-
-    Parameters are free within plausible sizes and allowed signs.
-    """
+    """Return the distance of a contribution (n_rows,) from what a form plausibly can do, in standard deviations."""
     target = project(nuisance, contribution[:, None])[:, 0]
     columns = project(nuisance, system.columns(form))
     bound = np.array([p.largest / p.typical for p in form.parameters]) * PLAUSIBLE_FACTOR
     sizes = np.linalg.solve(columns.T @ columns + np.diag(1e-9 + 1.0 / (10 * bound) ** 2), columns.T @ target)
     sign, shift = np.array([(p.sign, p.shift) for p in form.parameters]).T
     if shift.any():
-        # no further than sizes beside it make it
         bound = np.where(shift, bound * np.sqrt(np.mean(sizes[shift == 0] ** 2)), bound)
-    # a form of one sign (counts are lost, never won) does nothing of the other
     sizes = np.clip(sizes, np.where(sign > 0, 0.0, -bound), np.where(sign < 0, 0.0, bound))
     return float(np.linalg.norm(target - columns @ sizes))
 
@@ -61,10 +56,9 @@ def aliases_of(
     forms: Mapping[str, Sequence[Form]],
     named: Sequence[str],
 ) -> dict[str, float]:
-    """Return effects confounded with a contribution, each with its distance in standard deviations.
+    """Return effects confounded with a contribution, see `distance`, each with its distance.
 
-    `system`, `nuisance`, `contribution`: see `distance`; `forms`: the library on this campaign; `named`: effects of the
-    hypothesis, no alternatives.
+    `forms`: the library on this campaign; `named`: effects that are no alternatives.
     """
     nearest = {
         name: min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
@@ -75,7 +69,7 @@ def aliases_of(
 
 
 def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
-    """Return the noise of observations, driven or not; missing scales take their prior median."""
+    """Return the noise of observations; missing scales take their prior median."""
     scale = np.array([scales.get(name, median) for name, median, _ in COMPONENTS])
     covariance = np.tensordot(scale**2, kernels(path), axes=1) + quantisation(path)
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
@@ -84,7 +78,7 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
 def fitted_sizes(
     observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
 ) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size of fitted effects on observations, and of radii and track; empty without a fit."""
+    """Return form and size of fitted effects on observations, and of radii and track."""
     sizes: dict[str, tuple[Form, FloatArray]] = {}
     if fitted is None:
         return sizes
@@ -102,10 +96,10 @@ def fitted_sizes(
 
 
 class Signatures:
-    """Whitened signatures of a library on observations; distances between them on any of these.
+    """Whitened signatures of a library on observations, and their distances on any of these.
 
-    `path`: about which to linearise; `effects`: the library; `sizes`: form and size of fitted effects; others have
-    typical size, in the form of the strongest signal.
+    `path`: about which to linearise; `sizes`: form and size of fitted effects; others have typical size, in the form of
+    the strongest signal.
     """
 
     def __init__(
@@ -162,10 +156,8 @@ class Signatures:
     def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
         """Return each effect's signal (..., n_truths) and distance from each other (..., n_effects).
 
-        The signal is the whitened norm beside a free recalibration (of the calibration's own three: without it), the
-        distance that of the residual after the other effect within what is plausible; infinite from itself. `gram`:
-        scalar products of all columns, (..., n_columns, n_columns); `truths`: numbers of the effects in question, all
-        by default.
+        The signal is the whitened norm beside a recalibration (for its own three without), the distance that beside the
+        other effect too; infinite from itself. `gram`: see `gram`; `truths`: effects in question, all by default.
         """
         numbers = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
         target = self.first_truth + numbers
@@ -175,7 +167,6 @@ class Signatures:
         for calibration in (False, True):
             same = self.own_calibration[numbers] == calibration
             free = np.arange(3 if calibration else 0, 4)
-
             signal[..., same] = _left(gram, free, target[same], square[..., same])
             for number, first, last in self.forms:
                 near = signal[..., same]
@@ -197,9 +188,9 @@ def _left(gram: FloatArray, beside: IntArray, target: IntArray, square: FloatArr
 class DetectionLimit:
     """The smallest size of an effect that some runs would show."""
 
-    effect: str  #: id of the effect
-    smallest: str  #: with its unit; where `never`, why
-    never: bool = False  #: whether at no size
+    effect: str
+    smallest: str  #: with its unit; where `never` any, why
+    never: bool = False
 
     @property
     def sentence(self) -> str:
@@ -213,15 +204,14 @@ class Outlook:
 
     effects: tuple[str, ...]  #: shape (n,): excited by the runs
     absent: tuple[str, ...]  #: nothing that they act through
-    signal: FloatArray  #: shape (n,): whitened norm at typical size, beside a free recalibration
-    #: shape (n, n): the row's effect at its typical size from all that the column's can do, in standard deviations;
-    #: infinite on the diagonal
+    #: shape (n,), (n, n): at typical size, see `Signatures.distances`; row: effect at work
+    signal: FloatArray
     distance: FloatArray
-    smallest: dict[str, DetectionLimit]  #: of each effect
+    smallest: dict[str, DetectionLimit]
 
     @property
     def told_apart(self) -> BoolArray:
-        """Whether effects at typical size are detected and separated from all others, shape (n,)."""
+        """Whether effects at typical size are separated from nothing and all others, shape (n,)."""
         return np.asarray((self.signal >= SEPARATION_SD) & (self.distance.min(axis=1) >= SEPARATION_SD))
 
     def to_dict(self) -> dict[str, Any]:
@@ -263,13 +253,10 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
 def undetectable(
     system: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
 ) -> tuple[DetectionLimit, ...]:
-    """Return detection limits of effects that these runs would not show at typical size.
-
-    `never` where the runs excite nothing, or a recalibration absorbs all. Known `forms` are not built again.
-    """
+    """Return detection limits of effects that these runs would not show at typical size; `forms`: if known."""
     limits, found = _Limits(system.calibration, system.columns), []
     for effect in effects:
-        # effects not among them offer none; the calibration's own never are
+        # the calibration's own are never among them
         offered = effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
         found.append(limits.of(effect, offered))
     return tuple(limit for times, limit in found if times > 1.0)
@@ -289,7 +276,6 @@ class _Limits:
         limit, best, moves = np.inf, None, False
         for form in forms:
             columns = self.of_form(form)
-            # one parameter at a time, recalibration free
             signals = np.sqrt((project(nuisance, columns) ** 2).sum(axis=0))
             norms = np.sqrt((columns**2).sum(axis=0))
             moves = moves or bool(norms.any())

@@ -39,9 +39,9 @@ ENOUGH_SD: Final = 2.0 * SEPARATION_SD
 CAP_SD: Final = 4.0 * SEPARATION_SD
 #: smallest gain worth naming, in standard deviations
 NOTEWORTHY_SD: Final = 0.05
-#: candidates weighed at once: their scalar products are held twice
+#: candidates weighed at once
 AT_ONCE: Final = 16
-#: runs of a route that show its scatter: else its noise level is assumed
+#: runs of a route that show its scatter
 REPEATS: Final = 3
 #: recorded distances of corridors
 CORRIDOR_RANGE_M: Final = (2.0, 500.0)
@@ -60,15 +60,14 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    The runs are driven in one session that begins with a repeat of an unladen corridor run, those at another
-    temperature in one of their own, and those of a route that was not repeated so far `REPEATS` times. Each greedy
-    step takes the run after which the two nearest confounded effects are furthest apart; where none are confounded, the
-    run after which most effects of the library are detected and separated. What the law of the load lacks comes after
-    the former and before the latter; first comes a length beside a reference that alone measures any.
+    They are driven in one session that begins with a repeat of an unladen corridor run (at another temperature in one
+    of their own), those of a route not repeated so far `REPEATS` times. Each greedy step takes the run after which the
+    two nearest confounded effects are furthest apart; then comes what the law of the load lacks; where none are
+    confounded, the run after which most effects are separated. First comes a length beside a reference that alone
+    measures any.
 
-    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
-    effects, the named one first; `fitted`: gives sizes, typical for others; `model`: the simulator's, by default the
-    campaign's; `candidates`: see `default_candidates`; `most`: runs to recommend.
+    `noise`: of `campaign`; `ties`: groups of confounded effects, the named one first; `fitted`: gives sizes; `model`:
+    the campaign's by default; `candidates`: see `default_candidates`; `most`: runs to recommend.
     """
     driven = campaign.included()
     if model is not None:
@@ -88,7 +87,7 @@ def next_runs(
         effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
     signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
     run_id = observations.labels["run_id"].astype(str)
-    # the reference run comes first; what no channel can compare has no observation
+    # the reference run comes first
     names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
     alone = signatures.gram(~np.char.startswith(run_id, "next"))
     base = alone + signatures.gram(run_id == names[0])
@@ -138,7 +137,6 @@ def _candidates(driven: Campaign, measured: Measured, ties: Sequence[Sequence[st
     candidates = planned_runs.default_candidates(driven, loops=loops, tape=tape)
     scaled = any(ReferenceScale.id in tie for tie in ties)
     if scaled if not measured.distance else not (measured.position and measured.beside):
-        # a length by other means than rangefinder or reference
         candidates.append(replace(_corridor_run(driven), tape=True))
     return candidates
 
@@ -148,10 +146,7 @@ def _corridor_run(driven: Campaign) -> PlannedRun:
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
-    """Return the laden corridor runs, the largest payload first, where one session alone has several loads.
-
-    The next session, begun unladen, then has two.
-    """
+    """Return the laden corridor runs, the largest payload first, where one session alone has several loads."""
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
         return []
@@ -172,16 +167,13 @@ class _Task:
         number = {name: index for index, name in enumerate(signatures.names)}
         pairs = [pair for group in ties for pair in combinations(group, 2)]
         known = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
-        # radii and track together do what an effect does, or not: none of the three alone is its rival
+        # radii and track are rivals together, not one of the three alone
         own = signatures.own_calibration
         self.pairs = [(b, a) if own[a] and not own[b] else (a, b) for a, b in known]
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour.
-
-        `gram`: (..., n_columns, n_columns), scalar products; distances for each.
-        """
+        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour."""
         signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
             row = {truth: index for index, truth in enumerate(self.truths)}
@@ -189,7 +181,6 @@ class _Task:
         return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
 
     def distances_with(self, gram: FloatArray, added: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
-        """Return `distances` with each of the scalar products that may be added."""
         numbers, after = list(added), dict[int, FloatArray]()
         for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
             after |= zip(some, self.distances(gram + np.stack([added[number] for number in some])), strict=True)
@@ -245,7 +236,6 @@ def _measured(campaign: Campaign) -> Measured:
 
 
 def _count(campaign: Campaign, run: PlannedRun) -> int:
-    """Return how often to drive a run: `REPEATS` times unless its route's scatter is known."""
     runs = campaign.runs
     alike = (runs.label("kind") == run.kind) & ((runs.label("loop") == CLOSED) == (run.loop == CLOSED))
     if run.tape:
@@ -268,7 +258,7 @@ _IN_LOG_ONLY: Final = {
     "wheels": "the counts of the four wheels",
     "shaft": "the steering angle",
 }
-#: beyond any run: a typing error
+#: beyond: a typing error
 _Size = Annotated[float, Field(ge=-1e6, le=1e6)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 
@@ -318,15 +308,8 @@ class _RunEntry(_Strict):
 def read_plan(path: Path) -> Campaign:
     """Return the campaign that a plan would give if the vehicle were exactly as its model.
 
-    `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
-    ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``, and
-    ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
-    ``read_rolling``, ``tape``.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used.
+    The plan has ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` and ``[[runs]]``. Raises
+    BadFileError.
     """
     document = _load(path)
     runs = _runs(document.pop("runs", None), path)
@@ -364,7 +347,6 @@ def _runs(section: object, path: Path) -> list[PlannedRun]:
     for number, table in enumerate(section, start=1):
         where = f"runs[{number}]"
         entry = _validated(_RunEntry, table, path, where)
-        # before so many runs take memory
         remedy = "plan fewer, or judge the plan in parts"
         refuse_beyond(len(runs) + entry.count, PLANNED_RUNS, shown=str(path), what="runs", remedy=remedy, column=where)
         try:

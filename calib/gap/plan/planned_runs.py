@@ -27,9 +27,9 @@ CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
 SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
 BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
-#: of a route's samples: below 0.1 s at walking pace
+#: of a route's samples
 ROUTE_SPACING_M: Final = 0.05
-#: short over long corridor: enough to tell an offset from a scale
+#: short over long corridor: tells an offset from a scale
 SHORT_CORRIDOR: Final = 0.6
 DEFAULT_CORRIDOR_M: Final = 20.0
 #: ramps of a laden vehicle
@@ -67,9 +67,8 @@ class PlannedRun:
     count: int = 1  #: how often to drive it
     columns: Mapping[str, float] = field(default_factory=dict)  #: further numeric ones
     why: str = ""  #: what a recommended run would tell
-    size: str = ""  #: straights and radii of bends in words, if recommended
-    #: standard deviations then between the nearest confounded effects; None without any
-    distance: float | None = None
+    size: str = ""  #: straights and bends in words, if recommended
+    distance: float | None = None  #: standard deviations then between the nearest confounded effects
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields that are set as plain JSON values."""
@@ -91,12 +90,11 @@ def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = 
     """Return candidates over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
     Without motion capture `loops` close on a mark on the floor, `tape` measures corridors. The largest payload is the
-    campaign's own (without any, twice the vehicle's mass); temperatures vary by 10 K where recorded.
+    campaign's, else twice the vehicle's mass.
     """
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
     usual_C = usual_temperature_C(campaign)
-    # a payload stands within a fraction of the wheelbase
     ahead, aside = 0.3 * min(1.0, campaign.vehicle.wheelbase_m), 0.15 * min(1.0, campaign.vehicle.wheelbase_m)
     payloads = [(0.0, 0.0, 0.0), (0.5 * most_kg, ahead, 0.0), (most_kg, ahead, 0.0)]
     payloads += [(0.5 * most_kg, ahead, aside), (0.5 * most_kg, ahead, -aside)]
@@ -161,16 +159,9 @@ class Measured:
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
-    """Return the route of a kind.
+    """Return the route of a kind: a corridor or its lanes, one of `LEFT_ROUTES`, its mirror image, or one of `NAMED`.
 
-    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
-    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
-    simulate``; `corridor_m`: length of the corridor.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such route.
+    `corridor_m`: length of the corridor. Raises BadInputError where there is none.
     """
     left = kind.replace("_right", "_left")
     if kind == "corridor" or kind.startswith("corridor_"):
@@ -197,17 +188,13 @@ def size_of(route: Route) -> str:
 def drive(
     campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
 ) -> Campaign:
-    """Return the noise-free campaign of runs if the vehicle were exactly as its model.
-
-    `campaign`: gives vehicle, encoders, model and instruments, not its runs.
-    """
+    """Return the noise-free campaign of runs of a campaign's vehicle, if it were exactly as its model."""
     logs = [_log(campaign, run, measured, corridor_m) for run in runs]
     ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])
     corridor = np.array([run.kind.startswith("corridor") for run in runs])
     numbers: dict[str, FloatArray] = {
         name: np.array([float(getattr(run, name)) for run in runs]) for name in CONDITIONS
     }
-    # without a payload its place means nothing
     laden = numbers["payload_kg"] > 0
     numbers |= {name: np.where(laden, numbers[name], 0.0) for name in ("payload_x_m", "payload_y_m")}
     numbers |= {name: np.array([log[name][-1] for log in logs]) for name in WHEEL_COLUMNS["rear"] if name in logs[0]}
@@ -253,26 +240,14 @@ def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: fl
     length_m = np.interp(driven_m, along_m, np.append(0.0, np.cumsum(route.length_m)))
     x, y, heading = (np.interp(driven_m, along_m, part) for part in (poses.x_m, poses.y_m, poses.theta_rad))
     loads = wheel_loads_N(vehicle, run.payload_kg, run.payload_x_m, run.payload_y_m)
-    counts = wheel_counts(campaign, length_m, heading, (float(loads[1]), float(loads[2])), front=measured.front)
+    counts = _wheel_counts(campaign, length_m, heading, (float(loads[1]), float(loads[2])), front=measured.front)
     return {"t_s": time, **counts, "_x": x, "_y": y, "_theta": heading}
 
 
-def wheel_counts(
+def _wheel_counts(
     campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float], *, front: bool
 ) -> dict[str, FloatArray]:
-    """Return the log columns, each shape (n,), of the wheels that the vehicle counts.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Its model gives radii and lengths; its odometry, the wheels.
-    distance_m, heading_rad : array of float, shape (n,)
-        Way of the axle's middle and heading at the samples.
-    loads_N : tuple of float
-        Of left and right wheel.
-    front : bool
-        The front wheel is counted too.
-    """
+    """Return the log columns (n,) of the wheels that the vehicle counts; `front`: the front wheel too."""
     if not without_rear_wheels(campaign):
         half_m = 0.5 * campaign.model.track_m * heading_rad
         sides = _both_sides(campaign.encoder, distance_m, half_m, radii_of_model(campaign.model, *loads_N))
@@ -292,7 +267,6 @@ def wheel_counts(
 def _both_sides(
     encoder: Encoder, distance_m: FloatArray, half_m: FloatArray, radii_m: Sequence[FloatArray | float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return left and right wheel's counts (n,), whose ways differ from the middle's by `half_m` (n,)."""
     left = (distance_m - half_m) / radii_m[0] * encoder.counts_per_rev_left / (2 * np.pi)
     right = (distance_m + half_m) / radii_m[1] * encoder.counts_per_rev_right / (2 * np.pi)
     return left, right
@@ -309,7 +283,7 @@ def _steered(
     else:
         step_m = np.hypot(ahead, model.wheelbase_m * turn)
         name, per_rev, rolled_m = "counts_front", campaign.encoder.front, np.append(0.0, np.cumsum(step_m))
-        # a rounded zero's sign must not reverse the wheel
+        # a rounded zero must not reverse the wheel
         angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
     return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
@@ -318,8 +292,8 @@ def _steered(
 def stop_and_go(stops_m: FloatArray, speed: float, *, read_rolling: bool) -> tuple[FloatArray, FloatArray]:
     """Return times (s) and ways (m) from stop to stop (n_stops,), start and end included.
 
-    Ramps of `ACCELERATION_MPS2`, stops of half a second; with `read_rolling` the log ends in motion. Every
-    `LOG_PERIOD_S`, less often beyond `calib.errors.PLANNED_SAMPLES`.
+    Stops last half a second; with `read_rolling` the log ends in motion. Less often than `LOG_PERIOD_S` beyond
+    `calib.errors.PLANNED_SAMPLES`.
     """
     if not speed > 0.0:
         raise BadInputError(f"speed_mps: found {speed!r}; expected a speed above 0; correct the planned run")
@@ -357,8 +331,7 @@ UNDER_LOAD_MIN: Final = (0.0, 3.0, 15.0, 40.0)
 def demonstration() -> Campaign:
     """Return 36 noise-free runs of a nominal vehicle: a corridor both ways, squares and curved routes.
 
-    Loads, speeds, temperatures, time under load and stops vary; laser, end poses and front wheel are measured, one end
-    in five while rolling.
+    Conditions and stops vary; laser, end poses and front wheel are measured, one end in five while rolling.
     """
     radius_m, track_m = 0.100, 0.700
     nominal = Campaign(

@@ -30,15 +30,15 @@ from calib.gap.simulator.runner import Differences, SimulatorRunner, differences
 from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
 
-#: share of a calibration effect that the simulator's parameters may miss and still stand for it
+#: most of a calibration effect that the simulator's parameters may miss and still replace it
 SPANNED_SHARE: Final = 0.1
-#: standard deviations of the gap that may be left of one of the steering: more tells the two apart
+#: standard deviations of the gap that may be left of one of the steering
 TOLD_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatorDiagnosis:
-    """A diagnosis in a simulator's parameters, and what ran it, with the cost in its counts."""
+    """A diagnosis in a simulator's parameters, and what ran it."""
 
     diagnosis: Diagnosis
     runs: SimulatorRunner
@@ -53,28 +53,12 @@ def diagnose_simulator(
     workers: int = 1,
     progress: Progress = silent,
 ) -> SimulatorDiagnosis:
-    """Diagnose the gap between what was measured and the user's simulator.
+    """Diagnose the gap between what was measured and the user's simulator; see `SimulatorSettings`.
 
     It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
-    verdict is among parameters and library.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    settings : SimulatorSettings
-    seed : int
-        For the bootstrap of intervals.
-    exclude : tuple of str
-        To leave out, of the library or ``simulator:NAME``.
-    workers : int
-        Runs of the simulator at once.
-    progress : callable
-        See `calib.types.Progress`.
-
-    Raises
-    ------
-    CalibError
-        Where the simulator fails, hangs, writes nonsense, or predicts nothing measured.
+    verdict is among parameters and library. `seed`: for the bootstrap; `exclude`: of the library, or
+    ``simulator:NAME``; `workers`: runs at once. Raises CalibError where the simulator fails, hangs, writes nonsense, or
+    predicts nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(
@@ -82,7 +66,6 @@ def diagnose_simulator(
             "run 'calib ingest' first"
         )
     root = FilePath(campaign.root)
-    # driven as the vehicle's odometry is
     campaign = on_its_source_alone(campaign)
     measured = observations_of(campaign, whole_runs=True)
     _check_excluded(exclude, measured, settings, campaign)
@@ -92,7 +75,7 @@ def diagnose_simulator(
     stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
     differences = differences_of(runner, np.array([values.min() for values in stated]))
     _refuse_nonsense(settings, measured, differences)
-    observations = simulated_observations(measured, differences, differences.nominal)
+    observations = _simulated_observations(measured, differences, differences.nominal)
     if not observations.usable.any():
         raise RefusedError(
             f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
@@ -127,8 +110,8 @@ def _confirmed(
 ) -> Diagnosis:
     """Return the diagnosis with the fix that the simulator was run with.
 
-    A parameter's curvature may pass for a further cause: beside others the search is repeated with what runs of a fix
-    by parameters alone showed, or else with that beside the other causes.
+    A parameter's curvature may pass for a further cause: the search is repeated with what runs of a fix by parameters
+    alone, or else beside the other causes, showed.
     """
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
@@ -153,11 +136,8 @@ def _confirmed(
     return fixed(diagnosis, runner, differences, found, rng)
 
 
-def simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
-    """Return the observations with a simulator's table (n_runs, 4) in place of calib's model.
-
-    Channels not predicted are not compared; its scatter adds to the stated uncertainties.
-    """
+def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
+    """Return the observations with a simulator's table (n_runs, 4), whose scatter adds to the stated uncertainties."""
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
     simulated[:, :4] = table[differences.rows(measured)]
     # but for whole turns of a heading
@@ -212,10 +192,9 @@ def _candidates(
     exclude: Sequence[str],
     campaign: Campaign,
 ) -> tuple[list[Effect], tuple[str, ...]]:
-    """Return parameters and effects of the library beside them, with a note on those that do not matter.
+    """Return parameters and effects of the library beside them, with notes.
 
-    Effects that parameters stand for or, of the calibration, reproduce are left to these: nothing tells them apart, and
-    a parameter can be set.
+    Effects that parameters replace or, of the calibration, reproduce are left to these: a parameter can be set.
     """
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
@@ -254,10 +233,7 @@ def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
 
 
 def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool:
-    """Return whether an effect is a wrong setting of the odometry, as simulators have them.
-
-    Beside a noisy one any of one parameter: noise alone would tell it from the simulator's.
-    """
+    """Return whether an effect is a setting as simulators have them, beside a noisy one any of one parameter."""
     if noisy and (forms := effect.forms(observations)):
         return all(len(form.parameters) == 1 for form in forms)
     steered = observations.by_front and effect.id in (SteeringZero.id, SteeringScale.id)
@@ -281,7 +257,7 @@ def _spanned(
     for form, aim in zip(targets, aims.T, strict=True):
         share = SPANNED_SHARE
         if not noisy and not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
-            # wheelbase and angle scale are alike in small angles alone: no more than shows in such a gap
+            # wheelbase and angle scale are alike in small angles alone
             share = min(share, TOLD_SD / max(float(np.linalg.norm(gap)), 1e-12))
         limit = share * np.linalg.norm(aim)
         ways = [way for way in (1, -1) if np.linalg.norm(left_by(columns, way * aim, sign)) < limit]

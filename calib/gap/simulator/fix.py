@@ -25,24 +25,23 @@ from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averag
 from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray, IntArray
 
-#: most runs with a fix, a secant step each: one if linear, seven if the slope triples
+#: most runs with a fix, a secant step each
 MOST_RERUNS: Final = 8
-#: shares of its standard uncertainties below which a correction is not worth another run; the second where the gap is
-#: at the noise, the third of a noisy simulator
+#: standard uncertainties below which a correction is worth no run; then where the gap is at the noise, and of a noisy
+#: simulator
 CONVERGED: Final = (0.3, 0.5, 1.0)
-#: factor within which squares of a noisy simulator are alike: the run that asks for no more is kept
+#: factor within which squares of a noisy simulator are alike
 ALIKE: Final = 1.3
-#: share of the deviation below which a step tells no slope beside the simulator's rounding, or beside its scatter
+#: share of the deviation below which a step tells no slope beside rounding, or scatter
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
-#: parameters alone are searched where they leave at most so many times what all causes do
+#: most that parameters alone may leave over what all causes do, and of the gap's squares
 ALONE: Final = 2.0
-#: and followed where they promise to leave at most this share of the gap's squares
 ALONE_SHARE: Final = 0.5
-#: squares of noise, at levels known so well; beyond, others than the named are tried
+#: squares over the noise's beyond which others than the named are tried
 LACKING: Final = 1.5
-#: so many of them, each if it leaves less than this share
+#: so many, each if it leaves less than this share
 MOST_ALONE: Final = 3
 FURTHER_SHARE: Final = 0.5
 #: prior standard deviation of a correction in typical sizes: a finite solution
@@ -56,9 +55,9 @@ class SimulatorFix:
     deviation: Mapping[str, float]
     table: FloatArray  #: shape (n_runs, 4)
     derivative: Mapping[str, FloatArray]  #: shape (n_runs, 4)
-    wider: Mapping[str, float]  #: interval's half width over that by the nominal derivative
+    wider: Mapping[str, float]  #: interval over that by the nominal derivative
     short: Mapping[str, float]  #: what the last run asked further
-    settled: bool  #: whether it asked for no more than uncertainty, or left noise
+    settled: bool  #: whether that is within uncertainty, or noise was left
     square: float  #: of the whitened gap left
 
 
@@ -75,10 +74,7 @@ def fixed(
     found: SimulatorFix,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Return the diagnosis with what to set and the closure that the simulator shows with it.
-
-    `differences`: about the nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
-    """
+    """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`."""
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal
@@ -132,10 +128,9 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
 def iterated(
     diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None = None
 ) -> SimulatorFix:
-    """Run the simulator with the fix, and correct it by secant steps until the runs ask for no more.
+    """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until the runs ask for no more.
 
-    Every run adjusts the derivative by finite differences (Broyden 1965); a step that leads away is halved. `start`: a
-    fix already run, by default the diagnosis' parameters.
+    A step that leads away is halved. `start`: a fix already run, by default the diagnosis' parameters.
     """
     fitted = diagnosis.fitted
     sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
@@ -149,9 +144,8 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not.
 
-    A parameter's curvature may have passed for a cause of the library, or the parameter for none. They are the named
-    ones, whose `start` is the fix beside the others, or, where the verdict leaves more than noise, those of
-    `_most_able`; without a fix the named ones.
+    They are the named ones, whose `start` is the fix beside the others, or, where the verdict leaves more than noise,
+    those of `_most_able`.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
@@ -176,9 +170,9 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside a fit's other causes, first at `trial` (n_named,).
+    """Run the simulator as `iterated` does, beside a fit's other causes, first at `trial` (n_named,) or the start.
 
-    Else it begins at the start, and does not run where that promises to leave more than `limit`.
+    Not where that promises to leave more than `limit`.
     """
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
@@ -233,8 +227,6 @@ def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What a run leaves of the gap, and the correction that it asks for."""
-
     square: float  #: of the whitened gap
     promised: float  #: of what the correction leaves, if linear
     correction: FloatArray  #: shape (n_named,)
@@ -377,7 +369,7 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    """Return in words which parameter would do it with its forbidden sign, else empty."""
+    """Say which parameter would do it with its forbidden sign, else nothing."""
     forms, a, r = _signatures(diagnosis)
     for form, column in zip(forms, a.T, strict=True):
         sign = form.parameters[0].sign

@@ -27,12 +27,12 @@ from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
 from calib.types import FloatArray, Progress
 
-#: bytes of output kept for an error: the last lines say what went wrong
+#: bytes of output kept for an error
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
 #: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
-#: time between looks at a run, within which an interruption is heeded
+#: between looks at a run, and for an interruption
 LOOK_S: Final = 0.05
 
 
@@ -46,7 +46,7 @@ class Job:
 
 
 class _Stopped(Exception):
-    """The run was stopped because another failed or the user interrupted."""
+    """Another run failed, or the user interrupted."""
 
 
 @dataclass(eq=False)
@@ -65,7 +65,7 @@ class SimulatorRunner:
     _stop: threading.Event = field(default_factory=threading.Event)
 
     def run(self, jobs: Sequence[Job]) -> list[FloatArray]:
-        """Return what each run simulates, (n_runs, 4); an error or interruption ends all at work."""
+        """Return what each run simulates, (n_runs, 4); an error or interruption ends all."""
         results = [self.cache.get(job.parameters, job.repeat, self.run_ids) for job in jobs]
         todo = [number for number, result in enumerate(results) if result is None]
         self.asked, self.ran = self.asked + len(jobs), self.ran + len(todo)
@@ -74,7 +74,6 @@ class SimulatorRunner:
         command = self._command()
         with ThreadPoolExecutor(min(self.workers, len(todo))) as pool:
             try:
-                # an interruption meanwhile ends those at work, too
                 waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
                 while waiting:
                     # not in the futures' own wait, where an interruption leaves locks held
@@ -143,7 +142,7 @@ class SimulatorRunner:
         deadline = time.monotonic() + self.settings.timeout_s
         fault, status = "", None
         while not fault and status is None:
-            # its output ends with it, waited for asleep: waiting for a process asks again and again
+            # waiting for its output sleeps
             reader.join(LOOK_S)
             with suppress(subprocess.TimeoutExpired):
                 status = process.wait(0.0 if reader.is_alive() else LOOK_S)
@@ -190,17 +189,17 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         process.wait(5.0)
 
 
-#: within this share of an instrument's stated uncertainty a simulator repeats itself
+#: of an instrument's uncertainty within which a simulator repeats itself
 NOISE_SHARE: Final = 0.02
-#: runs of a noisy one per set of parameters: their mean has half the scatter
+#: runs of a noisy one per set of parameters
 REPEATS: Final = 4
 #: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %: longer ones bend the
-#: paths, a hundred times 2 mrad by 0.2 rad
+#: paths
 CLEAR_CHANGE: Final = 60.0
-#: largest step over a nominal value that is not zero: beyond may have no meaning
+#: largest step over a nominal value that is not zero
 NOT_NOTHING: Final = 0.9
 _HEADING: Final = 3
-#: agreement of a distance with its end point; laser and path length are further off
+#: agreement of a distance with its end point
 SAME_DISTANCE_M: Final = 1e-3
 
 
@@ -214,9 +213,8 @@ class Differences:
     size: Mapping[str, float]  #: by parameter: deviation over which it was taken
     scatter: FloatArray  #: shape (n_runs, 4): standard deviation of one run; 0 if it repeats itself
     repeats: int  #: runs averaged at each set of parameters
-    #: of its distances: 1, along x; 2, from the start as the crow flies; None: neither
-    axis: float | None = None
-    met: Mapping[str, float] = field(default_factory=dict)  #: deviations of a run that the changes together meet
+    axis: float | None = None  #: of its distances: 1, along x; 2, straight from the start; None: neither
+    met: Mapping[str, float] = field(default_factory=dict)  #: deviations of a run that the changes meet
 
     def effects(self, settings: SimulatorSettings, nominal: DrivenPath) -> list[SimulatorParameter]:
         """Return the parameters as effects on a path, the model alone."""
@@ -227,7 +225,7 @@ class Differences:
             size, both_ways = self.size[each.name], self.repeats > 1 and not each.parameter.sign
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
-            # what wheels carry is no sum, and would miss the run that the changes meet
+            # what wheels carry is no sum, and would miss the run met
             met = [(carried[name], size) for name, size in self.met.items()]
             pushes = [motion.motion(size) for motion, size in met]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
@@ -239,10 +237,7 @@ class Differences:
         return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
     def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> Differences:
-        """Return the differences adjusted to a run: linear in the deviations, they meet its table.
-
-        By the least change of derivatives, sizes in typical ones (Broyden 1965).
-        """
+        """Return the differences adjusted to meet a run's table, by the least change of derivatives (Broyden 1965)."""
         change = difference(table, self.nominal)
         miss = change - sum((self.change[name] * size for name, size in deviation.items()), np.zeros_like(change))
         square = sum((size / typical[name]) ** 2 for name, size in deviation.items())
@@ -261,7 +256,7 @@ class Differences:
 
 
 def difference(later: FloatArray, earlier: FloatArray) -> FloatArray:
-    """Return the difference of tables (n_runs, 4): headings within half a turn, 0 if not predicted."""
+    """Return the difference of tables (n_runs, 4), 0 if not predicted."""
     apart = later - earlier
     apart[:, _HEADING] = (apart[:, _HEADING] + np.pi) % (2 * np.pi) - np.pi
     return np.asarray(np.nan_to_num(apart))
@@ -274,9 +269,9 @@ def averaged(tables: list[FloatArray]) -> FloatArray:
 
 
 def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
-    """Run a simulator at nominal parameters, and with each a step off; twice where these do not tell all.
+    """Run a simulator at nominal parameters, and with each a step off.
 
-    Where nominal runs differ by more than `NOISE_SHARE` of the uncertainties `sigma` (4,), see `_averaged`.
+    Where nominal runs differ by more than `NOISE_SHARE` of the uncertainties `sigma` (4,), as `_averaged`.
     """
     settings = runner.settings
     steps = {each.name: each.step for each in settings.parameters}
@@ -302,8 +297,7 @@ def _averaged(
 ) -> Differences:
     """Return a noisy simulator's differences: the mean of `REPEATS` runs at each set of parameters.
 
-    A step that the scatter (4,) hides is enlarged and taken to both sides, half of the runs each: bends are alike on
-    both. `known`: runs a step off.
+    A step that the scatter (4,) hides is enlarged and taken to both sides. `known`: runs a step off.
     """
     settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
     size = dict[str, float]()
@@ -326,7 +320,6 @@ def _averaged(
     for at, tables in sets.items():
         tables += [next(results) for _ in range(len(tables), counts[at])]
     within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
-    # by run: a heading's grows with the way
     scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets)))
     means = {at: averaged(tables) for at, tables in sets.items()}
     middle = means["", 0.0]
@@ -339,10 +332,7 @@ def _averaged(
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
-    """Return whether tables, the nominal one first, show that the simulator repeats itself.
-
-    Each number recurs exactly with some parameter off, at digits fine enough for a scatter.
-    """
+    """Return whether the simulator repeats itself: each number recurs exactly with some parameter off."""
     whole = np.stack(tables)
     for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
         if not np.isnan(written).all():
@@ -358,10 +348,7 @@ def _off(settings: SimulatorSettings, name: str, step: float) -> Job:
 
 
 def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> float:
-    """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter, within its largest.
-
-    `change`: (n_runs, 4), by the declared step, with the scatter of two runs.
-    """
+    """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter; `change`: by the declared one."""
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
     # to either side, a length not to nothing
@@ -370,7 +357,7 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
-    """Return `Differences.axis`; straight runs do not tell, those with a parameter a step off do."""
+    """Return `Differences.axis`; straight runs alone do not tell."""
     distance, x, y, _ = np.concatenate(tables).T
     known = np.isfinite(distance + x + y)
     if not known.any():

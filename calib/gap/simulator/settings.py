@@ -27,9 +27,9 @@ from calib.types import FloatArray
 
 #: paths that the command has to name
 PLACES: Final = ("{campaign}", "{parameters}", "{out}")
-#: typical over largest plausible deviation, as the library's for radii and track
+#: typical over largest plausible deviation, as of radii and track
 TYPICAL_SHARE: Final = 0.1
-#: most parameters of a simulator: each costs a run of it
+#: each costs a run
 MOST_PARAMETERS: Final = 200
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.:/\-]{0,79}$")]
@@ -55,7 +55,7 @@ class Declared(BaseModel):
 
     @property
     def family(self) -> Family:
-        """Of the effect that it stands for, whose other laws are then forms of one cause."""
+        """Of the effect that it replaces."""
         return REGISTRY[self.effect].family if self.effect else Family.SIMULATOR
 
 
@@ -67,13 +67,13 @@ class SimulatorSettings(BaseModel):
     #: arguments with `PLACES`; no shell
     command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
     timeout_s: PositiveFloat = 600.0  #: of one run
-    inputs: tuple[str, ...] = ()  #: further files, relative to this, whose change makes results stale
+    inputs: tuple[str, ...] = ()  #: further files, beside this, that results depend on
     parameters: Annotated[tuple[Declared, ...], Field(min_length=1, max_length=MOST_PARAMETERS, alias="parameter")]
     _path: Path = PrivateAttr()
 
     @property
     def path(self) -> Path:
-        """Of the file; the command runs in its folder."""
+        """Of the file, in whose folder the command runs."""
         return self._path
 
     @property
@@ -83,7 +83,7 @@ class SimulatorSettings(BaseModel):
 
     @property
     def nominal(self) -> dict[str, float]:
-        """Return each parameter's nominal value."""
+        """Nominal value of each parameter."""
         return {each.name: each.nominal for each in self.parameters}
 
 
@@ -125,19 +125,16 @@ def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:
 COLUMNS: Final = ("sim_distance_m", "sim_x_m", "sim_y_m", "sim_theta_rad")
 #: metres or radians of a run that has diverged
 LARGEST: Final = 1e6
-#: of a table of 100 000 runs; larger is no table of end poses
+#: of a table of 100 000 runs
 MOST_BYTES: Final = 32 << 20
 
 
 class BadTableError(ValueError):
-    """What is wrong with a simulator's table, as ``found ...; expected ...``."""
+    """What is wrong with a simulator's table."""
 
 
 def read_table(path: Path, run_ids: Sequence[str]) -> FloatArray:
-    """Return runs' simulated (distance, x, y, heading), (n_runs, 4); NaN where not written.
-
-    Rows of other runs are passed over. Raises BadTableError.
-    """
+    """Return runs' simulated (distance, x, y, heading), (n_runs, 4), NaN where not written; raises BadTableError."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise BadTableError(f"found a table of {path.stat().st_size} bytes; expected {MOST_BYTES} at most")
@@ -203,16 +200,10 @@ _BLUNDERS: Final = {
 
 
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
-    """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
+    """Say what a simulator writes wrongly; nothing where its ends are about the counts'.
 
-    Parameters
-    ----------
-    table : array, shape (n_runs, 4)
-        Ends (distance, x, y, heading) at the nominal parameters.
-    own : array, shape (n_runs, 4)
-        By the campaign's model and the counts.
-    most : float
-        Share of way and turn by which these may differ on average: vehicles differ by less, blunders by more.
+    `table`, `own`: ends (distance, x, y, heading), (n_runs, 4), of the nominal simulator, and by model and counts;
+    `most`: share of way and turn by which they may differ on average, as no vehicle does.
     """
     length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
 
@@ -229,13 +220,12 @@ def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
     return best if left[best] < most else ""
 
 
-#: of a file; another makes kept ones worthless
 FORMAT: Final = "calib-simulator-run/1"
 
 
 @dataclass(frozen=True, slots=True)
 class RunCache:
-    """A folder of results, a file per run, written whole or not at all; a damaged one is none."""
+    """A folder of results, a file per run."""
 
     folder: Path | None  #: None where nothing is kept
     depends: str  #: digest of the command, the simulator's files and the campaign's
@@ -246,7 +236,7 @@ class RunCache:
         return None if self.folder is None else self.folder / name[:2] / f"{name}.json"
 
     def get(self, parameters: Mapping[str, float], repeat: int, run_ids: Sequence[str]) -> FloatArray | None:
-        """Return what a run simulated, (n_runs, 4); None where nothing whole is kept."""
+        """Return what a run simulated, (n_runs, 4); None where it is not kept whole."""
         path = self._path(parameters, repeat)
         try:
             document = json.loads(b"" if path is None else path.read_bytes())
@@ -269,10 +259,7 @@ class RunCache:
 
 
 def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:
-    """Return a simulator's cache on a campaign.
-
-    Results depend on the command, files that it or ``inputs`` names, and the campaign's.
-    """
+    """Return a simulator's cache on a campaign, by the command, its files and ``inputs``, and the campaign's."""
     folder = settings.path.resolve().parent
     files = {part: folder / part for part in settings.command if "{" not in part}
     for name in settings.inputs:

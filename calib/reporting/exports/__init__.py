@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
     from calib.types import Progress
 
-#: name of the format -> module of this package; each has ``render(path, accept, progress)``, which returns its files.
-#: A new format is one file and one line here
+#: format -> module of this package, whose ``render(path, accept, progress)`` returns the files
 FORMATS: Final[dict[str, str]] = {"dcc": "dcc", "mcap": "mcap_paths", "nav2": "nav2"}
 #: formats that are no text
 BINARY: Final = frozenset({"mcap"})
@@ -26,8 +25,8 @@ def export_from(
 ) -> tuple[Artifact, ...]:
     """Return the files of a campaign, or of a result folder, in a format of `FORMATS`.
 
-    `accept`: why a law whose checks failed is passed on all the same; empty: it is refused. Raises BadInputError where
-    the path cannot be used; RefusedError where the format needs what the source does not have.
+    `accept`: why a law whose checks failed is passed on; empty: refused. Raises BadInputError where the path cannot be
+    used; RefusedError where the source lacks what the format needs.
     """
     from calib.types import silent
 
@@ -37,10 +36,7 @@ def export_from(
 
 
 def diagnosed(path: Path, progress: Progress) -> tuple[Campaign, Diagnosis]:
-    """Return a campaign and its diagnosis, which has no plan of further runs.
-
-    Raises BadInputError where `path` is a result folder, which has no runs.
-    """
+    """Return a campaign and its diagnosis without a plan; BadInputError for a result folder, which has no runs."""
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
     from calib.radius.result import is_result

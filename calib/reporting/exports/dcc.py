@@ -1,7 +1,6 @@
 r"""A Digital Calibration Certificate, DCC 3.0.0 of PTB, of both wheels' radius laws.
 
-Numbers are in SI units, written as D-SI asks (``\metre\newton\tothe{-1}``; SI_Format 2.0.0). What ``dcc.xml.j2`` states
-beside them is the ``[certificate]`` section of ``campaign.toml``.
+Numbers are in D-SI units (``\metre\newton\tothe{-1}``; SI_Format 2.0.0).
 """
 
 from __future__ import annotations
@@ -34,8 +33,6 @@ from calib.types import Progress
 Text = Annotated[str, Field(min_length=1, max_length=1000)]
 #: ISO 3166-1, two letters
 Country = Annotated[str, Field(pattern="^[A-Z]{2}$")]
-
-
 #: or its text as YYYY-MM-DD
 Day = Annotated[date, BeforeValidator(lambda day: date.fromisoformat(day) if isinstance(day, str) else day)]
 
@@ -109,9 +106,9 @@ class Certificate(_Section):
 
 
 def certificate_of(section: Any, where: str) -> Certificate:
-    """Return the ``[certificate]`` section of ``campaign.toml`` or a result folder (dates as text), checked.
+    """Return the ``[certificate]`` section of ``campaign.toml`` or a result folder, checked.
 
-    Raises RefusedError where something is not stated, all of it by name; BadInputError where a value is wrong.
+    Raises RefusedError that names all that is not stated; BadInputError where a value is wrong.
     """
     if not isinstance(section, Mapping):
         missing = ", ".join(_required(Certificate))
@@ -167,7 +164,7 @@ CONDITIONS: Final = {
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`."""
-    # the date of issue, not written, need only be a date until the end of the measurement is known
+    # the date of issue is the end of the measurement
     given = opened(path, progress=progress)
     source = source_of(given, issued="2000-01-01", accept=accept, where=path)
     fit, driven = source.fit, isinstance(given, Campaign)
@@ -245,7 +242,7 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     side = 0 if wheel.wheel == "left" else 1
     points = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
     loads = sorted({round(pair[side], 3) for pair in points.values()})
-    # runs that each have their own load are weighing's scatter, no load points
+    # a load a run is weighing's scatter, no load points
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
         return list(np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS))
     return loads

@@ -1,7 +1,4 @@
-"""Paths, gap and noise of every run as ROS 2 messages in one MCAP file.
-
-Foxglove and RViz show these without set-up. Runs follow each other, each in its start frame.
-"""
+"""Paths, gap and noise of every run, each in its start frame, as ROS 2 messages in one MCAP file."""
 
 from __future__ import annotations
 
@@ -35,9 +32,8 @@ PAUSE_S: Final = 2.0
 MOST_POSES: Final = 1000
 #: of a run without a log
 UNKNOWN_SPEED_MPS: Final = 1.0
-#: frame of all poses: the start of the run that is shown
+#: frame of all poses
 FRAME: Final = "start"
-#: topic -> message type; numbers: a topic a channel
 PATHS: Final = ("measured", "simulated", "corrected")
 NUMBERS: Final = ("gap", "gap_corrected", "noise")
 INFO: Final = 20
@@ -59,9 +55,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownRun:
-    """What is shown of one observation."""
-
+class _ShownRun:
     label: str
     duration_s: float
     paths: dict[str, Track]
@@ -77,7 +71,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     return (Artifact(f"{campaign.name}.mcap", recording(shown_runs(campaign, diagnosis)), notes),)
 
 
-def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[ShownRun]:
+def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
     """Yield what is shown of each observation, in the order driven."""
     observations, held_out = diagnosis.observations, diagnosis.held_out
     sources: dict[str, PredictedPath] = {"simulated": diagnosis.nominal}
@@ -103,7 +97,7 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[ShownRun]:
         }
         window = f", window {observations.window[number]}" if observations.windowed else ""
         label = f"run {labels['run_id'][number]}{window}, {labels['kind'][number]}, session {labels['session'][number]}"
-        yield ShownRun(label, float(simulated.time_s[-1]), paths, numbers)
+        yield _ShownRun(label, float(simulated.time_s[-1]), paths, numbers)
 
 
 def _predicted(path: PredictedPath) -> list[Track]:
@@ -120,7 +114,7 @@ def _predicted(path: PredictedPath) -> list[Track]:
     return tracks
 
 
-def recording(runs: Iterator[ShownRun]) -> bytes:
+def recording(runs: Iterator[_ShownRun]) -> bytes:
     """Return runs as the bytes of an MCAP file of ROS 2 messages."""
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -145,7 +139,7 @@ class _Sink:
         self.writer, self.store, self.types = writer, store, store.types
         self.connections: dict[str, Connection] = {}
 
-    def show(self, run: ShownRun, begin_s: float) -> None:
+    def show(self, run: _ShownRun, begin_s: float) -> None:
         log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
         messages = [(begin_s, "/run", LOG_TYPE, log)]
         for name in (name for name in PATHS if name in run.paths):

@@ -1,8 +1,7 @@
 """Parameters of a navigation stack from the corrected odometry's noise: AMCL's alphas, covariances.
 
-The covariance of an end pose is linear in the four alphas of AMCL's differential motion model (S. Thrun, W. Burgard,
-D. Fox, Probabilistic Robotics, 2005, section 5.4, as nav2_amcl has it; docs/exports.md), as in the sizes of a random
-walk and of errors that stay the same during a run, which no alphas spread like: `form_ratios`.
+An end pose's covariance is linear in the alphas of AMCL's differential motion model (Thrun, Burgard, Fox, Probabilistic
+Robotics, 2005, section 5.4; docs/exports.md), as in a random walk and in errors constant during a run: `form_ratios`.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from calib.types import BoolArray, FloatArray, Progress, StrArray
 #: motion between the filter's updates: defaults of nav2_amcl
 UPDATE_MIN_D_M: Final = 0.25
 UPDATE_MIN_A_RAD: Final = 0.2
-#: a shorter way has no direction: the filter's first turn is zero
+#: a shorter way has no direction
 SHORTEST_WAY_M: Final = 0.01
 #: end pose: along and left of the final heading, and heading
 POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: a component whose usual size adds less to every variance shows nothing
+#: least share of a variance that a component of usual size adds to show
 LEAST_SHARE: Final = 0.1
-#: runs are held out in so many parts: each is predicted by nine tenths of the others of its kind
+#: parts in which runs are held out
 FOLDS: Final = 10
 #: of the interval of a ratio
 COVERAGE: Final = 0.95
@@ -45,7 +44,7 @@ COVERAGE: Final = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Components of the covariance of end poses, (n_components, n_obs, 3, 3), and the reference's (n_obs, 3, 3)."""
+    """Components of end poses' covariance, (n_components, n_obs, 3, 3), and the reference's (n_obs, 3, 3)."""
 
     names: tuple[str, ...]
     components: FloatArray
@@ -61,14 +60,14 @@ class Spread:
 
 
 def _levers(way: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the end pose's change by a turn at poses (n, 3), in the frame of the end heading, shape (n, 3)."""
+    """Return the end pose's change by a turn at poses (n, 3), in its own frame, (n, 3)."""
     dx, dy = end[0] - way[:, 0], end[1] - way[:, 1]
     c, s = math.cos(end[2]), math.sin(end[2])
     return np.column_stack((-c * dy + s * dx, s * dy + c * dx, np.ones(len(way))))
 
 
 def _directions(heading: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the end pose's change by a metre in headings (n,), in the frame of the end heading."""
+    """Return the end pose's change by a metre in headings (n,), in its own frame, (n, 3)."""
     return np.column_stack((np.cos(heading - end[2]), np.sin(heading - end[2]), np.zeros(len(heading))))
 
 
@@ -77,7 +76,7 @@ def _outer(vectors: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def amcl_components(poses: FloatArray) -> FloatArray:
-    """Return the covariance of the end of a path (n, 3) that each alpha of 1 makes, shape (4, 3, 3)."""
+    """Return the covariance of a path's end (n, 3) by each alpha of 1, (4, 3, 3)."""
     knots = poses[_updates(poses)]
     end = knots[-1]
     step = np.diff(knots, axis=0)
@@ -101,15 +100,15 @@ def _ways(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def walk_components(poses: FloatArray) -> FloatArray:
-    """Return the covariance of the end of a path (n, 3) that random walks of 1 a metre make, shape (2, 3, 3)."""
+    """Return the covariance of a path's end (n, 3) by random walks of 1 a metre, (2, 3, 3)."""
     way, directions, levers = _ways(poses)
     return np.stack((_outer(directions, way), _outer(levers, way)))
 
 
 def constant_components(poses: FloatArray) -> FloatArray:
-    """Return the covariance of the end of a path (n, 3) that errors of 1 which stay during the run make, (3, 3, 3).
+    """Return the covariance of a path's end (n, 3) by constant errors of 1, (3, 3, 3).
 
-    A relative error of the way, an error of the curvature (1/m), and a relative error of the turns.
+    Relative of the way, of the curvature (1/m), relative of the turns.
     """
     way, directions, levers = _ways(poses)
     moved = np.stack((way @ directions, way @ levers, np.diff(poses[:, 2]) @ levers))
@@ -117,7 +116,7 @@ def constant_components(poses: FloatArray) -> FloatArray:
 
 
 def _updates(poses: FloatArray) -> list[int]:
-    """Return where the filter updates, with both ends of the path."""
+    """Return where the filter updates, both ends included."""
     kept = [0]
     for at in range(1, len(poses)):
         dx, dy, turn = poses[at] - poses[kept[-1]]
@@ -153,15 +152,14 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
     """Return the components' sizes (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
 
-    Likeliest with each of along, lateral and heading by itself: a filter's particles shall spread right in each.
-    `begin`: sizes near the solution, for a shorter search.
+    By the likelihood of along, lateral and heading, each by itself. `begin`: sizes near the solution.
     """
     from scipy.optimize import minimize
 
     components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), -1)
     reference = np.einsum("uii->ui", spread.reference).ravel()
     square = residuals.ravel() ** 2
-    # scaled so that each component is as large as the residuals: one step of the search fits all
+    # each component as large as the residuals: one step of the search fits all
     relative = components.reshape(len(components), -1, 3) / np.mean(residuals**2, axis=0)
     unit = 1.0 / np.maximum(np.mean(relative, axis=(1, 2)), 1e-30)
     scaled = unit[:, None] * components
@@ -185,7 +183,7 @@ def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:
 
 
 def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return observed over predicted standard deviation along, lateral, in heading (3,); variance as residuals."""
+    """Return observed over predicted standard deviation along, lateral, in heading (3,)."""
     return np.asarray(np.sqrt(np.mean(residuals**2, axis=0) / np.mean(variance, axis=0)))
 
 
@@ -195,14 +193,14 @@ class Fitted:
 
     sizes: FloatArray
     ratios: FloatArray  #: along, lateral, heading, shape (3,)
-    interval: FloatArray  #: of each, shape (3, 2): what the true ratio may be, by the chance of these runs
+    interval: FloatArray  #: of each, shape (3, 2)
 
 
 def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
-    """Fit the sizes, and hold each tenth of the runs of every kind (n_obs,) against the sizes that the others give.
+    """Fit the sizes, and hold each tenth of the runs of every kind (n_obs,) against the others' sizes.
 
-    Sizes at their bound of zero take from the others, and few runs more often show too little scatter than too much:
-    the sizes are raised until runs held out scatter as predicted in the mean of the three.
+    Sizes at zero take from the others, and few runs show too little scatter: the sizes are raised until runs held out
+    scatter as predicted in the mean of the three.
     """
     from scipy.stats import chi2
 
@@ -218,8 +216,7 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
     found = ratios(variance, residuals)
-    # the mean square's degrees of freedom follow from its own scatter (Satterthwaite): few with heavy tails, but never
-    # more than with normal ones, which the scatter of few squares hides
+    # degrees of freedom by the squares' own scatter (Satterthwaite): fewer with heavy tails
     normal = found**2 * variance
     scatter = np.sum((residuals**2 - normal) ** 2, axis=0)
     freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))
@@ -229,9 +226,9 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
 
 
 def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -> FloatArray:
-    """Return the ratios (3,) that AMCL's model would have with infinitely many such runs: the bias by its form.
+    """Return the ratios (3,) of AMCL's model with infinitely many such runs: the bias by its form.
 
-    `others` (random walks, and errors constant during a run) together describe the scatter.
+    `others` together describe the scatter.
     """
     components = np.concatenate([other.components for other in others])
     whole = Spread(tuple(name for other in others for name in other.names), components, amcl.reference)
@@ -239,24 +236,24 @@ def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -
     return ratios(np.einsum("uii->ui", amcl.covariance(sizes_of(amcl, expected))), expected)
 
 
-#: fewer end poses do not show a spread: its standard error exceeds a sixth
+#: fewest end poses: the standard error of their spread is a sixth
 FEWEST_RUNS: Final = 20
 #: of the variances of a twist
 RATE_HZ: Final = 50.0
 SPEED_MPS: Final = 1.0
 CHANNELS: Final = ("along", "lateral", "heading")
-#: a ratio by the form of AMCL's model further from 1 is pointed out
+#: deviation from 1 of a ratio by the form that is pointed out
 FORM_TOLERANCE: Final = 0.1
 
 
 def is_beyond(form: FloatArray) -> bool:
-    """Return whether ratios by the form of the model (3,) are further from 1 than `FORM_TOLERANCE`."""
+    """Return whether ratios by the form (3,) are further from 1 than `FORM_TOLERANCE`."""
     return bool(np.abs(np.log(form)).max() > np.log(1.0 + FORM_TOLERANCE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KindNoise:
-    """Alphas for runs of one kind, and their ratios by the form of AMCL's model alone, shape (3,)."""
+class _KindNoise:
+    """Alphas for runs of one kind, and their ratios by the form, (3,)."""
 
     kind: str
     n_runs: int
@@ -264,15 +261,15 @@ class KindNoise:
     form: FloatArray
 
 
-def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[KindNoise, ...]:
-    """Return the alphas of each kind of enough runs by itself, where there are several; `models`: those of `MODELS`."""
+def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[_KindNoise, ...]:
+    """Return the alphas of each kind of enough runs, where there are several; `models`: of `MODELS`."""
     found = []
     for kind in sorted(set(kinds)) if len(set(kinds)) > 1 else ():
         on = kinds == kind
         if on.sum() >= FEWEST_RUNS:
             amcl, *others = (model.of(on) for model in models)
             alphas, _ = _alphas(amcl, sizes_of(amcl, residuals[on]))
-            found.append(KindNoise(str(kind), int(on.sum()), alphas, form_ratios(amcl, others, residuals[on])))
+            found.append(_KindNoise(str(kind), int(on.sum()), alphas, form_ratios(amcl, others, residuals[on])))
     return tuple(found)
 
 
@@ -286,14 +283,14 @@ class MotionNoise:
     """The noise of the corrected odometry on held-out runs."""
 
     n_runs: int
-    length_m: float  #: median length of the runs
-    turn_rad: float  #: median of what they turn in all, to and fro
+    length_m: float  #: median of the runs
+    turn_rad: float  #: median of their total absolute rotation
     alphas: dict[str, float]
     undetermined: tuple[str, ...]  #: alphas that these runs say nothing of
     walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
-    held_out: Fitted  #: observed over predicted standard deviation of runs held out, with intervals
-    form: FloatArray  #: the same ratios by the form of AMCL's model alone, shape (3,)
-    by_kind: tuple[KindNoise, ...] = ()  #: where no alphas spread as all runs do
+    held_out: Fitted
+    form: FloatArray  #: ratios by the form of AMCL's model alone, shape (3,)
+    by_kind: tuple[_KindNoise, ...] = ()  #: where no alphas spread as all runs do
 
     @property
     def beyond_form(self) -> bool:
@@ -302,7 +299,7 @@ class MotionNoise:
 
     @property
     def cover(self) -> float:
-        """Factor of the alphas with which the form of the model understates none of the three."""
+        """Factor of the alphas that understates none of the three."""
         return float(self.form.max() ** 2)
 
 
@@ -326,7 +323,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
 
 
 def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
-    """Return the noise of the odometry corrected by a diagnosis, from the end poses of held-out runs."""
+    """Return the noise of the odometry corrected by a diagnosis, from held-out end poses."""
     observations = diagnosis.observations
     if observations.aside_m is not None:
         raise RefusedError(

@@ -28,7 +28,7 @@ MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6
 WHEELS: Final = ("left", "right")
-#: a smaller excess is drawn as this: a hair's breadth over a corridor
+#: smallest excess drawn
 LEAST_EXCESS_PPM: Final = 1e-4
 NO_SESSION: Final = "(no session)"
 #: light to dark, told apart in print and by colour-blind readers
@@ -39,11 +39,7 @@ LOADS_ALIKE: Final = 0.05
 
 @styled
 def runs_by_series(radii: EffectiveRadii) -> Figure:
-    """Draw each wheel's radius by run, in the order driven (Fig. 10).
-
-    One panel a wheel, one vertical scale; coloured by load where it varies, with lines between the sessions, else by
-    session.
-    """
+    """Draw each wheel's radius in the order driven (Fig. 10), coloured by load where it varies, else by session."""
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1.0, len(radii) + 1)
@@ -51,7 +47,6 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     loads = np.stack((radii.load_left_N, radii.load_right_N))
     sides = zip((radii.radius_left_m, radii.radius_right_m), (radii.std_left_m, radii.std_right_m), loads, strict=True)
     span = Normalize(float(loads.min()), float(loads.max())) if varies(loads) else None
-    # few steps, which stay vectors
     scale = mpl.colormaps[LOAD_COLOURS].resampled(32)
     for axis, wheel, (radius, std, load) in zip(axes, WHEELS, sides, strict=True):
         if len(order) <= MANY:
@@ -72,7 +67,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
 
 
 def varies(load: FloatArray) -> bool:
-    """Return whether loads differ by more than 5 % of the largest, so that colours can order them."""
+    """Return whether loads differ by more than 5 % of the largest."""
     return bool(np.ptp(load) > LOADS_ALIKE * np.abs(load).max())
 
 
@@ -92,10 +87,7 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 
 @styled
 def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
-    """Draw radius against load with law, mean band and prediction band (Fig. 11).
-
-    `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
-    """
+    """Draw radius against load with law and bands (Fig. 11), below as deviation from the law; `session`: (n_runs,)."""
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
     sessions = Groups.of(session, NO_SESSION)
@@ -111,11 +103,10 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
                 low, high = (scale * (end - zero) for end in band(load))
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=style.INK, lw=1.0, label="law")
+            axis.tick_params(labelleft=True)
         sessions.draw(upper, fit.load_N, MM * fit.radius_m, ms=3.2)
         sessions.draw(lower, fit.load_N, UM * fit.residual_m, ms=3.2)
         upper.set_title(f"{fit.wheel.capitalize()} wheel")
-        upper.tick_params(labelleft=True)
-        lower.tick_params(labelleft=True)
         lower.set_xlabel("wheel load (N)")
         upper.margins(x=0)
     axes[0, 0].set_ylabel("effective radius (mm)")
@@ -128,10 +119,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
 @styled
 def path_deviation(radii: EffectiveRadii) -> Figure:
-    """Draw the weave's excess by amplitude and wavelength (Fig. 9), and each run's correction.
-
-    Runs of unknown amplitude are missing in the first panel.
-    """
+    """Draw the weave's excess by amplitude and wavelength (Fig. 9), and each run's correction."""
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
     # NaN is above nothing
@@ -146,7 +134,7 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
         excess = PPM * whole_period_excess(grid, value)
         chart.plot(grid, excess, color=shade, lw=0.9)
         chart.annotate(
-            # lines run together where the weave is steep: their names are held apart
+            # where lines run together names are held apart
             f"λ = {value:g} m", (grid[-1], float(excess[-1])), xytext=(3, 3 * (2 - number)),
             textcoords="offset points", fontsize=6,
             va="center", color=shade, annotation_clip=False,
@@ -231,18 +219,17 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
 
 
 COLUMNS: Final = 3
-#: two rows of panels or six of residuals fill a page
 PANEL_CM: Final = 4.8
 LONE_PANEL_CM: Final = 8.5
-#: paths a panel; more of one kind overlap
+#: paths a panel
 MOST_PATHS: Final = 12
-#: runs a figure with residuals in time; more say the same
+#: runs a figure with residuals in time
 MOST_RUNS: Final = 6
 #: of a line: a panel's width in half points
 MOST_POINTS: Final = 200
 #: beside its residuals
 NAME_LENGTH: Final = 10
-#: share of the errors that colours span: one failed measurement does not bleach the others
+#: percentile of the errors that colours span
 SPANNED: Final = 98.0
 #: channels of a residual: title, unit, factor
 CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mrad", 1e3))
@@ -261,7 +248,6 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
     handles: dict[str, Artist] = {}
     colours = None
-    # beyond that many pieces as pixels inside a vector figure
     pixels = sum(len(trace.seen) for trace in traces) > MANY
     for axes, kind in zip(grid, kinds, strict=False):
         chosen = [trace for trace in traces if trace.kind == kind]
@@ -344,7 +330,7 @@ def _limits(traces: Sequence[RunTrace]) -> list[float]:
 
 @styled
 def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
-    """Draw end residuals in the order driven, before above, after below, by kind of route."""
+    """Draw end residuals before and after, in the order driven, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
     kinds = style.Groups.of(np.array([trace.kind for trace in traces]), "all runs")
@@ -365,7 +351,7 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
 
 @styled
 def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
-    """Draw the correlation of every two parameters, its number in the cell."""
+    """Draw the correlation of every two parameters."""
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
     size = len(names)

@@ -26,7 +26,6 @@ GREEN: Final = style.PALETTE[2]
 @styled
 def board_figure(score: Score) -> Figure:
     """Draw the board, detection by signal, reliability of probabilities, and closure."""
-    # a page of its own, wider than the report's text
     figure = canvas(19.0, 24.0)
     halves = figure.add_gridspec(2, 1, height_ratios=(1.25, 1.0))
     _board(figure.add_subfigure(halves[0]).add_subplot(), score)
@@ -145,7 +144,7 @@ def confusion_figure(score: Score) -> Figure:
 
 
 def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
-    """Save a figure as PNG, SVG or PDF, whole; raises BadInputError for another suffix, or a file that exists."""
+    """Save a figure as PNG, SVG or PDF; raises BadInputError for another suffix, or a file that exists."""
     path = Path(path)
     form = path.suffix.lower()[1:]
     if form not in style.FORMS:
@@ -155,10 +154,7 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
 
 
 def fleet_figures(fleet: Fleet) -> Drawings:
-    """Return what draws the vehicles' radii and slopes, and with days their drift.
-
-    In order of size, each with its 95 % interval, the outliers marked; nothing where no vehicle was fitted.
-    """
+    """Return what draws the vehicles' radii and slopes in order of size, and with days their drift."""
     fitted = [record for record in fleet.records if record.status == "fitted"]
     if not fitted:
         return {}

@@ -41,23 +41,19 @@ class GapArrays:
     channels: tuple[tuple[str, str], ...]
     #: run, session and kind of each observation, shape (n,)
     labels: Mapping[str, StrArray]
-    #: measured minus simulated without and with the named causes, on held-out runs; NaN without the channel, shape (n,
-    #: n_channels)
+    #: measured minus simulated without and with the named causes, on held-out runs, and one standard deviation; NaN
+    #: without the channel, shape (n, n_channels)
     before: FloatArray
     after: FloatArray
-    #: one standard deviation; NaN as above, shape (n, n_channels)
     noise_level: FloatArray
-    #: candidates for the gap to correlate with, by name with unit suffix, shape (n,)
-    covariates: Mapping[str, FloatArray]
-    #: predicted path of each observation from its start, x and y, shape (n_samples, 2); empty without end positions
+    covariates: Mapping[str, FloatArray]  #: by name with unit suffix, shape (n,)
+    #: predicted path of each observation from its start, shape (n_samples, 2); empty without end positions
     paths_m: tuple[FloatArray, ...] = ()
-    #: measured minus predicted end position in the frame of the paths, shape (n, 2)
-    offset_m: FloatArray | None = None
+    offset_m: FloatArray | None = None  #: measured minus predicted end position in that frame, shape (n, 2)
 
     @staticmethod
     def of(diagnosis: Diagnosis) -> GapArrays:
         """Return the arrays of a diagnosis."""
-        # a report without a diagnosis needs none of this
         from calib.gap.localise.covariates import covariate_values
         from calib.gap.predict import measured_gap
 
@@ -84,9 +80,9 @@ class GapArrays:
 
 @styled
 def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray) -> Figure:
-    """Draw every run's path, and its gap as an arrow from simulated to measured end.
+    """Draw every run's path, and its gap as an arrow from simulated to measured end, magnified as the title says.
 
-    `group` (n,): route or kind of each run, for colours. Arrows are magnified by a round factor that the title says.
+    `group` (n,): kind of each run, for colours.
     """
     ends, points = np.array([path[-1] for path in paths_m]), np.concatenate(list(paths_m))
     known = np.asarray(np.isfinite(np.hstack((offset_m, ends))).all(axis=1))
@@ -99,7 +95,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset_m, 0.0))
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     margin = 0.04 * float(max(np.max(high - low), 1e-3))
-    # the height follows the plan, within reason: a long corridor is flat
+    # a long corridor is flat
     aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
     stretched = aspect < 0.12
     figure = style.canvas(float(np.clip(2.6 + 0.86 * style.WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
@@ -141,8 +137,7 @@ def gap_by_covariate(
 ) -> Figure:
     """Draw one channel's gap against each covariate, with up to eight class means and their 95 % intervals.
 
-    `residual` (n,) of a channel, `covariates`: see `GapArrays`; `noise_level`: a band about zero; `group` (n,): route
-    or kind of each run, for colours.
+    `residual` (n,), `covariates`, `noise_level`: see `GapArrays`; `group` (n,): kind of each run, for colours.
     """
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))
@@ -151,7 +146,6 @@ def gap_by_covariate(
     gap = factor * residual
     for axis, (title, values) in zip(axes.flat, shown, strict=False):
         good = np.isfinite(gap) & np.isfinite(values)
-        # edges as lines: the zero line would hide a band far below the gap
         axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
         groups.draw(axis, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
@@ -160,9 +154,8 @@ def gap_by_covariate(
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
         axis.set_xlabel(legible(with_unit(title)))
         axis.margins(x=0.06, y=0.08)
-        # long decimals would run into each other
         axis.locator_params(axis="x", nbins=4)
-    # the runs set the limits: the interval of a class of two runs may leave the panel
+    # the interval of a class of two runs may leave the panel
     known = gap[np.isfinite(gap)]
     if len(known):
         low, high = min(float(known.min()), 0.0), max(float(known.max()), 0.0)
@@ -178,10 +171,7 @@ def gap_by_covariate(
 def before_after(
     channels: Sequence[tuple[str, str]], before: FloatArray, after: FloatArray, noise_level: FloatArray
 ) -> Figure:
-    """Draw the gap of every run before and after the fix, channel by channel, with the noise level; see `GapArrays`.
-
-    The dots are runs, the bars their mean and standard deviation, the numbers root mean squares.
-    """
+    """Draw the runs' gap before and after the fix, channel by channel, with mean and noise level; see `GapArrays`."""
     used = [k for k in range(len(channels)) if np.isfinite(before[:, k]).any()]
     figure, axes = panels(len(used), 1.2, 4.8)
     for axis, k in zip(axes.flat, used, strict=False):
@@ -193,7 +183,7 @@ def before_after(
         axis.axhline(0.0, color=GREY, lw=0.6)
         for place, (values, tint) in enumerate(((before[:, k], style.ORANGE), (after[:, k], style.BLUE))):
             gaps = factor * values[np.isfinite(values)]
-            # dots side by side, evenly, not by chance
+            # side by side, not by chance
             aside = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
             axis.plot(
                 place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > style.MANY
@@ -266,10 +256,7 @@ def _groups(group: StrArray) -> Groups:
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts.
-
-    Classes stand where runs are: empty stretches hold none, and a class of one run has no interval.
-    """
+    """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts."""
     from scipy.special import stdtrit
 
     values, index = np.unique(x, return_inverse=True)
@@ -286,7 +273,7 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 SIGNED = ("distance", "along", "lateral", "heading", "front", "steering")
 ANGLES = frozenset({"heading", "steering"})
-#: a channel changed by less (m or rad) is unchanged: no instrument resolves a micrometre
+#: smallest change of a channel (m or rad): no instrument resolves a micrometre
 UNCHANGED = 1e-6
 
 
@@ -294,8 +281,7 @@ UNCHANGED = 1e-6
 def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
     """Draw a signature beside the model alone on the same runs (`nominal`).
 
-    Left the floor plan, one run of each kind, without the effect in grey and with it, enlarged, in colour; right the
-    change of each channel at the typical size, a dot a run.
+    Left a run of each kind without the effect, grey, and with it, enlarged; right the change of each channel.
     """
     kinds = nominal.s.labels["kind"]
     names = list(np.unique(kinds))
@@ -344,10 +330,7 @@ SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")
 
 @styled
 def plan_matrix(outlook: Outlook) -> Figure:
-    """Draw the matrix: row, the effect at work at its typical size; column, the effect that might be named instead.
-
-    The first column says how well the effect is detected at all.
-    """
+    """Draw the matrix: row, the effect at work at its typical size; column, the effect that might be named instead."""
     n = len(outlook.effects)
     figure = style.canvas(float(np.clip(5.0 + 0.36 * n, 8.0, 21.0)))
     axis = figure.add_subplot()

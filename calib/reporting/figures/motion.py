@@ -23,9 +23,7 @@ from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, 
 Dash = Literal["-", "--", ":"]
 
 
-class LineStyle(TypedDict):
-    """How matplotlib draws a line."""
-
+class _LineStyle(TypedDict):
     color: str
     linestyle: Dash
     linewidth: float
@@ -55,14 +53,12 @@ def load_figure(sweep: LoadSweep) -> Figure:
     return figure
 
 
-def sweep_styles(sweep: Sweep) -> list[LineStyle]:
-    """Return how each vehicle of a sweep is drawn: colour by ratio, dashes by the wheel that is off."""
+def _sweep_styles(sweep: Sweep) -> list[_LineStyle]:
     shades = _shades(sweep)
     return [{"color": shades[c.ratio], "linestyle": DASHES[c.which], "linewidth": 1.3} for c in sweep.cases]
 
 
-def sweep_keys(sweep: Sweep) -> list[Line2D]:
-    """Return the entries of the legend of a sweep."""
+def _sweep_keys(sweep: Sweep) -> list[Line2D]:
     symbol = "E" if sweep.cases[0].which == "equal" else "E_r"
     keys = [Line2D([], [], color=shade, label=f"{symbol} = {ratio:.6g}") for ratio, shade in _shades(sweep).items()]
     wheels = {case.which: DASHES[case.which] for case in sweep.cases}
@@ -86,7 +82,7 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     figure = canvas(8.0)
     route, graph = figure.subplots(1, 2)
     values = getattr(sweep.errors, error)
-    for number, style in enumerate(sweep_styles(sweep)):
+    for number, style in enumerate(_sweep_styles(sweep)):
         route.plot(sweep.poses.x_m[number], sweep.poses.y_m[number], **style)
         graph.plot(sweep.distance_m, values[number], **style)
     route.plot(sweep.reference.x_m, sweep.reference.y_m, color=INK, linewidth=0.8)
@@ -94,14 +90,14 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
         route.set_aspect("equal", adjustable="box")
     route.set(xlabel="x (m)", ylabel="y (m)", title="path of the middle of the rear axle")
     graph.set(xlabel="distance along the route (m)", ylabel=labels[error], title="error")
-    figure.legend(handles=sweep_keys(sweep), loc="outside lower center", ncols=9)
+    figure.legend(handles=_sweep_keys(sweep), loc="outside lower center", ncols=9)
     figure_title(figure, f"{title}; track {sweep.track_m:g} m")
     return figure
 
 
 @styled
 def ratio_figure(rows: Sequence[TableRow], left: WheelLaw, right: WheelLaw) -> Figure:
-    """Return the ratio of the 95 % bands' limits to the mean radius over load, with the valid ranges (Fig. 15)."""
+    """Return the 95 % bands' limits over the mean radius, by load (Fig. 15)."""
     figure = canvas(7.4)
     loads = np.array([row.load_N for row in rows])
     first, second = figure.subplots(1, 2, sharey=True)
@@ -122,7 +118,7 @@ def ratio_figure(rows: Sequence[TableRow], left: WheelLaw, right: WheelLaw) -> F
 
 @styled
 def replay_figure(replayed: Replay) -> Figure:
-    """Return the end errors of the logged runs, by constant radii and by radii that follow the load."""
+    """Return the end errors of logged runs, by constant radii and by ones that follow the load."""
     figure = canvas(7.4)
     plan, graph = figure.subplots(1, 2)
     total = replayed.load_left_N + replayed.load_right_N
@@ -152,24 +148,24 @@ _AXES: Final = {
 }
 
 #: how the paths of a journey under a law are drawn
-_WITHOUT: Final[LineStyle] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
-_WITH: Final[LineStyle] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
+_WITHOUT: Final[_LineStyle] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
+_WITH: Final[_LineStyle] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
 
 
 @styled
 def sweep_errors_figure(sweep: Sweep, *, title: str) -> Figure:
-    """Return the errors of all vehicles of a sweep along the route, component by component."""
+    """Return the errors of a sweep along the route, by component."""
     figure, axes = _grid(f"{title}; track {sweep.track_m:g} m", float(sweep.distance_m[-1]))
     for name, graph in axes.items():
-        for row, style in zip(_AXES[name][1] * getattr(sweep.errors, name), sweep_styles(sweep), strict=True):
+        for row, style in zip(_AXES[name][1] * getattr(sweep.errors, name), _sweep_styles(sweep), strict=True):
             graph.plot(sweep.distance_m, row, **style)
-    figure.legend(handles=sweep_keys(sweep)[:-1], loc="outside lower center", ncols=8)
+    figure.legend(handles=_sweep_keys(sweep)[:-1], loc="outside lower center", ncols=8)
     return figure
 
 
 @styled
 def law_errors_figure(path: LawPath, *, title: str) -> Figure:
-    """Return the errors of a journey under a law along the route, without the correction and with it."""
+    """Return the errors of a journey under a law along the route."""
     figure, axes = _grid(title, float(path.distance_m[-1]))
     for name, graph in axes.items():
         factor = _AXES[name][1]
@@ -197,12 +193,12 @@ def _mark_changes(graph: Axes, path: LawPath) -> None:
 
 @styled
 def law_path_figure(path: LawPath, *, title: str) -> Figure:
-    """Return the trajectories of a journey under a law with 95 % ellipses, and the band of the lateral error."""
+    """Return the paths of a journey under a law with 95 % ellipses, and the band of the lateral error."""
     figure = canvas(8.6)
     plan, graph = figure.subplots(1, 2)
     drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
     route = path.corrected.poses
-    # enlarged until the largest axis is about an eighth of the plan
+    # the largest axis about an eighth of the plan
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
     scale = round_down(0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9))
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:

@@ -1,4 +1,4 @@
-"""Style of all figures, and figures as SVG, PNG or PDF: the same bytes for the same figure."""
+"""Style of all figures, and their files: the same bytes for the same figure."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GREY: Final = "#8A8A8A"
 #: of the text on the page
 WIDTH_CM: Final = 17.0
 CM_PER_INCH: Final = 2.54
-#: legend's characters in the width, and those of handle and gap
+#: legend's characters in the width
 LINE_CHARACTERS: Final = 118
 LEGEND_LIMIT: Final = 8
 #: more markers are pixels inside the vector figure
@@ -40,7 +40,7 @@ LABEL_LIMIT: Final = 18
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make `draw` use the report's style, despite any user's matplotlib settings."""
+    """Make `draw` use the report's style alone."""
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -70,7 +70,7 @@ def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
 
 
 def figure_title(figure: Figure, text: str) -> None:
-    """Put a title over all axes, at the left as theirs are."""
+    """Put a title over all axes, at the left."""
     figure.suptitle(text, x=0.01, ha="left")
 
 
@@ -92,7 +92,7 @@ def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """Runs by session or kind: names for a legend, as they first appear, and each run's number."""
+    """Runs by session or kind: names as they first appear, and each run's number."""
 
     names: list[str]
     index: IntArray
@@ -104,7 +104,7 @@ class Groups:
         return Groups([_short(str(name), none, limit) for name in groups.names], groups.index)
 
     def draw(self, axis: Axes, x: FloatArray, y: FloatArray, **style: Any) -> None:
-        """Draw runs as dots in the colours of their groups; beyond `MANY` as pixels inside a vector figure."""
+        """Draw runs as dots in the colours of their groups."""
         style = {"marker": ".", "linestyle": "none", "rasterized": len(self.index) > MANY, **style}
         for number, name in enumerate(self.names):
             on = self.index == number
@@ -133,7 +133,7 @@ def draw_ordered(axis: Axes, values: FloatArray, intervals: FloatArray, marked: 
 
 
 def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[Figure, Any]:
-    """Return a figure of two or three panels a row, and its axes, shape (rows, columns); those left over are hidden."""
+    """Return a figure of two or three panels a row, and its axes, (rows, columns), those left over hidden."""
     columns = 2 if count in {2, 4} else min(3, max(count, 1))
     rows = max(-(-count // columns), 1)
     figure = canvas(head_cm + row_cm * rows)
@@ -152,7 +152,7 @@ def _known_signs() -> frozenset[int]:
 
 
 def legible(text: str) -> str:
-    """Return a text with code points for signs that the font lacks, so that labels stay apart."""
+    """Return a text with code points for signs that the font lacks."""
     if text.isascii():
         return text
     return "".join(sign if known(sign) else f"U+{ord(sign):X} " for sign in text).strip()
@@ -175,7 +175,7 @@ def colour(number: int) -> str:
 
 
 def render(figure: Figure, form: str) -> bytes:
-    """Return a figure as bytes of ``svg``, ``png`` or ``pdf``, the same for the same figure: no date, fixed ids."""
+    """Return a figure as bytes of ``svg``, ``png`` or ``pdf``, without a date."""
     named = {"svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer"), "png": ("Software",)}
     metadata: Any = dict.fromkeys(named[form])
     out = io.BytesIO()
@@ -185,10 +185,7 @@ def render(figure: Figure, form: str) -> bytes:
 
 
 def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
-    """Return a figure in several formats, laid out once: the layout takes as long as a drawing.
-
-    ``svg`` is as `render` gives it, the others differ from that by less than a pixel.
-    """
+    """Return a figure in several formats, laid out once, which takes as long as a drawing."""
     layout = figure.get_layout_engine()
     drawn: dict[str, bytes] = {}
     try:
@@ -213,9 +210,9 @@ def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
 def write_figures(
     figures: Mapping[str, Figure], folder: Path, *, force: bool = False, progress: Progress = silent
 ) -> list[Path]:
-    """Write figures, by the name of their files, into a folder in every format of `FORMS`.
+    """Write figures, by name of their files, into a folder in every format of `FORMS`.
 
-    Raises BadInputError where a file exists and `force` is False; nothing is then written.
+    Raises BadInputError where a file exists, unless `force`; nothing is then written.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.inference.group_trends import GroupTrends
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.noise_components import (
     COMPONENTS,
@@ -18,7 +17,7 @@ from calib.gap.inference.noise_components import (
     kernels,
     quantisation,
 )
-from calib.gap.inference.repeatability import Replicates, ScaleLikelihood
+from calib.gap.inference.repeatability import GroupTrends, Replicates, ScaleLikelihood
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals
 from tests.gap import noise_bias
