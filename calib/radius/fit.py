@@ -19,6 +19,7 @@ from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedE
 from calib.radius.checks import on_one_load, with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
 from calib.radius.instrument_checks import with_instrument_checks, with_path_check, with_temperature_check
+from calib.radius.readings import held_against_residuals
 from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, StrArray
@@ -47,6 +48,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
+    wheels = held_against_residuals(radii, wheels)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 

@@ -31,7 +31,7 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
     fitted, std = _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)), np.nan_to_num(std_m)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
-        checks += _scatter(fit, std, len(std) - fitted.shape[1])
+        checks += _scatter(fit, std, session)
     return replace(fit, checks=tuple(checks))
 
 
@@ -74,7 +74,14 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
 
 
-def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
+def beyond_instruments(fit: WheelFit, std_m: FloatArray, session: StrArray) -> float:
+    """Return the radii's standard uncertainty where runs clearly scatter beyond it and a path's tolerance, else 0."""
+    check = next(_scatter(fit, np.nan_to_num(std_m), session), None)
+    return fit.run_std_m / float(check.statistic or 1.0) if check and check.level == NOTE else 0.0
+
+
+def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
+    dof = len(std_m) - _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)).shape[1]
     stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
