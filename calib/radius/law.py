@@ -240,6 +240,10 @@ class LineEstimate:
         """
         total, share = self._variance(contrast, **more)
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
+        if self.sessions_agree:
+            # never narrower than of independent runs
+            alone = self._variance(contrast, independent=True, **more)[0]
+            random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(alone))
         if not len(self.systematic):
             return random
         each = floats(contrast) @ self.systematic.T
@@ -263,17 +267,27 @@ class LineEstimate:
     def dof(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
         total, share = self._variance(contrast, **more)
-        if len(self.systematic):
+        if len(self.systematic) or self.sessions_agree:
             std = np.sqrt(total + np.sum((floats(contrast) @ self.systematic.T) ** 2, axis=-1))
             return equivalent_dof(self.half_width(contrast, **more) / np.where(std > 0, std, 1.0))
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within))
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
+    @property
+    def sessions_agree(self) -> bool:
+        """Whether sessions agree better than their runs explain."""
+        return self.session_f is not None and 0.0 < self.session_f < 1.0
+
     def _variance(
-        self, contrast: ArrayLike, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
+        self,
+        contrast: ArrayLike,
+        more_within: ArrayLike = 0.0,
+        more_between: ArrayLike = 0.0,
+        *,
+        independent: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
         c = floats(contrast)
-        parts = (self.cov_within, self.cov_between)
+        parts = (self.cov_within, self.cov_between / (self.session_f or 1.0 if independent else 1.0))
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
         within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
         total = np.asarray(within + between)
