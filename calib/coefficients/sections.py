@@ -249,13 +249,14 @@ class GeometrySection(Section):
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
     that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value.
+    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
     """
 
     drive: Drive
     source: OdometrySource
     parameters: dict[str, Quantity]
     covariance: list[CovarianceEntry]
+    run_covariance: Quantity | None = None
 
     @model_validator(mode="after")
     def _known(self) -> Self:

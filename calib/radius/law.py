@@ -159,21 +159,25 @@ class RadiusLaw:
 
     left: WheelLaw
     right: WheelLaw
-    #: covariance of `JOINT`, fitted together, shape (5, 5); None: the wheels are independent
+    #: covariance of `JOINT`, fitted together, shape (5, 5), the track's 0 where not; None: the wheels are independent
     joint: FloatArray | None = None
+    #: of a single run's scatter about both laws
+    run_covariance_m2: float = 0.0
 
     def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
         """Return the covariance of `JOINT`, shape (5, 5).
 
-        Wheels fitted separately count as independent, of each other and of the track; else `joint` has the track's
+        Wheels without `joint` count as independent, of each other and of the track; it may have the track's
         uncertainty. `single_run` adds the scatter of single runs about the law (the prediction band).
         """
         joint = np.zeros((len(JOINT), len(JOINT)))
         joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = self.left.covariance, self.right.covariance, track_std_m**2
         if self.joint is not None:
             joint = self.joint.copy()
+            joint[4, 4] = joint[4, 4] or track_std_m**2
         if single_run:
             joint[[0, 2], [0, 2]] += np.square([self.left.residual_std_m, self.right.residual_std_m])
+            joint[[0, 2], [2, 0]] += self.run_covariance_m2
         return joint
 
     def covariance_at(
@@ -242,7 +246,7 @@ class LineEstimate:
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
         if self.sessions_agree:
             # never narrower than of independent runs
-            alone = self._variance(contrast, independent=True, **more)[0]
+            alone = self._variance(contrast, self.session_f or 1.0, **more)[0]
             random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(alone))
         if not len(self.systematic):
             return random
@@ -279,15 +283,10 @@ class LineEstimate:
         return self.session_f is not None and 0.0 < self.session_f < 1.0
 
     def _variance(
-        self,
-        contrast: ArrayLike,
-        more_within: ArrayLike = 0.0,
-        more_between: ArrayLike = 0.0,
-        *,
-        independent: bool = False,
+        self, contrast: ArrayLike, ratio: ArrayLike = 1.0, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         c = floats(contrast)
-        parts = (self.cov_within, self.cov_between / (self.session_f or 1.0 if independent else 1.0))
+        parts = (self.cov_within, self.cov_between / ratio)
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
         within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
         total = np.asarray(within + between)
