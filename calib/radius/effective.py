@@ -18,8 +18,6 @@ from calib.types import FloatArray, Row, StrArray
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: measured over nominal radius, that no load explains
-IMPLAUSIBLE: Final = 1.2
 #: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
 #: the same of a measured turn
@@ -193,7 +191,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         std = np.sqrt(sum(part**2 for part in parts[side].values()))
         arrays |= {f"load_{side}_N": runs.number(f"load_{side}_N"), f"radius_{side}_m": radius}
         arrays |= {f"std_{side}_m": std, f"path_{side}": excess}
-    notes.extend(_plausible(campaign, left=arrays["radius_left_m"], right=arrays["radius_right_m"]))
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -207,17 +204,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         notes=tuple(notes),
         **arrays,
     )
-
-
-def _plausible(campaign: Campaign, **radii_m: FloatArray) -> list[str]:
-    nominal = campaign.vehicle.wheel_radius_m
-    ratios = {side: float(np.median(radius)) / nominal for side, radius in radii_m.items()}
-    return [
-        f"The {side} radii come out at {ratio:.3g} times the nominal {nominal:g} m: look for a wrong "
-        "counts_per_rev (a factor 2, 4 or pi), a wrong unit or swapped columns before using them."
-        for side, ratio in ratios.items()
-        if not 1 / IMPLAUSIBLE < ratio < IMPLAUSIBLE
-    ]
 
 
 def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:

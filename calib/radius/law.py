@@ -286,7 +286,7 @@ class LineEstimate:
         self, contrast: ArrayLike, ratio: ArrayLike = 1.0, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         c = floats(contrast)
-        parts = (self.cov_within, self.cov_between / ratio)
+        parts = (self.cov_within, self.cov_between / floats(ratio))
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
         within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
         total = np.asarray(within + between)
