@@ -159,7 +159,7 @@ def test_a_campaign_without_a_usable_run_is_refused() -> None:
 
 
 def test_gross_encoder_scale_is_said() -> None:
-    """Once, as 'calib check' says it: a quarter is below what no wheel can be, and far beyond what loads make of one."""
+    """Once, as calib check says it: a quarter is less than no wheel can be, and far more than loads make of one."""
     notes = fit_campaign(straight(np.full(3, 0.125), np.full(3, 0.1), LOAD[:3])).notes
     assert [("left" in note, "right" in note) for note in notes if "counts_per_rev" in note] == [(True, False)]
 
