@@ -24,7 +24,7 @@ from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, 
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
-from calib.radius.law import RadiusLaw, WheelLaw
+from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
 from calib.types import FloatArray
 from calib.units import GRAVITY_MPS2
@@ -79,7 +79,13 @@ def from_fit(
     try:
         header = Header(fit.name, fit.simulated, outside, created, hashes)
         loads = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
-        file = from_law(fit.law, fit.setup.vehicle, fit.setup.encoder, header, load_table=loads)
+        law, vehicle = fit.law, fit.setup.vehicle
+        file = from_law(law, vehicle, fit.setup.encoder, header, load_table=loads)
+        values = (value for one in (law.left, law.right) for value in (one.radius_ref_m, one.slope_m_per_N))
+        parts = dict(zip(JOINT[:4], values, strict=True))
+        together = joint_section(vehicle.drive, "rear", parts, [*parts], law.covariance()[:4, :4])
+        shared = Quantity.of(value=law.run_covariance_m2, unit="m^2")
+        file = file.changed(joint_geometry=together.model_copy(update={"run_covariance": shared}))
     except (TypeError, OverflowError) as error:
         found = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
         raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error

@@ -91,9 +91,13 @@ class CoefficientFile(Section):
             if not document[name]:
                 # older readers do not know these sections
                 del document[name]
-        for wheel in document["wheels"].values():
-            if wheel["strata"] is None:
-                del wheel["strata"]
+        strata = [wheel["strata"] or {} for wheel in document["wheels"].values()]
+        optional = [(wheel, "strata") for wheel in document["wheels"].values()]
+        optional += [(part, "session_f") for part in strata]
+        optional.append((document.get("joint_geometry", {}), "run_covariance"))
+        for section, name in optional:
+            if section.get(name, 0) is None:
+                del section[name]
         for name, usual in USUAL_VEHICLE.items():
             if document["vehicle"][name] == usual:
                 del document["vehicle"][name]
@@ -124,7 +128,8 @@ class CoefficientFile(Section):
     @property
     def law(self) -> RadiusLaw:
         """The laws of both wheels, for arrays; they ignore the valid range."""
-        return RadiusLaw(left=self.wheels.left.law, right=self.wheels.right.law, joint=self._joint())
+        shared = None if self.joint_geometry is None else self.joint_geometry.run_covariance
+        return RadiusLaw(self.wheels.left.law, self.wheels.right.law, self._joint(), shared.value if shared else 0.0)
 
     @property
     def together(self) -> dict[str, float]:

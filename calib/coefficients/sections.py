@@ -65,6 +65,8 @@ class StrataSection(Section):
     within: StratumSection
     between: StratumSection
     systematic: list[SystematicSection] = Field(default_factory=list)
+    #: mean square of sessions over that of their runs, below 1: intervals are no narrower than of independent runs
+    session_f: Number | None = None
 
     @staticmethod
     def of_estimate(estimate: LineEstimate) -> StrataSection:
@@ -80,6 +82,7 @@ class StrataSection(Section):
                 SystematicSection.of(radius_ref=radius, slope=slope, dof=dof if np.isfinite(dof) else None)
                 for (radius, slope), dof in zip(estimate.systematic, estimate.systematic_dof, strict=True)
             ],
+            session_f=estimate.session_f if estimate.sessions_agree else None,
         )
 
     def estimate(self, radius_m: float, slope_m_per_N: float) -> LineEstimate:
@@ -94,7 +97,7 @@ class StrataSection(Section):
             session_variance=between.scatter.value**2,
             cov_within=_matrix(within),
             cov_between=_matrix(between),
-            session_f=None,
+            session_f=None if self.session_f is None else self.session_f.value,
             hc3=False,
             design="",
             systematic=np.array(rows).reshape(-1, 2),
@@ -246,13 +249,14 @@ class GeometrySection(Section):
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
     that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value.
+    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
     """
 
     drive: Drive
     source: OdometrySource
     parameters: dict[str, Quantity]
     covariance: list[CovarianceEntry]
+    run_covariance: Quantity | None = None
 
     @model_validator(mode="after")
     def _known(self) -> Self:

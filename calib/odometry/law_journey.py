@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.errors import SWEEP_VALUES, BadInputError
 from calib.odometry.poses import COMPONENTS, jacobian, pose_errors, rows_of, steps
-from calib.odometry.routes import Axle, Route, end_of_route, wheel_travel
+from calib.odometry.routes import LONGEST_M, SHORTEST_M, Axle, Route, end_of_route, wheel_travel
 from calib.radius.law import RadiusLaw, half_width
 from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
@@ -116,7 +116,9 @@ def law_journey(
     wheels = (law.left, law.right)
     mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
     root, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
-    scattered = Axle(mean[0] + off[0], mean[1] + off[1], track_m + off[2])
+    # few degrees of freedom draw lengths that no wheel has, beyond the quantiles reported
+    drawn_m = np.clip(np.array([*mean, track_m])[:, None] + off, SHORTEST_M, LONGEST_M)
+    scattered = Axle(*drawn_m)
     end = route.poses()[-1]
     distance, square, intervals = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, dict[str, Interval]]()
     for name, believed in (("without", reference), ("corrected", mean)):

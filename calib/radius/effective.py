@@ -18,14 +18,14 @@ from calib.types import FloatArray, Row, StrArray
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: measured over nominal radius, that no load explains
-IMPLAUSIBLE: Final = 1.2
 #: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
 #: the same of a measured turn
 STRAIGHT_HEADING_RAD: Final = 0.5
 #: over less, counts and rangefinder leave more than a per mille of the radius
 SHORTEST_M: Final = 1.0
+#: quantile of the normal distribution, 97.5 %
+NORMAL_95: Final = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         std = np.sqrt(sum(part**2 for part in parts[side].values()))
         arrays |= {f"load_{side}_N": runs.number(f"load_{side}_N"), f"radius_{side}_m": radius}
         arrays |= {f"std_{side}_m": std, f"path_{side}": excess}
-    notes.extend(_plausible(campaign, left=arrays["radius_left_m"], right=arrays["radius_right_m"]))
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -205,17 +204,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         notes=tuple(notes),
         **arrays,
     )
-
-
-def _plausible(campaign: Campaign, **radii_m: FloatArray) -> list[str]:
-    nominal = campaign.vehicle.wheel_radius_m
-    ratios = {side: float(np.median(radius)) / nominal for side, radius in radii_m.items()}
-    return [
-        f"The {side} radii come out at {ratio:.3g} times the nominal {nominal:g} m: look for a wrong "
-        "counts_per_rev (a factor 2, 4 or pi), a wrong unit or swapped columns before using them."
-        for side, ratio in ratios.items()
-        if not 1 / IMPLAUSIBLE < ratio < IMPLAUSIBLE
-    ]
 
 
 def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:
@@ -290,10 +278,12 @@ class RunDeviations:
         if beyond:
             text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
         if unknown:
-            remedy = "add logs, or amplitude_m and wavelength_m"
-            if (self.source[self.verdict == UNKNOWN] != "none").any():
+            open_, remedy = self.verdict == UNKNOWN, "add logs, or amplitude_m and wavelength_m"
+            if np.isfinite(self.error_left[open_]).any():
+                remedy = "where on the weave they began and ended decides; add logs, or ref_theta_rad at the end"
+            elif (self.source[open_] != "none").any():
                 remedy = "the wheels rolled as alike as steered by their own counts; measure ref_theta_rad at the end"
-            text += f"; of {unknown} the path is not known: {remedy}"
+            text += f"; of {unknown} the path is not known well enough: {remedy}"
         curved = float(np.max(np.abs(self.arc_turn_rad)))
         return (
             f"{text}. Steered by its own odometry with the model's radii the vehicle would have turned by up to "
@@ -310,9 +300,9 @@ class RunDeviations:
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance.
 
-    Runs without log and without measured amplitude and wavelength are ``unknown``; `tolerance`: largest relative error
-    of a radius. Raises RefusedError where there is no straight run; BadInputError where the tolerance is not between 0
-    and 1.
+    Runs without log and without measured amplitude and wavelength are ``unknown``, and those of which the 95 % interval
+    alone reaches beyond the tolerance; `tolerance`: largest relative error of a radius. Raises RefusedError where there
+    is no straight run; BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
@@ -325,12 +315,18 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
     known = (path.source != "none") & ~unseen
     left, right = radius_error(path.left), radius_error(path.right)
+    error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
+    # the turn of an unknown phase is at most the root of two times its standard deviation
+    off = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
+    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * off <= tolerance
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
-    phased = weaving & np.isfinite(path.phase_rad)
+    # of an unknown phase, that of the largest turn
+    phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
+    phased = weaving & np.isfinite(phases)
     allowed = np.full(len(runs), np.nan)
     allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
     if phased.any():
-        length, phase, far = (part[phased] for part in (path.wavelength_m, path.phase_rad, distance))
+        length, phase, far = (part[phased] for part in (path.wavelength_m, phases, distance))
         allowed[phased] = deviation.allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
@@ -345,7 +341,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         tolerance=tolerance,
         run_id=runs.run_id,
         source=path.source,
-        verdict=np.select([~known, np.maximum(np.abs(left), np.abs(right)) <= tolerance], [UNKNOWN, PASSED], BEYOND),
+        verdict=np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
         distance_m=distance,
         amplitude_m=path.amplitude_m,
         wavelength_m=path.wavelength_m,

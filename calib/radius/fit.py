@@ -18,7 +18,12 @@ from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
 from calib.radius.checks import on_one_load, with_checks
 from calib.radius.effective import Component, EffectiveRadii, effective_radii
-from calib.radius.instrument_checks import with_instrument_checks, with_path_check, with_temperature_check
+from calib.radius.instrument_checks import (
+    held_against_residuals,
+    with_instrument_checks,
+    with_path_check,
+    with_temperature_check,
+)
 from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, StrArray
@@ -47,6 +52,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
+    wheels = held_against_residuals(radii, wheels)
     radii = replace(radii, budget=(*radii.budget, *observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
@@ -268,7 +274,8 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
     The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
     """
     rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
-    rows += [np.array([getattr(part, f"std_{wheel.wheel}_m"), 0.0]) for part in radii.budget if part.name == "weave"]
+    weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
+    rows += [np.array([_side(wheel) * std, 0.0]) for std in weaves]
     if not rows:
         return wheel
     systematic = np.array(rows)
@@ -292,6 +299,11 @@ def systematic_components(
     return tuple(lines)
 
 
+def _side(wheel: WheelFit) -> float:
+    """Return the sign of what a turn of the path does to a wheel's radius."""
+    return -1.0 if wheel.wheel == "left" else 1.0
+
+
 def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
     law, std = wheel.law, source.std
     match source.section, source.key:
@@ -300,7 +312,7 @@ def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray)
         case "rangefinder", "offset_m":
             return std * _along(wheel, wheel.radius_m / distance_m)
         case "path", "apart_m":
-            return 0.5 * std * _along(wheel, wheel.radius_m / distance_m)
+            return 0.5 * _side(wheel) * std * _along(wheel, wheel.radius_m / distance_m)
         case "rangefinder", "beam_rad":
             # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
             return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)

@@ -1,4 +1,4 @@
-"""Checks of residuals against run lengths, instruments, and temperature."""
+"""Checks of residuals against run lengths, instruments, temperature, and other readings of the table."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from calib.radius.checks import NOTE_BELOW, UM, p_of_t, tested
+from calib.campaign.checks.design import listed
+from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, p_of_t, tested
+from calib.radius.effective import EffectiveRadii
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, t_quantile
+from calib.radius.result import PLAUSIBLE
 from calib.radius.sessions import groups_of
-from calib.types import BoolArray, FloatArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: of temperatures, to show in a radius
 MIN_SPAN_K: Final = 1.0
@@ -22,6 +25,11 @@ MIN_SLOPE_DOF: Final = 5
 LENGTHS_APART: Final = 30.0
 #: of a radius: the tolerance of 'calib deviation'
 PATH_TOLERANCE: Final = 5e-4
+#: of what runs differ by: a law that leaves more of runs not seen explains less than three quarters of their mean
+#: square, and is none, as a geometry
+WORTH_SHARE: Final = 0.5
+#: of reading and fitting in turn, which settle in a few
+ROUNDS: Final = 20
 #: checks that explain the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 
@@ -31,18 +39,24 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
     fitted, std = _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)), np.nan_to_num(std_m)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
-        checks += _scatter(fit, std, len(std) - fitted.shape[1])
+        checks += _scatter(fit, std, session)
     return replace(fit, checks=tuple(checks))
 
 
 def _fitted(fit: WheelFit, session: StrArray, known: BoolArray) -> FloatArray:
     """Return orthonormal columns (n_known, k) of sessions and load."""
-    groups, load = groups_of(session[known]), fit.load_N[known]
-    base = np.eye(len(groups))[groups.index] if 2 <= len(groups) < len(load) else np.ones((len(load), 1))
+    base, load = _days(session[known]), fit.load_N[known]
     if fit.model == "line" and fit.design != "confounded":
         base = np.column_stack((base, load / load.max()))
     u, size, _ = np.linalg.svd(base, full_matrices=False)
     return np.asarray(u[:, size > 1e-10 * size[0]])
+
+
+def _days(session: StrArray) -> FloatArray:
+    """Return indicators of the sessions (n_runs, k); one where they cannot be told from runs."""
+    groups = groups_of(session)
+    single = not 2 <= len(groups) < len(session)
+    return np.ones((len(session), 1)) if single else np.eye(len(groups))[groups.index]
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
@@ -74,7 +88,9 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
 
 
-def _scatter(fit: WheelFit, std_m: FloatArray, dof: int) -> Iterator[Check]:
+def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
+    std_m = np.nan_to_num(std_m)
+    dof = len(std_m) - _fitted(fit, session, np.ones(len(std_m), dtype=np.bool_)).shape[1]
     stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
@@ -142,3 +158,106 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     )
     check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
     return replace(fit, checks=(*fit.checks, check))
+
+
+def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
+    """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not say why.
+
+    That is where the law leaves most of what the runs differ by, or another reading of the table leaves far less.
+    """
+    stds = (radii.std_left_m, radii.std_right_m)
+    found = [[*_scatter(wheel, std, radii.session)] for wheel, std in zip(wheels, stds, strict=True)]
+    if all(check.level == OK for part in found for check in part) or "constant" in {wheel.model for wheel in wheels}:
+        return wheels
+    other, judged = _other_reading(radii), []
+    for wheel, scatter in zip(wheels, found, strict=True):
+        left_m, before_m = _left(wheel, radii)
+        if any(check.level == NOTE for check in scatter) and (other or left_m > WORTH_SHARE * before_m):
+            worst = ", ".join(radii.run_id[np.argsort(-np.abs(wheel.residual_m))][:3])
+            remedy = f"hold loads, counts and distances against the notes of the day, first of {worst}"
+            sentence = (
+                f"the loads do not explain the {wheel.wheel} wheel's radii: the law leaves {UM * left_m:.3g} of "
+                f"{UM * before_m:.3g} um of runs held out, {scatter[0].statistic:.0f} times what instruments explain"
+            )
+            checks = (Check(PLAUSIBLE, FAILED, f"{sentence}; {other or remedy}"), *wheel.checks)
+            wheel = replace(wheel, checks=tuple(check for check in checks if check.name != "scatter"))
+        judged.append(wheel)
+    return judged
+
+
+def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
+    """Return what the law leaves of held-out runs, and what they differ by; within sessions, or all, the better."""
+    pairs = []
+    for means in (np.ones((len(radii), 1)), _days(radii.session)):
+        sizes = []
+        for columns in (np.column_stack((means, wheel.load_N)), means):
+            basis = np.linalg.qr(columns)[0]
+            slack = np.maximum(1.0 - np.sum(basis**2, axis=1), 1.0 / len(radii))
+            sizes.append(float(np.std((wheel.radius_m - basis @ (basis.T @ wheel.radius_m)) / slack)))
+        pairs.append((sizes[0], sizes[1]))
+    return min(pairs, key=lambda pair: pair[0] / max(pair[1], 1e-300))
+
+
+def _other_reading(radii: EffectiveRadii) -> str:
+    """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
+
+    Each run is read as stated or otherwise, by the laws of all. Scatter comes that near to another reading with a
+    probability of the ratio of the squares to the power of half their degrees of freedom, times the number of readings
+    tried. A path moves both wheels: one wheel's degrees of freedom count.
+    """
+    loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
+    radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
+    days, n = _days(radii.session), len(loads)
+    dof = n - days.shape[1] - 1
+    pairs: FloatArray = np.unique(np.round(np.vstack((loads, loads[:, ::-1])), 2), axis=0).astype(np.float64)
+    readings: dict[str, tuple[FloatArray, FloatArray]] = {
+        "the loads of left and right exchanged": (loads[:, ::-1][None], radius),
+        "the counts of left and right exchanged": (loads[None], radius[:, ::-1]),
+        "the loads of the row before": (np.roll(loads, 1, axis=0)[None], radius),
+        "the loads of the row after": (np.roll(loads, -1, axis=0)[None], radius),
+        "loads of other runs": (np.repeat(pairs[:, None], n, axis=1), radius),
+    }
+    stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
+    found = []
+    for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
+        options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
+        # all of them, or those of a session
+        starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
+        for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
+            square, chosen = _squares(options, measured, days, start)
+            log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
+            if log_p < np.log(FAIL_BELOW):
+                found.append((log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
+    if not found:
+        return ""
+    best, square, _ = min(found)
+    # what is not clearly worse may be it, too
+    alike = dict.fromkeys(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
+    scatter = UM * np.sqrt(square / (2 * dof))
+    return f"read {', or '.join(alike)}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
+
+
+def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:
+    """Return each run's option of `pairs`, counted from 1, if radii rise or fall with the loads."""
+    order = np.argsort(loads.sum(axis=1))
+    nearest = 1.0 + np.argmin(np.abs(pairs[:, None] - loads[order]).sum(axis=2), axis=0)
+    rank = np.argsort(np.argsort(radius.sum(axis=1)))
+    return [nearest[rank], nearest[::-1][rank]]
+
+
+def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
+    """Return the squares left by both laws and the option of each run, shape (n,), from those at `start`.
+
+    `loads`, `radius`: of each option, shape (n_options, n, 2); `days`: indicators, shape (n, n_sessions).
+    """
+    runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
+    for _ in range(ROUNDS):
+        squares = np.zeros(loads.shape[:2])
+        for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
+            columns = np.column_stack((days, x[chosen, runs]))
+            *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
+            squares += (y - days @ shifts - slope * x) ** 2
+        before, chosen = chosen, np.argmin(squares, axis=0)
+        if (chosen == before).all():
+            break
+    return float(squares[before, runs].sum()), before

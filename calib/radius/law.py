@@ -159,21 +159,25 @@ class RadiusLaw:
 
     left: WheelLaw
     right: WheelLaw
-    #: covariance of `JOINT`, fitted together, shape (5, 5); None: the wheels are independent
+    #: covariance of `JOINT`, fitted together, shape (5, 5), the track's 0 where not; None: the wheels are independent
     joint: FloatArray | None = None
+    #: of a single run's scatter about both laws
+    run_covariance_m2: float = 0.0
 
     def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
         """Return the covariance of `JOINT`, shape (5, 5).
 
-        Wheels fitted separately count as independent, of each other and of the track; else `joint` has the track's
+        Wheels without `joint` count as independent, of each other and of the track; it may have the track's
         uncertainty. `single_run` adds the scatter of single runs about the law (the prediction band).
         """
         joint = np.zeros((len(JOINT), len(JOINT)))
         joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = self.left.covariance, self.right.covariance, track_std_m**2
         if self.joint is not None:
             joint = self.joint.copy()
+            joint[4, 4] = joint[4, 4] or track_std_m**2
         if single_run:
             joint[[0, 2], [0, 2]] += np.square([self.left.residual_std_m, self.right.residual_std_m])
+            joint[[0, 2], [2, 0]] += self.run_covariance_m2
         return joint
 
     def covariance_at(
@@ -240,6 +244,10 @@ class LineEstimate:
         """
         total, share = self._variance(contrast, **more)
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
+        if self.sessions_agree:
+            # never narrower than of independent runs
+            alone = self._variance(contrast, self.session_f or 1.0, **more)[0]
+            random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(alone))
         if not len(self.systematic):
             return random
         each = floats(contrast) @ self.systematic.T
@@ -263,17 +271,22 @@ class LineEstimate:
     def dof(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
         """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
         total, share = self._variance(contrast, **more)
-        if len(self.systematic):
+        if len(self.systematic) or self.sessions_agree:
             std = np.sqrt(total + np.sum((floats(contrast) @ self.systematic.T) ** 2, axis=-1))
             return equivalent_dof(self.half_width(contrast, **more) / np.where(std > 0, std, 1.0))
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within))
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
+    @property
+    def sessions_agree(self) -> bool:
+        """Whether sessions agree better than their runs explain."""
+        return self.session_f is not None and 0.0 < self.session_f < 1.0
+
     def _variance(
-        self, contrast: ArrayLike, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
+        self, contrast: ArrayLike, ratio: ArrayLike = 1.0, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         c = floats(contrast)
-        parts = (self.cov_within, self.cov_between)
+        parts = (self.cov_within, self.cov_between / floats(ratio))
         variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
         within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
         total = np.asarray(within + between)

@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius import sessions
-from calib.radius.law import UPPER, LineEstimate, WheelLaw
+from calib.radius.law import JOINT, UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.types import FloatArray, IntArray, floats
 
@@ -329,3 +329,48 @@ def _influence(ols: RegressionResults) -> tuple[FloatArray, FloatArray]:
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
     return np.asarray(influence.hat_matrix_diag), np.asarray(cook)
+
+
+def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> RadiusLaw:
+    """Return the law of both wheels with the covariance between them.
+
+    Rangefinder and day are the same for both. The correlation is that of paired residuals, of runs and of sessions: the
+    mean of both radii, or their difference, has the variance that it shows if fitted by itself.
+    """
+    wheels, estimates = (left, right), (left.estimate, right.estimate)
+    weight = np.sqrt(1.0 / (sessions.WORKING_RATIO + 1.0 / groups.sizes))
+    means = [groups.means(wheel.residual_m) for wheel in wheels]
+    by_session = all(estimate.dof_between > 0.0 for estimate in estimates)
+    shown = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]
+    of_runs, of_sessions = _cosine(*shown), _cosine(*(weight * part for part in means)) if by_session else 0.0
+    alike = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
+    block = of_runs * _shared(estimates[0].cov_within, estimates[1].cov_within, alike)
+    block += of_sessions * _shared(estimates[0].cov_between, estimates[1].cov_between, alike)
+    # each source moves both wheels
+    block += estimates[0].systematic.T @ estimates[1].systematic
+    joint = np.zeros((len(JOINT), len(JOINT)))
+    joint[:2, :2], joint[2:4, 2:4] = (estimate.covariance for estimate in estimates)
+    joint[:2, 2:4], joint[2:4, :2] = block, block.T
+    variances = ([getattr(one, f"{of}_variance") for one in estimates] for of in ("run", "session"))
+    scatter = np.dot((of_runs, of_sessions), [np.sqrt(np.prod(pair)) for pair in variances])
+    return RadiusLaw(left.law, right.law, joint, float(scatter))
+
+
+def _cosine(one: FloatArray, other: FloatArray) -> float:
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.clip(one @ other / size, -1.0, 1.0)) if size > 0.0 else 0.0
+
+
+def _shared(one: FloatArray, other: FloatArray, alike: float) -> FloatArray:
+    """Return the covariance (2, 2) of fully correlated errors by each wheel's own; `alike`: correlation of the loads.
+
+    A wheel's errors are those of its mean radius and, independently, of its slope about the mean load.
+    """
+    slopes, sizes = [], []
+    for own in (one, other):
+        slope = own[:, 1] / np.sqrt(own[1, 1]) if own[1, 1] > 0.0 else np.zeros(2)
+        slopes.append(slope)
+        sizes.append(max(own[0, 0] - slope[0] ** 2, 0.0))
+    shared = alike * np.outer(*slopes)
+    shared[0, 0] += np.sqrt(sizes[0] * sizes[1])
+    return np.asarray(shared)

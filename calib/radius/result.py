@@ -17,7 +17,8 @@ from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import LARGEST_DOF, RadiusLaw, half_width
-from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain
+from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain, paired_law
+from calib.radius.sessions import groups_of
 from calib.types import Row
 from calib.vehicle import Vehicle
 
@@ -78,7 +79,7 @@ class Fit(Result):
     @property
     def law(self) -> RadiusLaw:
         """The law of both wheels."""
-        return RadiusLaw(left=self.left.law, right=self.right.law)
+        return paired_law(self.left, self.right, groups_of(self.radii.session))
 
     @property
     def wheels(self) -> dict[str, WheelFit]:

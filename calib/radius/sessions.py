@@ -165,15 +165,13 @@ def _of_sessions(
 ) -> tuple[float, dict[str, Any]]:
     """Return the mean square of session means about the law, and an estimate's fields by it.
 
-    `departures`, `sizes` (shape (n_sessions,)): of the means from the law, and runs a session. Two sessions may agree
-    better than their runs allow, by chance: there an interval is as wide as by the runs alone. With more sessions it is
-    rare, and Student's t holds.
+    `departures`, `sizes` (shape (n_sessions,)): of the means from the law, and runs a session. Few sessions may agree
+    better than their runs allow, by chance: there an interval is as wide as by the runs alone.
     """
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
     square = float(weight @ departures**2) / dof_between
-    if dof_between <= 1.0:
-        of_runs, of_sessions = stdtrit([dof_within, dof_between], 0.975).tolist()
-        square = max(square, explained * float(weight.mean()) * (of_runs / of_sessions) ** 2)
+    of_runs, of_sessions = stdtrit([dof_within, dof_between], 0.975).tolist()
+    square = max(square, explained * float(weight.mean()) * (of_runs / of_sessions) ** 2)
     variance = square / float(weight.mean())
     return square, {
         "dof_within": float(dof_within),

@@ -106,7 +106,10 @@ def test_the_table_holds_radius_and_its_bands(file: CoefficientFile) -> None:
 
 @pytest.mark.parametrize("session_um", [0.0, 10.0])
 def test_exported_bands_cover_what_they_say(session_um: float) -> None:
-    """Four sessions of a crossed campaign: Monte Carlo of the law, and of one further run, through file and table."""
+    """Four sessions of a crossed campaign: Monte Carlo of the law, and of one further run, through file and table.
+
+    Where sessions do not scatter the mean's band holds more: it is never narrower than that of independent runs.
+    """
     campaigns, rng, at = 400, np.random.default_rng(5), np.array([300.0, 675.0, 1000.0])
     load, session = np.tile([300.0, 500.0, 800.0, 1100.0], 12), np.repeat(np.arange(4), 12)
     held = np.zeros((2, len(at)))
@@ -127,7 +130,9 @@ def test_exported_bands_cover_what_they_say(session_um: float) -> None:
             np.testing.assert_allclose(half, 0.5 * np.diff(band(at), axis=0)[0], rtol=SIX_DIGITS)
             held[number] += np.abs(truth - middle) < half
     # standard error of 400 campaigns 1.1 %; three of them
-    np.testing.assert_allclose(held / campaigns, 0.95, atol=0.033)
+    covered = held / campaigns
+    np.testing.assert_allclose(covered[1], 0.95, atol=0.033)
+    np.testing.assert_allclose(np.minimum(covered[0], 1.0 if session_um else 0.95), 0.95, atol=0.033)
 
 
 def test_a_load_valid_for_no_wheel_gets_no_row(file: CoefficientFile) -> None:

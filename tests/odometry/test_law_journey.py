@@ -213,3 +213,21 @@ def test_radii_and_track_that_were_fitted_together_err_together() -> None:
     ways = [route.total_m - 0.7 * np.pi, route.total_m + 0.7 * np.pi, 2.0 * np.pi * 0.7]
     turned = np.linalg.norm(np.array(ways) * [1e-5 / 0.1, 1e-5 / 0.1, 10.0**-4.5 / 0.7])
     assert path.corrected.std["heading_rad"][-1] == pytest.approx(turned / 0.7, rel=1e-6)
+
+
+def test_one_degree_of_freedom_draws_no_wheel_below_nothing() -> None:
+    """Two sessions leave Student's t with one: its tails are no lengths, and its 95 % as wide as by propagation."""
+    given, route = law(dof=1.0, residual_m=2e-4), find_route("corridor")
+    for seed in range(5):
+        journey = law_journey(
+            given,
+            route,
+            loads_N=(700.0, 700.0),
+            reference_N=(300.0, 300.0),
+            track_m=0.7,
+            band="mean",
+            draws=20_000,
+            rng=np.random.default_rng(seed),
+        )
+        lateral = journey.corrected["lateral_m"]
+        assert lateral.monte_carlo[1] == pytest.approx(lateral.linear[1], rel=0.2)

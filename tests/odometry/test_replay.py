@@ -145,7 +145,9 @@ def test_coefficients_of_another_vehicle_are_refused(
 def test_what_calibration_moves_is_no_other_vehicle(campaign: Campaign, coefficients: CoefficientFile) -> None:
     vehicle = replace(campaign.vehicle, track_m=0.6, wheel_radius_m=0.095)
     coefficients.refuse_other_vehicle(replace(campaign, vehicle=vehicle))
-    skid = coefficients.changed(vehicle=coefficients.to_dict()["vehicle"] | {"drive": "differential"})
+    skid = coefficients.changed(
+        vehicle=coefficients.to_dict()["vehicle"] | {"drive": "differential"}, joint_geometry=None
+    )
     skid.refuse_other_vehicle(replace(campaign, vehicle=replace(vehicle, drive="skid", track_m=0.3)))
     # lengths that a user accepted are not doubted again
     accepted = coefficients.accepted("a test", ["found a radius"])

@@ -9,6 +9,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.radius.checks import with_checks
+from calib.radius.deviation import radius_error, weave_excess
 from calib.radius.effective import UNKNOWN, judge_runs
 from calib.radius.fit import fit_campaign
 from calib.radius.instrument_checks import with_instrument_checks
@@ -161,4 +162,24 @@ def test_a_bow_that_all_runs_have_moves_the_radius_as_stated() -> None:
     assert after - before == pytest.approx(stated_m, rel=0.05)
     declared = replace(made, extra={"uncertainty": {"path": {"apart_m": {"std": float(apart_m.mean())}}}})
     assert path_check(declared) is None
-    assert fit_campaign(declared).left.estimate.systematic[0, 0] == pytest.approx(stated_m, rel=0.05)
+    # what one wheel gains by it the other loses
+    for wheel, sign in zip(fit_campaign(declared).wheels.values(), (-1.0, 1.0), strict=True):
+        assert wheel.estimate.systematic[0, 0] == pytest.approx(sign * stated_m, rel=0.05)
+
+
+def test_a_weave_of_unknown_phase_is_within_only_where_every_phase_is() -> None:
+    """Of columns neither start nor end on the weave is known: a quarter period at either end turns the vehicle."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 400)
+    amplitude, wavelength = (grid.ravel() for grid in np.meshgrid(np.linspace(0.005, 0.06, 8), np.linspace(5, 12, 9)))
+    n = len(amplitude)
+    made = straight(np.full(n, 0.1), np.full(n, 0.1), np.full(n, 300.0), 38.7)
+    judged = judge_runs(with_numbers(made, amplitude_m=amplitude, wavelength_m=wavelength), 5e-4)
+    path = weave_excess(amplitude[:, None], wavelength[:, None], 38.7, made.vehicle.track_m, phase_rad=phase)
+    worst = np.abs([radius_error(path.left), radius_error(path.right)]).max(axis=(0, 2))
+    least = np.abs([radius_error(path.left), radius_error(path.right)]).max(axis=0).min(axis=1)
+    # by half of the tenth that the middle of the axle may gain over parts of a period
+    assert (worst[judged.verdict == "within"] < 5.3e-4).all()
+    assert (worst[judged.verdict == UNKNOWN] > 4.5e-4).all()
+    assert (least[judged.verdict == "beyond"] > 4.5e-4).all()
+    assert min((judged.verdict == verdict).sum() for verdict in ("within", "beyond", UNKNOWN)) > 5
+    assert "where on the weave they began" in judged.summary

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from calib.fleet.vehicle import SessionSums, line_from_sums
-from calib.radius.regression import independent_line, least_squares
+from calib.radius.regression import fit_wheel, independent_line, least_squares
 from calib.radius.sessions import groups_of, stratified_line
 
 #: sums of squares about a far origin lose about six of sixteen digits against sums about the mean
@@ -57,3 +58,23 @@ def test_a_single_load_carries_no_line() -> None:
     load = np.full(6, 300.0)
     sums = SessionSums.from_runs(np.array(["a", "a", "a", "b", "b", "b"]), load, load * 1e-4, load)
     assert line_from_sums(sums) is None
+
+
+def test_sessions_that_agree_by_chance_make_no_band_narrower_than_their_runs() -> None:
+    """Of sessions that do not scatter a third agree far too well; independent runs bound what the mean can be known."""
+    load, session = np.tile([300.0, 500.0, 700.0, 900.0, 1100.0], 6), np.repeat(["a", "b", "c", "d", "e"], 6)
+    rng, agreed = np.random.default_rng(3), 0
+    for _ in range(40):
+        radius = 0.1 + 1e-5 * rng.standard_normal(len(load))
+        fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+        at, naive = np.array([300.0, 700.0, 1100.0]), fit.naive
+        assert naive is not None
+        c = fit.law.contrast(at)
+        variance = np.einsum("ni,ij,nj->n", c, naive.covariance, c) * (fit.run_std_m / fit.residual_std_m) ** 2
+        bound = stdtrit(24.0, 0.975) * np.sqrt(variance)
+        agreed += int(fit.estimate.sessions_agree)
+        assert (fit.law.half_width_m(at) > 0.99 * bound).all()
+        assert fit.law.half_width_m(700.0) == pytest.approx(
+            float(stdtrit(float(fit.law.dof_of(fit.law.contrast(700.0))), 0.975) * fit.law.mean_std_m(700.0)), rel=1e-6
+        )
+    assert agreed > 10

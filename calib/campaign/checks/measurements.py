@@ -98,6 +98,14 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
             if off(usual) and design.stated(campaign, "vehicle.wheel_radius_m"):
                 text = f"the {side} wheel's radius comes out {usual:.2f} times nominal: {factor_reason(usual)}"
                 yield implausible_column(f"counts_{side}", text)
+            session = campaign.runs.label("session")
+            for name in np.unique(session):
+                there = good & (session == name)
+                factor = float(np.median(ratio[there])) / usual if there.sum() >= LEAST_RUNS else 1.0
+                if off(factor):
+                    text = f"""in session {name} the {side} wheel's radius comes out {factor:.3g} times that of most
+                        runs: {factor_reason(factor)}"""
+                    yield implausible_column(f"counts_{side}", text)
             far = np.log(np.abs(distance), where=good, out=distance * np.nan)
             yield from _scatter(np.log(ratio[good]), far, good, side)
         both = np.isfinite(counts[side] + counts[other]) & (distance > 1)
@@ -295,10 +303,11 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
             yield _in_another_unit(_LOADS, ratio, "those of vehicle and payload")
     else:
         yield from _of_the_empty_vehicle(campaign, total, good)
-    most = float(np.median(np.fmax(*weighed)[good]))
-    if most > 2 * vehicle.max_wheel_load_N:
-        text = f"""found wheel loads of {most:.5g} N; {vehicle.max_wheel_load_N:g} N is permitted; are payloads or loads
-            in another unit (g, lb, kg for N)?"""
+    most, permitted = float(np.max(np.fmax(*weighed)[good])), vehicle.max_wheel_load_N
+    # a heavy vehicle needs another limit first
+    if most > permitted > vehicle.unladen_load_N:
+        text = f"""found wheel loads up to {most:.5g} N; {permitted:g} N is permitted; are payloads or loads in another
+            unit (g, lb, N for kg), or is vehicle.max_wheel_load_N another?"""
         yield implausible_column(_LOADS, text)
     place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
     if place > 5 * vehicle.wheelbase_m:
