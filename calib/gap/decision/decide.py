@@ -76,7 +76,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = []
     elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
-    tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
+    tied = tied_with(causes, groups)
     found = naming.Finding(causes, certain, unexplained, differing, tied)
     fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
@@ -88,7 +88,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         sentence="",
         causes=(*map(naming.blunder_cause, situation.faults), *causes),
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
-        groups=tuple(Group(tuple(group)) for group in tied),
+        groups=tuple(Group(tuple(group)) for group in tied_with(causes, tied)),
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
@@ -103,6 +103,11 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence=evidence,
     )
     return _in_words(diagnosis, evidence)
+
+
+def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Return the groups of the causes: what looks like an unnamed one says nothing of these."""
+    return [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
 
 
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
