@@ -179,9 +179,8 @@ def _kind(
     if not evidence.noise.supported and off < BLUNDER_MISFIT:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
-        # differing runs hold all their noise, windows but what neighbours do not share: beyond the first is a gap
-        differ = evidence.noise.dof > 0.0 and not evidence.observations.windowed
-        if differ and gap_probability >= 1.0 - FALSE_ALARM:
+        # beyond all the noise is a gap
+        if evidence.noise_bounded and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
     return kind_of(
         gap_probability,

@@ -106,6 +106,11 @@ class Evidence:
         return {name: ReferenceScale().unaided(self.observations)[:1]}
 
     @property
+    def noise_bounded(self) -> bool:
+        """Whether noise is at most its level: a supported one, or that of runs that may differ in more than noise."""
+        return self.noise.supported or (self.noise.dof > 0.0 and not self.observations.windowed)
+
+    @property
     def variance_factor(self) -> float:
         """What an unexplained residual widens intervals by, squared; one that was weighed is in them."""
         free = max(len(self.system.gap) - len(self.fitted.parameters) - 4, 1)

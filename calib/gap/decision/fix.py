@@ -56,7 +56,8 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, found)),
         *unsized(evidence, found),
-        *([] if evidence.noise.supported else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
+        # what is shown beyond too high a level holds at any lower one
+        *([] if evidence.noise_bounded else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
     )
     return replace(fix, recommended=not why, transfer=evidence.trials, held_out=improvement, why=why)
 
