@@ -189,6 +189,7 @@ def _cause(
         parameters=quantities | means,
         plausible=times <= 1.0 and bool(means or len(unknown) < len(form.parameters)),
         remark=remark,
+        times=times,
         undetermined=unknown,
         settings=form.settings,
         family=effect.family.value,

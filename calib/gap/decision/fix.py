@@ -177,17 +177,18 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
 def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:
     """Yield causes beyond what is plausible that are not shown to close the gap: what imitates leaves a part of it.
 
-    Radii and track have a bound of their own, `beyond_vehicles`.
+    The squares left are to be below half of those of the largest plausible size. Radii and track have a bound of their
+    own, `beyond_vehicles`.
     """
-    if improvement is None or improvement.closed_ci95[0] > HALF_CLOSURE:
+    if improvement is None:
         return
     low, high = (100 * share for share in improvement.closed_ci95)
     for cause in causes:
-        kind = effect_class(cause.effect)
-        if not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
+        kind, wanted = effect_class(cause.effect), 100 * (1 - (1 - HALF_CLOSURE) / max(cause.times, 1.0) ** 2)
+        if low <= wanted and not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
-                f"% of the gap, where {100 * HALF_CLOSURE:.0f} % are to be certain; {PLAN}"
+                f"% of the gap, where {wanted:.0f} % are to be certain; {PLAN}"
             )
 
 
