@@ -185,7 +185,9 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
     low, high = (100 * share for share in improvement.closed_ci95)
     for cause in causes:
         kind, wanted = effect_class(cause.effect), 100 * (1 - (1 - HALF_CLOSURE) / max(cause.times, 1.0) ** 2)
-        if low <= wanted and not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
+        if low <= wanted and not (
+            cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)
+        ):
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
                 f"% of the gap, where {wanted:.0f} % are to be certain; {PLAN}"

@@ -273,7 +273,7 @@ def _channel(line: ChannelClosure, *, both: bool) -> str:
 def _recalibration(diagnosis: Diagnosis) -> str:
     own = [cause.effect for cause in diagnosis.causes if cause.effect in HIDES_IN]
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
-    if own and not others and diagnosis.kind is VerdictKind.EXPLAINED:
+    if own and not others and diagnosis.kind is VerdictKind.EXPLAINED and not diagnosis.fix.why:
         return f" A plain recalibration of {joined((HIDES_IN[name] for name in own), 'and')} closes it."
     confounded = {effect for group in diagnosis.groups for effect in group.effects} & HIDES_IN.keys()
     hidden = sorted(confounded - set(own)) if others else []

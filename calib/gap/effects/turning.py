@@ -262,6 +262,7 @@ class DriveSlip(Effect):
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
+                slips.append((f"{name}, speeding up and braking", force, [with_acceleration], (per_acceleration,)))
                 slips.append((f"{name}, speeding up, braking and rolling", force, [with_acceleration, with_way], both))
             if weight_varies:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))

@@ -197,6 +197,20 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("supported", "dof", "windowed", "bounded"),
+    [(True, 0.0, True, True), (False, 17.0, False, True), (False, 17.0, True, False), (False, 0.0, False, False)],
+)
+def test_runs_that_differ_hold_all_their_noise_and_windows_or_assumed_sigmas_do_not(
+    supported: bool, dof: float, windowed: bool, bounded: bool
+) -> None:
+    """What a correction takes away beyond too high a level it takes at the right one, so no repeats are asked for."""
+    evidence = SimpleNamespace(
+        noise=SimpleNamespace(supported=supported, dof=dof), observations=SimpleNamespace(windowed=windowed)
+    )
+    assert Evidence.noise_bounded.fget(evidence) is bounded  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(("off", "kind"), [(0.03, VerdictKind.PARTLY_EXPLAINED), (0.98, VerdictKind.UNKNOWN)])
 def test_no_cause_is_shown_where_runs_end_off_as_no_vehicle_does(
     monkeypatch: pytest.MonkeyPatch, off: float, kind: VerdictKind

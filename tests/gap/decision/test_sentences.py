@@ -47,6 +47,12 @@ def test_an_explanation_of_a_doubtful_size_says_so() -> None:
     assert "doubtful" not in words(VerdictKind.EXPLAINED, DISTANCE)
 
 
+def test_a_recalibration_that_is_not_recommended_is_not_said_to_close_the_gap() -> None:
+    alone = Diagnosis(VerdictKind.EXPLAINED, "", (CAUSE,), closure=Closure(channels=(DISTANCE,)))
+    assert "A plain recalibration of the track" in sentence(alone)
+    assert "recalibration" not in sentence(replace(alone, fix=Fix(why=("it closes 13 to 53 % of the gap",))))
+
+
 def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:
     assert "lateral 10.1 -> 10.1 mm (noise level 10)" in words(VerdictKind.EXPLAINED, STILL)
 
