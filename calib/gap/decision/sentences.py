@@ -219,10 +219,11 @@ def _alternatives(diagnosis: Diagnosis) -> str:
     if most := _unidentified(diagnosis):
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
     named = {cause.effect for cause in diagnosis.causes}
-    pairs = []
-    for effects in (group.effects for group in diagnosis.groups):
-        if others := joined(_others(effects, diagnosis), "or"):
-            pairs.append(f"{joined((effect for effect in effects if effect in named), 'and')} from {others}")
+    pairs = [
+        f"{joined((effect for effect in group.effects if effect in named), 'and')} from {others}"
+        for group in diagnosis.groups
+        if (others := joined(_others(group.effects, diagnosis), "or"))
+    ]
     return f"; these runs cannot tell {', nor '.join(pairs)}" if pairs else ""
 
 

@@ -128,8 +128,13 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
 
 @pytest.mark.parametrize(
     ("effect", "times", "low", "against"),
-    [("wear", 1.1, 0.4, 1), ("wear", 1.1, 0.8, 0), ("wear", 5.0, 0.97, 1), ("wear", 5.0, 0.99, 0)]
-    + [("unequal_radii", 5.0, 0.4, 0)],
+    [
+        ("wear", 1.1, 0.4, 1),
+        ("wear", 1.1, 0.8, 0),
+        ("wear", 5.0, 0.97, 1),
+        ("wear", 5.0, 0.99, 0),
+        ("unequal_radii", 5.0, 0.4, 0),
+    ],
 )
 def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
     effect: str, times: float, low: float, against: int
