@@ -14,7 +14,7 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.between_sessions import without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
-from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
+from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,
@@ -180,7 +180,7 @@ def _kind(
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
         # beyond all the noise is a gap
-        if evidence.noise_bounded and gap_probability >= 1.0 - FALSE_ALARM:
+        if noise_bounded(evidence) and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
     return kind_of(
         gap_probability,

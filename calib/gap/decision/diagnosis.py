@@ -106,11 +106,6 @@ class Evidence:
         return {name: ReferenceScale().unaided(self.observations)[:1]}
 
     @property
-    def noise_bounded(self) -> bool:
-        """Whether noise is at most its level: a supported one, or that of runs that may differ in more than noise."""
-        return self.noise.supported or (self.noise.dof > 0.0 and not self.observations.windowed)
-
-    @property
     def variance_factor(self) -> float:
         """What an unexplained residual widens intervals by, squared; one that was weighed is in them."""
         free = max(len(self.system.gap) - len(self.fitted.parameters) - 4, 1)
@@ -187,8 +182,7 @@ class Cause:
     parameters: Mapping[str, Quantity]
     plausible: bool = True  #: whether its size is physically plausible
     remark: str = ""  #: a sentence on its size
-    #: its size over the largest plausible one, at least
-    times: float = field(default=1.0, metadata={"json": False})
+    times: float = field(default=1.0, metadata={"json": False})  #: its size over the largest plausible, at least
     settings: Mapping[str, float] = field(default_factory=dict)  #: quantities of the form not fitted linearly
     share_ci95: tuple[float, float] | None = None  #: of the share; None if not determined
     family: str = ""  #: (``load``, ``drift``, ``instrument``, ...); empty where unknown

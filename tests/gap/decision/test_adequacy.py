@@ -13,6 +13,7 @@ from calib.gap.decision import decide
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.decide import stands_off
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
+from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of
 from calib.gap.decision.trials import Trial
@@ -208,7 +209,7 @@ def test_runs_that_differ_hold_all_their_noise_and_windows_or_assumed_sigmas_do_
     evidence = SimpleNamespace(
         noise=SimpleNamespace(supported=supported, dof=dof), observations=SimpleNamespace(windowed=windowed)
     )
-    assert Evidence.noise_bounded.fget(evidence) is bounded  # type: ignore[attr-defined]
+    assert noise_bounded(evidence) is bounded  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("off", "kind"), [(0.03, VerdictKind.PARTLY_EXPLAINED), (0.98, VerdictKind.UNKNOWN)])

@@ -131,15 +131,16 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     [
         ("wear", 1.1, 0.4, 1),
         ("wear", 1.1, 0.8, 0),
-        ("wear", 5.0, 0.97, 1),
-        ("wear", 5.0, 0.99, 0),
+        ("wear", 3.0, 0.6, 0),
+        ("wear", 9.0, 0.93, 1),
+        ("wear", 9.0, 0.96, 0),
         ("unequal_radii", 5.0, 0.4, 0),
     ],
 )
 def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
     effect: str, times: float, low: float, against: int
 ) -> None:
-    """What is left is to be below half of what a plausible size does; radii and track have a bound of their own."""
+    """What is left is below half of what the largest size that may be does; radii and track have their own bound."""
     odd = replace(cause(effect), plausible=False, remark="beyond what is physically plausible", times=times)
     why = reasons(Finding([odd], {effect: 0.96}), replace(CLOSES, closed_ci95=(low, 1.2)))
     assert sum("beyond what" in text and f"{100 * low:.0f} to 120 %" in text for text in why) == against
