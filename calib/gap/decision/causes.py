@@ -189,6 +189,7 @@ def _cause(
         parameters=quantities | means,
         plausible=times <= 1.0 and bool(means or len(unknown) < len(form.parameters)),
         remark=remark,
+        times=times,
         undetermined=unknown,
         settings=form.settings,
         family=effect.family.value,
@@ -305,7 +306,7 @@ class SizeDifference:
     reference: str  #: the group that determines the size best
     ratio: float  #: size on the one over the size on the other
     ratio_sd: float  #: standard uncertainty of the ratio
-    p_value: float  #: of equal sizes on all groups
+    p_value: float  #: of equal sizes on all groups, corrected for the number of tests
 
     @property
     def sentence(self) -> str:
@@ -359,8 +360,8 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     ]
     differing: dict[str, SizeDifference] = {}
     for difference in sorted(tested, key=lambda each: each.p_value):
-        if len(tested) * difference.p_value < FALSE_REJECTION:
-            differing.setdefault(difference.effect, difference)
+        if (p_value := len(tested) * difference.p_value) < FALSE_REJECTION:
+            differing.setdefault(difference.effect, replace(difference, p_value=p_value))
     return differing
 
 

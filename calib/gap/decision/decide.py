@@ -14,7 +14,7 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.between_sessions import without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
-from calib.gap.decision.fix import beyond_vehicles, fix_of, parting, without_length
+from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,
@@ -76,7 +76,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         causes = []
     elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
-    tied = [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
+    tied = tied_with(causes, groups)
     found = naming.Finding(causes, certain, unexplained, differing, tied)
     fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
@@ -88,7 +88,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         sentence="",
         causes=(*map(naming.blunder_cause, situation.faults), *causes),
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
-        groups=tuple(Group(tuple(group)) for group in tied),
+        groups=tuple(Group(tuple(group)) for group in tied_with(causes, tied)),
         where=evidence.where,
         closure=closure,
         unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
@@ -103,6 +103,11 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence=evidence,
     )
     return _in_words(diagnosis, evidence)
+
+
+def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Return the groups of the causes: what looks like an unnamed one says nothing of these."""
+    return [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
 
 
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
@@ -174,9 +179,8 @@ def _kind(
     if not evidence.noise.supported and off < BLUNDER_MISFIT:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
-        # differing runs hold all their noise, windows but what neighbours do not share: beyond the first is a gap
-        differ = evidence.noise.dof > 0.0 and not evidence.observations.windowed
-        if differ and gap_probability >= 1.0 - FALSE_ALARM:
+        # beyond all the noise is a gap
+        if noise_bounded(evidence) and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
     return kind_of(
         gap_probability,

@@ -182,6 +182,7 @@ class Cause:
     parameters: Mapping[str, Quantity]
     plausible: bool = True  #: whether its size is physically plausible
     remark: str = ""  #: a sentence on its size
+    times: float = field(default=1.0, metadata={"json": False})  #: its size over the largest plausible, at least
     settings: Mapping[str, float] = field(default_factory=dict)  #: quantities of the form not fitted linearly
     share_ci95: tuple[float, float] | None = None  #: of the share; None if not determined
     family: str = ""  #: (``load``, ``drift``, ``instrument``, ...); empty where unknown

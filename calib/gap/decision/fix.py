@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import inf, prod
+from math import inf, prod, sqrt
 from typing import Final
 
 from calib.gap.decision import confounding
@@ -34,6 +34,8 @@ FIX_PROBABILITY: Final = 0.6
 #: and of a cause beside the largest: without it the fix loses little, with a wrong one its trust. Of 17 fixes whose
 #: causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with one cause
 FURTHER_PROBABILITY: Final = 0.8
+#: bounds of plausible sizes are known to half an order of magnitude
+PLAUSIBLE_FACTOR: Final = sqrt(10.0)
 
 
 def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str]], small: Sequence[str] = ()) -> Fix:
@@ -56,9 +58,15 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, found)),
         *unsized(evidence, found),
-        *([] if evidence.noise.supported else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
+        # what is shown beyond too high a level holds at any lower one
+        *([] if noise_bounded(evidence) else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
     )
     return replace(fix, recommended=not why, transfer=evidence.trials, held_out=improvement, why=why)
+
+
+def noise_bounded(evidence: Evidence) -> bool:
+    """Return whether noise is at most its level: a supported one, or that of runs that may differ in more."""
+    return evidence.noise.supported or (evidence.noise.dof > 0.0 and not evidence.observations.windowed)
 
 
 def reasons(
@@ -176,17 +184,21 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
 def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:
     """Yield causes beyond what is plausible that are not shown to close the gap: what imitates leaves a part of it.
 
-    Radii and track have a bound of their own, `beyond_vehicles`.
+    The squares left are to be below half of those of the largest size that may be. Radii and track have a bound of
+    their own, `beyond_vehicles`.
     """
-    if improvement is None or improvement.closed_ci95[0] > HALF_CLOSURE:
+    if improvement is None:
         return
     low, high = (100 * share for share in improvement.closed_ci95)
     for cause in causes:
-        kind = effect_class(cause.effect)
-        if not (cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)):
+        beyond = max(cause.times / PLAUSIBLE_FACTOR, 1.0)
+        kind, wanted = effect_class(cause.effect), 100 * (1 - (1 - HALF_CLOSURE) / beyond**2)
+        if low <= wanted and not (
+            cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)
+        ):
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
-                f"% of the gap, where {100 * HALF_CLOSURE:.0f} % are to be certain; {PLAN}"
+                f"% of the gap, where {wanted:.0f} % are to be certain; {PLAN}"
             )
 
 

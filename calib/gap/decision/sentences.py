@@ -161,8 +161,11 @@ def _capital(text: str) -> str:
     return text if "_" in text.partition(" ")[0] else f"{text[:1].upper()}{text[1:]}"
 
 
-def _confounded(diagnosis: Diagnosis) -> int:
-    return max((len(group.effects) for group in diagnosis.groups), default=0)
+def _unidentified(diagnosis: Diagnosis) -> int:
+    """Return how many effects explain all that is named equally well, where they are too many to list; else 0."""
+    named = {cause.effect for cause in diagnosis.causes}
+    sizes = [len(group.effects) for group in diagnosis.groups if named.issubset(group.effects)]
+    return max((size for size in sizes if size > LARGEST_GROUP), default=0)
 
 
 def _listed(causes: Sequence[Cause]) -> str:
@@ -188,8 +191,7 @@ def _named(effect: str, diagnosis: Diagnosis) -> str:
 
 
 def _ambiguous(diagnosis: Diagnosis) -> str:
-    most = _confounded(diagnosis)
-    if most > LARGEST_GROUP:
+    if most := _unidentified(diagnosis):
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
     confounded = {effect for group in diagnosis.groups for effect in group.effects}
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
@@ -204,19 +206,24 @@ def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
     """Return a group's causes, acting together, and each effect that does the same alone."""
     causes = {cause.effect for cause in diagnosis.causes}
     together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
-    return [*filter(None, [together]), *(_named(effect, diagnosis) for effect in effects if effect not in causes)]
+    return [*filter(None, [together]), *_others(effects, diagnosis)]
+
+
+def _others(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
+    causes = {cause.effect for cause in diagnosis.causes}
+    others = [_named(effect, diagnosis) for effect in effects if effect not in causes]
+    return others if len(effects) <= LARGEST_GROUP else [f"{len(others)} other effects"]
 
 
 def _alternatives(diagnosis: Diagnosis) -> str:
-    most = _confounded(diagnosis)
-    if most > LARGEST_GROUP:
+    if most := _unidentified(diagnosis):
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
     named = {cause.effect for cause in diagnosis.causes}
-    pairs = []
-    for effects in (group.effects for group in diagnosis.groups):
-        others = joined((_named(effect, diagnosis) for effect in effects if effect not in named), "or")
-        if others:
-            pairs.append(f"{joined((effect for effect in effects if effect in named), 'and')} from {others}")
+    pairs = [
+        f"{joined((effect for effect in group.effects if effect in named), 'and')} from {others}"
+        for group in diagnosis.groups
+        if (others := joined(_others(group.effects, diagnosis), "or"))
+    ]
     return f"; these runs cannot tell {', nor '.join(pairs)}" if pairs else ""
 
 
@@ -267,7 +274,7 @@ def _channel(line: ChannelClosure, *, both: bool) -> str:
 def _recalibration(diagnosis: Diagnosis) -> str:
     own = [cause.effect for cause in diagnosis.causes if cause.effect in HIDES_IN]
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
-    if own and not others and diagnosis.kind is VerdictKind.EXPLAINED:
+    if own and not others and diagnosis.kind is VerdictKind.EXPLAINED and not diagnosis.fix.why:
         return f" A plain recalibration of {joined((HIDES_IN[name] for name in own), 'and')} closes it."
     confounded = {effect for group in diagnosis.groups for effect in group.effects} & HIDES_IN.keys()
     hidden = sorted(confounded - set(own)) if others else []

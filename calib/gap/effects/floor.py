@@ -367,12 +367,13 @@ class FloorSlope(Effect):
             ("across, drift alone", [(drift, drift_by, np.cos)]),
         ]
         if sided:
-            radii_x, radii_y, drift_x, drift_y = (
-                replace(one, name=f"{one.name}_{axis}") for one in (radii, drift) for axis in ("x", "y")
+            radii_x, radii_y, pull_x, pull_y, drift_x, drift_y = (
+                replace(one, name=f"{one.name}_{axis}") for one in (radii, pull, drift) for axis in ("x", "y")
             )
             offered += [
                 ("along x, radii and pull", [(radii, radii_by, np.cos), (pull, pull_by, np.sin)]),
                 ("any direction, radii alone", [(radii_x, radii_by, np.cos), (radii_y, radii_by, np.sin)]),
+                ("any direction, pull alone", [(pull_x, pull_by, _to_the_right), (pull_y, pull_by, np.cos)]),
                 ("any direction, drift alone", [(drift_x, drift_by, _to_the_right), (drift_y, drift_by, np.cos)]),
             ]
 

@@ -263,9 +263,10 @@ class DriveSlip(Effect):
                 slips.append((f"{name}, speeding up and rolling", force, [with_speeding, with_way], both))
             wide = Centre(0.0, float(np.mean(force))).deviations(force)[observations.unit]
             if (np.abs(observations.total(front * acceleration * wide)) > 1e-2).any():
-                label = f"{name}, speeding up, braking{' and rolling' if share_shows else ''}"
-                parts = [with_acceleration, with_way]
-                slips.append((label, force, parts[: 1 + share_shows], both[: 1 + share_shows]))
+                slips.append((f"{name}, speeding up and braking", force, [with_acceleration], (per_acceleration,)))
+                if share_shows:
+                    label = f"{name}, speeding up, braking and rolling"
+                    slips.append((label, force, [with_acceleration, with_way], both))
             if weight_varies and share_shows:
                 slips.append((f"{name}, rolling", force, [with_way], (rolling,)))
         if share_shows:

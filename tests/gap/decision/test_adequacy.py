@@ -13,6 +13,7 @@ from calib.gap.decision import decide
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.decide import stands_off
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
+from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of
 from calib.gap.decision.trials import Trial
@@ -195,6 +196,20 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("supported", "dof", "windowed", "bounded"),
+    [(True, 0.0, True, True), (False, 17.0, False, True), (False, 17.0, True, False), (False, 0.0, False, False)],
+)
+def test_runs_that_differ_hold_all_their_noise_and_windows_or_assumed_sigmas_do_not(
+    supported: bool, dof: float, windowed: bool, bounded: bool
+) -> None:
+    """What a correction takes away beyond too high a level it takes at the right one, so no repeats are asked for."""
+    evidence = SimpleNamespace(
+        noise=SimpleNamespace(supported=supported, dof=dof), observations=SimpleNamespace(windowed=windowed)
+    )
+    assert noise_bounded(evidence) is bounded  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("off", "kind"), [(0.03, VerdictKind.PARTLY_EXPLAINED), (0.98, VerdictKind.UNKNOWN)])

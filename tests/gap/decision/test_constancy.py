@@ -15,6 +15,7 @@ from scipy import stats
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.seal import Seeds, read_seeds, recipes
+from calib.gap.decision import causes
 from calib.gap.decision.between_sessions import beside_named_steps, half_of_mean
 from calib.gap.decision.causes import SAME_SIZE_SD, SizeDifference, _difference, size_differences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
@@ -99,6 +100,21 @@ def test_equal_sizes_are_rejected_as_rarely_as_stated() -> None:
         found = difference(*drawn(rng, {"a": 1.0, "b": 1.0, "c": 1.0, "d": 1.0}))
         rejected += found is not None and found.p_value < 0.05
     assert 0 < rejected < LARGEST_COUNT
+
+
+def test_the_p_value_that_is_said_counts_all_tests_of_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One in twenty campaigns doubts a cause by chance, however many groupings are tried."""
+    found = SizeDifference("wear", "speed", "a", "b", 2.0, 0.1, 0.01)
+    for name, value in (("HeldOutFit", None), ("_contributions", {"wear": None}), ("_difference", found)):
+        monkeypatch.setattr(causes, name, lambda *_, value=value: value)
+    evidence = SimpleNamespace(
+        effects={"wear": SimpleNamespace(per_session=False)}, search=SimpleNamespace(weighting=0)
+    )
+    evidence.fitted = evidence.nominal = evidence.noise = evidence.observations = None
+    for tests, p_value in ((4, 0.04), (5, None)):
+        monkeypatch.setattr(causes, "groupings", lambda *_, tests=tests, **__: dict.fromkeys(range(tests)))
+        differing = size_differences(evidence, ["wear"])  # type: ignore[arg-type]
+        assert {"wear": p_value} == {"wear": differing["wear"].p_value if differing else None}
 
 
 def test_a_group_on_which_the_effect_does_nothing_says_nothing() -> None:

@@ -126,14 +126,24 @@ def test_beside_an_unexplained_residual_of_half_its_signal_a_cause_is_no_fix(
     assert len(found) == against
 
 
-@pytest.mark.parametrize(("effect", "low", "against"), [("wear", 0.4, 1), ("wear", 0.8, 0), ("unequal_radii", 0.4, 0)])
+@pytest.mark.parametrize(
+    ("effect", "times", "low", "against"),
+    [
+        ("wear", 1.1, 0.4, 1),
+        ("wear", 1.1, 0.8, 0),
+        ("wear", 3.0, 0.6, 0),
+        ("wear", 9.0, 0.93, 1),
+        ("wear", 9.0, 0.96, 0),
+        ("unequal_radii", 5.0, 0.4, 0),
+    ],
+)
 def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
-    effect: str, low: float, against: int
+    effect: str, times: float, low: float, against: int
 ) -> None:
-    """What imitates a cause leaves a part of the gap; radii and track have a bound of their own."""
-    odd = replace(cause(effect), plausible=False, remark="2.7 times what is physically plausible")
+    """What is left is below half of what the largest size that may be does; radii and track have their own bound."""
+    odd = replace(cause(effect), plausible=False, remark="beyond what is physically plausible", times=times)
     why = reasons(Finding([odd], {effect: 0.96}), replace(CLOSES, closed_ci95=(low, 1.2)))
-    assert sum("2.7 times" in text and "40 to 120 %" in text for text in why) == against
+    assert sum("beyond what" in text and f"{100 * low:.0f} to 120 %" in text for text in why) == against
 
 
 def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:

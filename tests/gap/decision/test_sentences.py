@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from calib.gap.decision.decide import tied_with
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
@@ -44,6 +45,12 @@ def test_an_explanation_of_a_doubtful_size_says_so() -> None:
     text = sentence(Diagnosis(VerdictKind.EXPLAINED, "", (times,), closure=Closure(channels=(DISTANCE,))))
     assert "explained by a wrong track (track_width), of a doubtful size. " in text
     assert "doubtful" not in words(VerdictKind.EXPLAINED, DISTANCE)
+
+
+def test_a_recalibration_that_is_not_recommended_is_not_said_to_close_the_gap() -> None:
+    alone = Diagnosis(VerdictKind.EXPLAINED, "", (CAUSE,), closure=Closure(channels=(DISTANCE,)))
+    assert "A plain recalibration of the track" in sentence(alone)
+    assert "recalibration" not in sentence(replace(alone, fix=Fix(why=("it closes 13 to 53 % of the gap",))))
 
 
 def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:
@@ -128,6 +135,14 @@ def test_what_a_cause_cannot_be_told_from_is_said_of_that_cause() -> None:
     )
     assert "; these runs cannot tell unequal_radii from counts lost by one encoder (lost_counts);" in one
     assert "(lost_counts), nor reference_lever_arm from " in both and "(floor_slope);" in both
+
+
+@pytest.mark.parametrize("kind", [VerdictKind.AMBIGUOUS, VerdictKind.PARTLY_EXPLAINED])
+def test_what_one_cause_of_two_is_not_told_from_leaves_the_other_identified(kind: VerdictKind) -> None:
+    named = diagnosis("ambiguous", ("track_width", 0.7), ("load_radius", 0.96)).causes
+    text = sentence(Diagnosis(kind, "", named, groups=(Group(SEVEN),), closure=CLOSED))
+    assert "6 other effects" in text and "identify" not in text
+    assert tied_with(named[:1], [SEVEN]) == [SEVEN] and tied_with(named[1:], [SEVEN]) == []
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,13 @@ def _(run: Run, now: Motion) -> None:
     now.lateral_m = np.hypot(3e-3, 2e-3) * np.abs(now.ds_m) * np.sin(np.arctan2(-2e-3, 3e-3) - on_map(run, now))
 
 
+@case("floor_slope", "any direction, pull alone", 4e-4, -3e-4, within=1e-2)
+def _(run: Run, now: Motion) -> None:
+    # downhill at -37 degrees: the heading turns towards it
+    now.yaw_rad = 5e-4 * np.abs(now.ds_m) * np.sin(np.arctan2(-3e-4, 4e-4) - on_map(run, now))
+    unseen_turn(now)
+
+
 @case("floor_zone", "x 2 m, whole width", 3e-3, 2e-3, 1e-3, within=3e-2, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     sign = -1.0 if run.direction == "back" else 1.0

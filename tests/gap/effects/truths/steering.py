@@ -96,6 +96,7 @@ RAMPED = [replace(run, ramp=True) for run in ROLLING]
 
 
 # the acceleration is a difference over four steps, blurred where the ramp ends
+@case("drive_slip", "by the force, speeding up and braking", 3e-2, runs=RAMPED, within=5e-2)
 @case("drive_slip", "by the force, speeding up", 3e-2, runs=RAMPED, within=5e-2)
 def _(run: Run, now: Motion) -> None:
     way = np.cumsum(np.abs(now.ds_m)) - 0.5 * np.abs(now.ds_m)
