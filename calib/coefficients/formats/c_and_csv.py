@@ -45,6 +45,11 @@ class FixedPoint:
     load_max_mN: int
     max_error_nm: Fraction
 
+    @property
+    def bound_nm(self) -> float:
+        """The bound rounded up to six decimals, so that the stated error is never below the true one."""
+        return float(-((-self.max_error_nm * 10**6) // 1)) / 1e6
+
 
 def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     """Return the integer form of the law of a wheel; refused where 32 bits of nm and mN are too few."""
