@@ -31,8 +31,9 @@ Achieved = dict[str, float | None]
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
 
-    By end position (else distance) in m, by all channels over their noise, and the closure of whitened squares. None
-    where no cause is named, or a form does not exist there.
+    ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
+    ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None where the
+    verdict names no cause, or a form of its causes cannot be had there.
     """
     from calib.gap.inference.fit import hypothesis_path, whitened_rows
     from calib.gap.observations.from_campaign import observations_of

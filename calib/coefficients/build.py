@@ -65,10 +65,11 @@ UNITS: Final = {
 def from_fit(
     fit: Fit, *, outside: Outside = "refuse", created: str | None = None, inputs: Mapping[str, str] | None = None
 ) -> CoefficientFile:
-    """Return the coefficient file of a fit: its laws, vehicle, encoder and load points; see `Header`.
+    """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
-    `inputs`: by default of the fit's provenance. Raises BadInputError where the fit lacks vehicle and encoder, or its
-    provenance is damaged; ImplausibleError beyond the bounds of its vehicle, unless accepted.
+    `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: those of the fit's provenance.
+    Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where
+    it is beyond the bounds of its vehicle and the user does not accept that.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)

@@ -108,8 +108,11 @@ def law_journey(
 ) -> Journey:
     """Simulate a journey under a law, without and with the correction; see `Journey`.
 
-    `loads_N`, `reference_N`: loads (left, right) carried, and of the uncorrected odometry; `band`: of `BANDS`, the real
-    radii's uncertainty. Raises BadInputError for another, or below 100 draws.
+    Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
+
+    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
+    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
+    known or `draws` below 100.
     """
     if band not in BANDS or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")

@@ -199,9 +199,9 @@ def steps(
     radius_left_m: ArrayLike,
     radius_right_m: ArrayLike,
 ) -> PathSteps:
-    """Return a path in exact arcs from (0, 0) along x; see `PathSteps`.
+    """Return a path in exact arcs with its derivatives, from (0, 0) along x; see `PathSteps`.
 
-    Travel (..., n), to which track and radii broadcast.
+    Travel has shape (..., n); the track and the radii that it was computed with broadcast to that.
     """
     left, right, track = floats(travel_left_m), floats(travel_right_m), floats(track_m)
     path, turn = 0.5 * (left + right), (right - left) / track
@@ -220,9 +220,9 @@ def steps(
 def jacobian(
     path: PathSteps, *, load_offset_left_N: ArrayLike = 0.0, load_offset_right_N: ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the derivatives of the pose after each step by `JOINT`, (..., n, 3, 5).
+    """Return the derivatives of the pose (x, y, theta) after each step by `JOINT`, shape (..., n, 3, 5).
 
-    Load offsets from the law's reference broadcast to (..., n).
+    The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
     offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
@@ -256,9 +256,10 @@ class RandomWalk:
     counts_per_rev_right: float = 4096.0
 
     def covariance(self, path: PathSteps) -> FloatArray:
-        """Return the covariance of the pose after each step, (..., n, 3, 3).
+        """Return the covariance of the pose after each step, shape (..., n, 3, 3).
 
-        A heading error in a step moves every later point about that step's centre.
+        A heading error in a step moves every later point about that step's centre: running sums over noise, times
+        centre and times its squares.
         """
         distance = np.abs(0.5 * (path.left_m + path.right_m))
         x, y = path.poses.x_m, path.poses.y_m
@@ -306,7 +307,10 @@ class Ellipses:
 
 
 def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
-    """Return the error ellipses of pose covariances, (..., 3, 3) or (..., 2, 2), x and y first."""
+    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
+
+    A coverage of 0.95 is 2.45 standard deviations in two dimensions.
+    """
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
     spread = np.hypot(half, c[..., 0, 1])

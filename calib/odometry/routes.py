@@ -212,7 +212,10 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
 
 
 def follow(route: Route, believed: Axle, real: Axle) -> Poses:
-    """Return the real poses at the borders of segments, (vehicles, n_segments + 1), the believed ones on the route."""
+    """Return the real poses at the start and at the end of each segment, shape (vehicles, n_segments + 1).
+
+    The believed pose follows the route; divide the route for more poses.
+    """
     return integrate(*wheel_travel(route, believed, real)).from_origin()
 
 

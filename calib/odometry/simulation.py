@@ -219,10 +219,10 @@ class LawPart:
     """What a fitted law says."""
 
     law: RadiusLaw = field(metadata={"json": False})
-    table: tuple[TableRow, ...]
-    journeys: tuple[Journey, ...]  #: for each pair of loads and each band
+    table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
+    journeys: tuple[Journey, ...]  #: without and with correction, for each pair of loads and each band
     path: LawPath  #: along the last route, under the loads that change on the way, or else the first pair
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: what the reader should know
 
 
 @dataclass(frozen=True, slots=True, eq=False)

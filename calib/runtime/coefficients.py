@@ -86,7 +86,13 @@ class Coefficients:
 
     @classmethod
     def read(cls, path: str | Path) -> Coefficients:
-        """Read and verify the file at `path`; raises CoefficientError."""
+        """Read and verify the file at `path`.
+
+        Raises
+        ------
+        CoefficientError
+            Where the file cannot be read, lacks something, or is not what was written.
+        """
         try:
             text = Path(path).read_bytes().decode("utf-8-sig")
         except (OSError, ValueError) as error:
@@ -156,9 +162,14 @@ class Coefficients:
         return coefficients
 
     def wheel_loads_N(self, payload_kg: float, payload_x_m: float, payload_y_m: float) -> tuple[float, float, float]:
-        """Return the static loads (left, right, front) under a payload (Eqs 1-2 and the force balance).
+        """Return the static loads (left, right, front) in N under a payload (Eqs 1-2 and the force balance).
 
-        `payload_x_m`, `payload_y_m`: its centre of mass, ahead of the rear axle and left of the centre line.
+        Parameters
+        ----------
+        payload_kg : float
+            Mass of the payload.
+        payload_x_m, payload_y_m : float
+            Its centre of mass, ahead of the rear axle and left of the centre line.
         """
         total = self.mass_kg + payload_kg
         ahead = (self.mass_kg * self.cog_x_m + payload_kg * payload_x_m) / self.load_wheelbase_m

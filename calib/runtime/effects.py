@@ -319,7 +319,10 @@ class Effects:
             raise CoefficientError(f"{path}: effects: {type(error).__name__}: {error}") from error
 
     def begin(self, run: Run) -> None:
-        """Begin a run; raises CoefficientError where a load is not finite, or not valid and not to be clamped."""
+        """Begin a run: its loads and surroundings hold until the next one.
+
+        Raises CoefficientError where a load is not finite, or not valid and the file does not say clamp.
+        """
         self._run, file = None, self.coefficients
         loads = {}
         for name, wheel in (("load_left_N", file.left), ("load_right_N", file.right)):

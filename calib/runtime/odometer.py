@@ -65,10 +65,11 @@ class OdometerFault(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Last good pose, `theta_rad` not wrapped.
+    """Last good pose.
 
-    `distance_m`: back and forth both counted; `t_s`: of the last good sample; `status`: of the last call; `clamped`: a
-    load was; `interrupted`: motion was given up since the last reset.
+    `x_m`, `y_m`, `theta_rad` (not wrapped); `distance_m` driven, back and forth both counted; `t_s` of the last good
+    sample; `status` of the last call; `clamped` where a load was outside the valid range and the file says clamp;
+    `interrupted` where motion was given up since the last reset.
     """
 
     x_m: float
@@ -233,9 +234,14 @@ class Odometer:
         return self.pose
 
     def feed(self, counts_left: float, counts_right: float, t_s: float | None = None) -> Status:
-        """Feed the encoders' counters as read, and return what became of it; never raises.
+        """Feed the encoders' counters and return what became of it; never raises.
 
-        Wraps are undone where the file states the counters' width; without `t_s` gaps in time are not seen.
+        Parameters
+        ----------
+        counts_left, counts_right : int or float
+            Counters as read; wraps are undone where the file states the counters' width.
+        t_s : float, optional
+            Time of the sample; without it gaps in time are not seen.
         """
         self._status = self._feed(counts_left, counts_right, t_s)
         return self._status

@@ -254,9 +254,17 @@ def table_rows(
 ) -> tuple[list[str], Rows, list[int], list[Note]]:
     """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
-    A row of one text is a remark, unless it is written as others of its column. A unit that all cells of a column
-    repeat goes into its name. `rows`, `lines`: cells as read, and their rows in the file, from 1, the header's `n_rows`
-    first; for `layout` see `Layout`.
+    A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
+    column repeat goes into its name.
+
+    Parameters
+    ----------
+    names, n_rows
+        Of the columns, and how many of the rows are the header.
+    rows, lines
+        Cells as read, the header's first; their rows in the file, counted from 1.
+    layout, shown
+        Whether the file is a laboratory's, and its name in messages.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:

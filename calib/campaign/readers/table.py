@@ -184,10 +184,20 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 def numbers(
     cells: Cells, shown: str, column: str, line: IntArray, decimal_comma: bool | None = None, notes: Notes = None
 ) -> tuple[FloatArray, bool]:
-    """Return cells as numbers, NaN where empty, and whether a decimal comma was read; see `RawTable`.
+    """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways. `decimal_comma`: what
-    the rest of the file says; None: nothing, and ``1,234`` is refused; `notes`: added to.
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
+
+    Parameters
+    ----------
+    cells, line : array, shape (n_rows,)
+        Text, numbers or None, and their lines.
+    shown, column
+        File and column, for messages.
+    decimal_comma
+        What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
+    notes : list of Note
+        Added to.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)

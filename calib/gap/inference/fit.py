@@ -77,9 +77,18 @@ def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | No
 def hypothesis_path(
     s: Observations, calibration: FloatArray, forms: Sequence[Form], theta: Sequence[FloatArray], about: Path
 ) -> Path:
-    """Re-simulate under a hypothesis whose perturbations are taken `about` a path.
+    """Re-simulate under a hypothesis whose perturbations are taken about a path.
 
-    `calibration`: (4,), see `Fitted`; `theta`: sizes of each of `forms`, in its parameters' units.
+    Parameters
+    ----------
+    s : Observations
+    calibration : array of float, shape (4,)
+        Relative change of left radius, right radius, track, front radius.
+    forms : sequence of Form
+    theta : sequence of array of float, each shape (n_parameters,)
+        Sizes of each form, in its parameters' units.
+    about : Path
+        Where the perturbations are taken.
     """
     pushes = calibration_pushes(s, calibration, about)
     acting = [(form, sizes) for form, sizes in zip(forms, theta, strict=True) if np.any(sizes != 0)]
@@ -165,11 +174,21 @@ def fit(
     start: Fitted | None = None,
     steps: int = 10,
 ) -> Fitted:
-    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path; see `Fitted`.
+    """Fit a recalibration and effects by Gauss-Newton on the re-simulated path.
 
-    `nominal`: the model alone, with its `noise`; `forms`: effects to fit; `along` (k, 4): directions in which the
-    calibration may change, all by default; `start`: where to begin (calibration, and sizes of the same forms); `steps`:
-    at most, 0: stay at the start.
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+    forms : sequence of Form
+        Effects to fit.
+    along : array, shape (k, 4), optional
+        Directions in which left radius, right radius, track and front radius may change; all by default.
+    start : Fitted, optional
+        Where to begin (its calibration; its parameters where the forms are the same).
+    steps : int
+        At most; a step below a hundredth of the standard uncertainty is the last. 0: stay at the start.
     """
     s = nominal.s
     freedom = np.array([True, True, True, bool(s.usable[:, 4:].any())]) & (not s.calibration_held)
@@ -291,7 +310,10 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
-    """Return the parameters whose interval `half_width` (n_parameters,) reaches beyond plausible on both sides."""
+    """Return the parameters whose interval holds zero and reaches beyond what is plausible on both sides.
+
+    `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of the intervals.
+    """
     return tuple(
         parameter.name
         for parameter, size, half in zip(parameters, sizes, half_width, strict=True)

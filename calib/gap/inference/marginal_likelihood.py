@@ -57,10 +57,12 @@ class Nuisance:
 
 
 def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
-    """Return the log evidence of a Gaussian hypothesis, a common factor of the noise level integrated out.
+    """Return the log evidence of a Gaussian hypothesis whose noise level is known up to a common factor.
 
-    Student's t, without its constant: heavy tails do not pass for a cause. `square`: y^T C^-1 y; `log_det`: log |C|;
-    `n_rows`: length of y.
+    With the factor integrated out (Student's t, without its constant), a noise level too small by a quarter or heavy
+    tails do not pass for a cause.
+
+    `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same shape; `n_rows`: length of y.
     """
     spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
     return np.asarray(spread - 0.5 * np.asarray(log_det))
@@ -74,7 +76,10 @@ def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
 
 
 def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray:
-    """Solve (G + ridge I) x = g, G (..., p, p) and g (..., p), on a unit diagonal: columns alike do no harm."""
+    """Solve (G + ridge I) x = g on a unit diagonal: columns alike do no harm.
+
+    `gram`: (..., p, p), scalar products of the columns; `right`: (..., p), with the residual. Returns shape (..., p).
+    """
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
     if gram.ndim == 2:

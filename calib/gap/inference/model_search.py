@@ -64,10 +64,22 @@ def search(
     start: SearchResult | None = None,
     passed: Callable[[], None] | None = None,
 ) -> SearchResult:
-    """Search the library; see `SearchResult`.
+    """Search the library.
 
-    `nominal`: the model alone; `base`: the recalibration alone; `effects`: the calibration's own three are left to the
-    recalibration; `start`: where to begin, beside another noise level; `passed`: called before each pass.
+    Parameters
+    ----------
+    nominal : Path
+        The model alone.
+    noise : Noise
+    base : Fitted
+        The recalibration alone.
+    effects : sequence of Effect
+        The library; the calibration's own three are left to the recalibration.
+    settings : SearchSettings, optional
+    start : SearchResult, optional
+        Where to begin, beside another noise level; the recalibration alone by default.
+    passed : callable, optional
+        Called before each pass.
     """
     settings = settings or SearchSettings()
     shifts = {effect.id: effect.own_shifts for effect in effects}
@@ -150,9 +162,11 @@ def is_far(fitted: Fitted) -> bool:
 
 
 def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
-    """Return a hypothesis near which the gap is linear: the recalibration alone, effects added as they fit.
+    """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
 
-    None is added where it is not far off, or none takes half of it away.
+    The system's own where it is not far off, or no effect takes half of it away.
+
+    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: added at most.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 

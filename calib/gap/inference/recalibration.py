@@ -74,7 +74,12 @@ def log_prior_of(count: int, settings: SearchSettings) -> float:
 def without_unidentified(
     subset: tuple[int, ...], probabilities: FloatArray, settings: SearchSettings
 ) -> tuple[int, ...]:
-    """Return a subset without parameters that only their prior makes likely; `probabilities`: (n_subsets,)."""
+    """Return a subset without parameters that are no likelier for what was measured.
+
+    Of what does not show only the prior is left, by which three may well be off together.
+
+    `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,).
+    """
     prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
     for way in _ONE_WHEEL:
         prior[_both_radii(way)] += np.exp(log_prior_of(len(way), settings))
@@ -128,13 +133,26 @@ def weigh_subsets(
     settings: SearchSettings,
     shifts: Mapping[str, tuple[str, ...]],
 ) -> SubsetWeights:
-    """Weigh the subsets of the calibration's parameters beside the forms of a model.
+    """Weigh the subsets of the calibration's parameters beside some forms.
 
     An effect may be centred elsewhere, or deviate from its form; a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own
     size counts as part of it, where its zero can lie so far off.
 
-    `sizes`, `values`, `covariance`: see `free_estimates`; `shifts`: calibration parameters that another zero point of
-    each effect would look like.
+    Parameters
+    ----------
+    system : LinearSystem
+    model : sequence of int
+        Forms, by their numbers in the system.
+    sizes : sequence of array of float
+        Size of each, in typical sizes.
+    values : array of float, shape (3,)
+        Relative size of each calibration parameter, all free.
+    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
+        Of left radius, right radius, track and front radius, relative, and the sizes.
+    settings : SearchSettings
+        Assumptions of the search.
+    shifts : mapping of str to tuple of str
+        Calibration parameters that another zero point of each effect would look like.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)

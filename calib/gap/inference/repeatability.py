@@ -37,7 +37,10 @@ _ROUNDING: Final = 1e-14
 
 
 def neighbours(labels: IntArray, together: int) -> IntArray:
-    """Return each unit's neighbourhood of `together` units of its label, in the order driven, (n_units,)."""
+    """Return each unit's neighbourhood among those of its label, in the order driven, (n_units,).
+
+    `labels`: (n_units,); `together`: units of one; those left over join the last.
+    """
     number = np.zeros(len(labels), dtype=np.int64)
     used = 0
     for label in np.unique(labels):

@@ -121,8 +121,16 @@ def scale_gains(
 ) -> FloatArray:
     """Return the change of the log weights by the integral over the noise's scales, in the shape of `weight`.
 
-    `weight`: (n_scales, n_models), beside the estimated noise; `likely`: of the models, to integrate; the others gain
-    the least of theirs; `window`: below the best, for noise alone see `NOISE_WINDOW`.
+    Parameters
+    ----------
+    local : LocalSearch
+    weight : array of float, shape (n_scales, n_models)
+        Log weights beside the noise as it was estimated.
+    likely : iterable of int
+        Models to integrate; the gain of the others is the least of theirs.
+    models : list of tuple of int
+    window : float
+        Weights this far below the best are not integrated; that of noise alone is by `NOISE_WINDOW`.
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)
     for n in likely:

@@ -140,10 +140,20 @@ class _Route:
 def scan_route(
     kind: str, traces: list[Trace], channel: Channel, rng: np.random.Generator, *, signed: bool
 ) -> tuple[PlaceResult, int] | None:
-    """Search a route for the stretch where a channel's gap grows, and count those searched; see `PlaceResult`.
+    """Search a route for the stretch where a channel's gap grows, and count those searched.
 
-    The p value is the best stretch's alone; None for too few whole runs. `channel`: along or heading; `signed`: with
-    the other sign on the way back.
+    The p value is the best stretch's alone; None for too few whole runs.
+
+    Parameters
+    ----------
+    kind : str
+    traces : list of Trace
+    channel : Channel
+        Along or heading.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    signed : bool
+        Look for a gap of the other sign on the way back.
     """
     from scipy.special import stdtr
 

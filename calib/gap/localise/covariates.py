@@ -59,11 +59,23 @@ def _varied(values: FloatArray | StrArray) -> bool:
 def covariate_test(
     name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
 ) -> CovariateResult | None:
-    """Test a covariate (n_units,) in every channel by an F test; None where no channel allows it.
+    """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
-    Returns the channel of the smallest p, times the number of channels; see `holm_corrected`. `scaled`: (n_units,
-    n_channels), gap over noise level, NaN without the channel; `weights`: (n_draws, n_units), how often the bootstrap
-    draws each unit; `most_dof`: how well the noise level is known.
+    Parameters
+    ----------
+    name : str
+    values : array of float or str, shape (n_units,)
+    scaled : array of float, shape (n_units, n_channels)
+        Gap over noise level; NaN where a unit lacks the channel.
+    weights : array of float, shape (n_draws, n_units)
+        How often the bootstrap draws each unit.
+    most_dof : float
+        How well the noise level is known.
+
+    Returns
+    -------
+    CovariateResult or None
+        The channel of the smallest p, times the number of channels; not yet held to the table's error.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:

@@ -38,13 +38,26 @@ def locate(
     floor: FloatArray | None = None,
     campaign: Campaign | None = None,
 ) -> GapLocation:
-    """Say where the gap (n_units, n_channels), 0 without the channel, lies.
+    """Say where the gap lies.
 
-    Covariates are tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in twenty of
-    any false finding. Shares have bootstrap intervals over units.
+    Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
+    multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
+    Shares have bootstrap intervals over units.
 
-    `nominal`: the model alone; `floor` (n_units, n_channels): shown beside the gap, that of `noise` by default;
-    `campaign`: the same runs with logs, for places inside runs.
+    Parameters
+    ----------
+    observations : Observations
+    nominal : Path
+        The model alone.
+    noise : Noise
+    gap : array of float, shape (n_units, n_channels)
+        Measured minus simulated; 0 where a unit lacks the channel.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    floor : array of float, shape (n_units, n_channels), optional
+        What the gap is shown against; by default that of `noise`.
+    campaign : Campaign, optional
+        The same runs with their logs: without it, no places inside runs.
     """
     lines = wheel_tests(nominal, noise, gap, rng)
     n = len(observations)

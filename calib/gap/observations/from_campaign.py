@@ -196,10 +196,10 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> 
             f"{campaign.name}: no run has both encoder counts and a measured distance or end pose; "
             + "; ".join(["nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad", *notes])
         )
-    made = assemble(setup, units, notes)
+    observations = assemble(setup, units, notes)
     # an effect is asked of where a reading would show it
-    read: list[bool] = np.asarray(made.usable.any(axis=1)).tolist()
-    return made if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
+    read: list[bool] = np.asarray(observations.usable.any(axis=1)).tolist()
+    return observations if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:

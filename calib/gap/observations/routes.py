@@ -162,10 +162,21 @@ def replicates(
     numbers: Mapping[str, FloatArray],
     labels: Mapping[str, StrArray],
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return route, condition and cell of each observation, each (n_obs,); see `WheelTravel`.
+    """Return the route, the condition and the cell of each observation, each shape (n_obs,).
 
     Replicates share a condition; those of one session, temperature, dwell and further columns share a cell.
-    `heading_rad`: measured turn, else NaN; `numbers`: covariates; `labels`: ``session``, ``kind`` and ``direction``.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Its vehicle scales the loads that are told apart; its further columns tell cells apart.
+    driven : WheelTravel
+    heading_rad : array of float, shape (n_obs,)
+        Measured turn, NaN where not measured.
+    numbers : mapping of str to array of float, shape (n_obs,)
+        Covariates.
+    labels : mapping of str to array of str, shape (n_obs,)
+        ``session``, ``kind`` and ``direction``.
     """
     route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
     nothing = np.zeros(len(route))

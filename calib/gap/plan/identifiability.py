@@ -56,9 +56,10 @@ def aliases_of(
     forms: Mapping[str, Sequence[Form]],
     named: Sequence[str],
 ) -> dict[str, float]:
-    """Return effects confounded with a contribution, see `distance`, each with its distance.
+    """Return effects confounded with a contribution, each with its distance in standard deviations.
 
-    `forms`: the library on this campaign; `named`: effects that are no alternatives.
+    `system`, `nuisance`, `contribution`: see `distance`; `forms`: the library on this campaign; `named`: effects of the
+    hypothesis, no alternatives.
     """
     nearest = {
         name: min((distance(system, nuisance, contribution, form) for form in offered), default=np.inf)
@@ -253,7 +254,10 @@ def outlook_of(campaign: Campaign, progress: Progress = silent) -> Outlook:
 def undetectable(
     system: WhitenedSystem, effects: Sequence[Effect], forms: Mapping[str, Sequence[Form]] | None = None
 ) -> tuple[DetectionLimit, ...]:
-    """Return detection limits of effects that these runs would not show at typical size; `forms`: if known."""
+    """Return detection limits of effects that these runs would not show at typical size.
+
+    `never` where the runs excite nothing, or a recalibration absorbs all. Known `forms` are not built again.
+    """
     limits, found = _Limits(system.calibration, system.columns), []
     for effect in effects:
         # the calibration's own are never among them

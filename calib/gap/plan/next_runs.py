@@ -60,14 +60,15 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    They are driven in one session that begins with a repeat of an unladen corridor run (at another temperature in one
-    of their own), those of a route not repeated so far `REPEATS` times. Each greedy step takes the run after which the
-    two nearest confounded effects are furthest apart; then comes what the law of the load lacks; where none are
-    confounded, the run after which most effects are separated. First comes a length beside a reference that alone
-    measures any.
+    The runs are driven in one session that begins with a repeat of an unladen corridor run, those at another
+    temperature in one of their own, and those of a route that was not repeated so far `REPEATS` times. Each greedy
+    step takes the run after which the two nearest confounded effects are furthest apart; where none are confounded, the
+    run after which most effects of the library are detected and separated. What the law of the load lacks comes after
+    the former and before the latter; first comes a length beside a reference that alone measures any.
 
-    `noise`: of `campaign`; `ties`: groups of confounded effects, the named one first; `fitted`: gives sizes; `model`:
-    the campaign's by default; `candidates`: see `default_candidates`; `most`: runs to recommend.
+    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
+    effects, the named one first; `fitted`: gives sizes, typical for others; `model`: the simulator's, by default the
+    campaign's; `candidates`: see `default_candidates`; `most`: runs to recommend.
     """
     driven = campaign.included()
     if model is not None:
@@ -173,7 +174,10 @@ class _Task:
         self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
 
     def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour."""
+        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour.
+
+        `gram`: (..., n_columns, n_columns), scalar products; distances for each.
+        """
         signal, distance = self.signatures.distances(gram, self.truths)
         if self.pairs:
             row = {truth: index for index, truth in enumerate(self.truths)}
@@ -308,8 +312,15 @@ class _RunEntry(_Strict):
 def read_plan(path: Path) -> Campaign:
     """Return the campaign that a plan would give if the vehicle were exactly as its model.
 
-    The plan has ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` and ``[[runs]]``. Raises
-    BadFileError.
+    `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
+    ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``, and
+    ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
+    ``read_rolling``, ``tape``.
+
+    Raises
+    ------
+    BadFileError
+        Where the file cannot be used.
     """
     document = _load(path)
     runs = _runs(document.pop("runs", None), path)

@@ -159,9 +159,16 @@ class Measured:
 
 
 def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
-    """Return the route of a kind: a corridor or its lanes, one of `LEFT_ROUTES`, its mirror image, or one of `NAMED`.
+    """Return the route of a kind.
 
-    `corridor_m`: length of the corridor. Raises BadInputError where there is none.
+    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
+    simulate``; `corridor_m`: length of the corridor.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such route.
     """
     left = kind.replace("_right", "_left")
     if kind == "corridor" or kind.startswith("corridor_"):

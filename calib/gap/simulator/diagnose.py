@@ -53,12 +53,28 @@ def diagnose_simulator(
     workers: int = 1,
     progress: Progress = silent,
 ) -> SimulatorDiagnosis:
-    """Diagnose the gap between what was measured and the user's simulator; see `SimulatorSettings`.
+    """Diagnose the gap between what was measured and the user's simulator.
 
     It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
-    verdict is among parameters and library. `seed`: for the bootstrap; `exclude`: of the library, or
-    ``simulator:NAME``; `workers`: runs at once. Raises CalibError where the simulator fails, hangs, writes nonsense, or
-    predicts nothing measured.
+    verdict is among parameters and library.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    settings : SimulatorSettings
+    seed : int
+        For the bootstrap of intervals.
+    exclude : tuple of str
+        To leave out, of the library or ``simulator:NAME``.
+    workers : int
+        Runs of the simulator at once.
+    progress : callable
+        See `calib.types.Progress`.
+
+    Raises
+    ------
+    CalibError
+        Where the simulator fails, hangs, writes nonsense, or predicts nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(

@@ -74,7 +74,10 @@ def fixed(
     found: SimulatorFix,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`."""
+    """Return the diagnosis with what to set and the closure that the simulator shows with it.
+
+    `differences`: about the nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
+    """
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal

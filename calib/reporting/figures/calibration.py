@@ -87,7 +87,10 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 
 @styled
 def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
-    """Draw radius against load with law and bands (Fig. 11), below as deviation from the law; `session`: (n_runs,)."""
+    """Draw radius against load with law, mean band and prediction band (Fig. 11).
+
+    `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
+    """
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
     sessions = Groups.of(session, NO_SESSION)
