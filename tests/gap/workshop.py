@@ -178,7 +178,10 @@ def _run(
     track = vehicle.track_m * (1.0 + size("track_width")) * (1.0 + size("curve_scrub") * bend)
     scatter = (1.0 + rng.normal(0, 1e-4, 2)) * (1.0 + size("session_step") * np.array(STEPS[now.session]))
     left_mps = v - omega * track / 2  # an encoder loses pulses by its own rate
-    rates = (left_mps * (1.0 - size("lost_counts") * np.abs(left_mps) / 0.8) / left_m, (v + omega * track / 2) / right_m)
+    rates = (
+        left_mps * (1.0 - size("lost_counts") * np.abs(left_mps) / 0.8) / left_m,
+        (v + omega * track / 2) / right_m,
+    )
     turns = [np.concatenate([[0.0], np.cumsum(rate / s)]) * STEP_S for rate, s in zip(rates, scatter, strict=True)]
     way = v * STEP_S
     theta = np.concatenate([[0.0], np.cumsum(omega * STEP_S + rng.normal(0, 3e-4, len(v)) * np.sqrt(way))])

@@ -10,11 +10,11 @@ from typing import ClassVar, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, always, varies
+from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
 from calib.gap.effects.quantities import end_motion, reach, standstill_mps, start_to_end_frame
 from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, residuals
-from calib.gap.steps import Perturbation
+from calib.gap.steps import Perturbation, total_perturbation
 from calib.types import ComplexArray, FloatArray
 
 
@@ -118,8 +118,7 @@ class ReferenceLeverArm(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            moved = (_read_at(path, place) for place in (1.0, 1j))
-            return [Perturbation.on_readings(path.s, along=along, lateral=lateral) for along, lateral in moved]
+            return [_off_course(path, path.s.course_error[:, :, n], place) for n, place in enumerate((1.0, 1j))]
 
         scale = reach(observations)
         # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
@@ -129,10 +128,22 @@ class ReferenceLeverArm(Effect):
         return [Form(self.id, "", parameters, perturbations)]
 
 
+def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
+    """Return what errors (n_obs, 2) of headings at start and end, taken from the course, do, and a place beside."""
+    c, sn = path.frame_turned
+    # the stated place turns with them
+    moved = np.asarray(1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
+    ways = zip(start_to_end_frame(path, moved.real, moved.imag), _read_at(path, beside_m), strict=True)
+    along, lateral = (turned + read for turned, read in ways)
+    reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=error[:, 1] - error[:, 0])
+    return replace(reading, turned_rad=-error[:, 0])
+
+
 def _read_at(path: Path, place_m: complex) -> tuple[FloatArray, FloatArray]:
     """Return along and lateral (n_obs,), m, of what a place on the vehicle (x + i y) moves beside its origin."""
-    c, sn = path.frame_turned
-    moved = (c - 1.0 + 1j * sn) * place_m
+    # a heading from the course is off by what the place itself does to it
+    heading = np.where(path.s.course_error.any(axis=(1, 2)), path.end[:, 2], path.frame)
+    moved = np.asarray((np.exp(1j * heading) - 1.0) * place_m, np.complex128)
     return start_to_end_frame(path, moved.real, moved.imag)
 
 
@@ -244,6 +255,7 @@ class ReferenceLatency(Effect):
         late = {self.OF_POSE: pose} if has_pose else {}
         late |= {"laser": laser} if has_laser else {}
         late |= {"end pose and laser": replace(pose, reading=laser.reading)} if has_pose and has_laser else {}
+        since: dict[str, FloatArray] = {}
         parameters = dict.fromkeys(late, Parameter("latency", "s", typical=5e-2, largest=5e-1))
         if has_pose and observations.windowed:
             # of a clock at another rate the delay grows with the time since the run's start
@@ -252,8 +264,13 @@ class ReferenceLatency(Effect):
             end_s = np.where(logged, observations.time_s[last], 0.0)
             late[self.OF_CLOCK] = Perturbation(start_arc=start * begin_s[:, None], delay_s=end_s)
             parameters[self.OF_CLOCK] = Parameter("rate", "1", typical=5e-4, largest=1e-2)
+            since[self.OF_CLOCK] = np.stack([begin_s, end_s], axis=1)
 
-        return self.offer([(label, (parameters[label],), always(push)) for label, push in late.items()])
+        def push(path: Path, label: str) -> list[Perturbation]:
+            off = _off_course(path, path.s.course_error[:, :, 2] * since.get(label, 1.0))
+            return [total_perturbation(path.s, [late[label], off])]
+
+        return self.offer([(label, (parameters[label],), partial(push, label=label)) for label in late])
 
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth

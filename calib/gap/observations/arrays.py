@@ -136,6 +136,9 @@ class Observations:
     window: IntArray
     #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
+    #: shape (n_obs, 2, 3): error of headings taken from the course at start and end, rad a metre of the sensor's place
+    #: (x, y) and rad a second that it reads late; zero where headings were measured
+    course_error: FloatArray
     common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
     by_gyro: BoolArray  #: shape (n_obs,): observations whose turn a gyro measured

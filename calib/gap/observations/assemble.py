@@ -53,8 +53,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     front, steer = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad", _middles)
     path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
-    guided, sigma_led = _guided(setup, steps, measured, index, remarks, one_sensor=np.array_equal(*rolls))
-    measured[guided, Channel.HEADING], usable[guided, Channel.HEADING] = 0.0, True
+    guided, sigma_led = _guided(setup, steps, measured, usable, index, remarks, one_sensor=np.array_equal(*rolls))
     # a front wheel that drives the odometry is not compared with it
     usable[:, Channel.FRONT :] = (np.isfinite(steps.total(front + steer)) & (not stands_in))[:, None]
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
@@ -79,6 +78,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         run=index,
         window=_each(units, "window"),
         start_pose=_each(units, "start_pose"),
+        course_error=_each(units, "course_error"),
         sigma_start_rad=_each(units, "sigma_start_rad"),
         by_gyro=_each(units, "by_gyro"),
         sensor_m=(campaign.reference.sensor_x_m, campaign.reference.sensor_y_m),
@@ -177,7 +177,14 @@ def _measured(
 
 
 def _guided(
-    setup: Setup, steps: WheelTravel, measured: FloatArray, index: IntArray, remarks: list[str], *, one_sensor: bool
+    setup: Setup,
+    steps: WheelTravel,
+    measured: FloatArray,
+    usable: BoolArray,
+    index: IntArray,
+    remarks: list[str],
+    *,
+    one_sensor: bool,
 ) -> tuple[BoolArray, FloatArray]:
     campaign = setup.campaign
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
@@ -205,6 +212,7 @@ def _guided(
             f"{int(guided.sum())} runs have a distance and no end pose: guided, they are taken to end at the "
             f"heading they began with, to within {milli:.2g} mrad ({how}), so that each wheel has a radius of its own"
         )
+    measured[guided, Channel.HEADING], usable[guided, Channel.HEADING] = 0.0, True
     return guided, sigma
 
 

@@ -66,6 +66,12 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
         return []
     log = setup.campaign.logs.of(recorded.unit.run)
     edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
+    if reference.course is not None:
+        # courses about a pose, none beside it: wheels that are off bend these
+        half, way = 0.5 * reference.course.way_m, reference.travelled_m
+        edges = np.unique(
+            np.clip(edges, np.searchsorted(way, half), np.searchsorted(way, way[-1] - half, side="right") - 1)
+        )
     rows = log_rows(log)
     windows: list[Observation] = []
     for first, last in pairwise(edges.tolist()):
@@ -80,7 +86,7 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
     """Return the motion between two poses of the reference, both uncertain."""
-    (start, start_sd), (end, end_sd) = reference.pose(first), reference.pose(last)
+    (start, start_sd, start_error), (end, end_sd, end_error) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
     measured[1:] = observation.relative_pose(start, end)
     if reference.course is not None:
@@ -94,6 +100,7 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
         sigma_theta_rad=settings.sigma_theta_rad if np.isnan(end_sd) else end_sd,
         sigma_start_rad=settings.sigma_theta_rad if np.isnan(start_sd) else start_sd,
         start_pose=start if reference.in_map else unit.start_pose,
+        course_error=np.stack([start_error, end_error]),
     )
 
 

@@ -17,7 +17,7 @@ from calib.campaign.model import Campaign, RunTable
 from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.odometry.poses import poses_of_vehicle
-from calib.types import FloatArray, IntArray, in_frame
+from calib.types import ComplexArray, FloatArray, IntArray, in_frame
 
 #: steps of a thinned log; arcs between are exact for the wheels
 MAX_STEPS: Final = 400
@@ -85,6 +85,9 @@ class Observation:
     sigma_start_rad: float = 0.0
     #: shape (3,): start in the frame common to all runs, else NaN
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
+    #: shape (2, 3): error of headings taken from the course at start and end, a metre of the sensor's place (x, y) and
+    #: a second that it reads late beyond that of a measured heading
+    course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
     by_gyro: bool = False  #: whether a gyro measured its turn
 
     @property
@@ -176,10 +179,10 @@ class ReferencePoses:
     from_first: bool  #: whether the run's frame is that of its first pose, not of the poses
     course: CourseOverGround | None  #: how headings are made up, if not measured
 
-    def pose(self, number: int) -> tuple[FloatArray, float]:
-        """Return a pose, and its heading's standard uncertainty if that was made up (else NaN)."""
+    def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
+        """Return a pose; of a heading from the course its standard uncertainty (else NaN) and `course_error`, (3,)."""
         if self.course is None:
-            return self.poses[number], float("nan")
+            return self.poses[number], float("nan"), np.zeros(3)
         return self.course.pose(number)
 
 
@@ -193,9 +196,14 @@ class CourseOverGround:
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
     sigma_xy_m: float  #: standard uncertainty
     way_m: float  #: of a course
+    velocity_mps: ComplexArray  #: shape (n_poses,): of the vehicle by its wheels, x + i y
+    turn_rate_rad_per_s: FloatArray  #: shape (n_poses,): by the wheels
 
-    def pose(self, number: int) -> tuple[FloatArray, float]:
-        """Return the vehicle's pose at a sample, and its heading's standard uncertainty; NaN where it stood."""
+    def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
+        """Return the vehicle's pose at a sample, its heading's standard uncertainty and `course_error`, shape (3,).
+
+        NaN where it stood. In a curve a sensor elsewhere, or one that reads late, moves along another course.
+        """
         here = self.travelled_m[number]
         first = int(np.searchsorted(self.travelled_m, here - 0.5 * self.way_m, side="right")) - 1
         last = int(np.searchsorted(self.travelled_m, here + 0.5 * self.way_m))
@@ -210,11 +218,14 @@ class CourseOverGround:
         wheels = self._sensor_by_wheels(last) - self._sensor_by_wheels(first)
         chord = float(np.hypot(*moved))
         if chord < 0.3 * self.way_m or np.hypot(*wheels) < 0.3 * self.way_m:
-            return _nan(3), float("nan")
+            return _nan(3), float("nan"), np.zeros(3)
         course = np.arctan2(moved[1], moved[0]) - np.arctan2(wheels[1], wheels[0])
         heading = self.by_wheels[number, 2] + (course + np.pi) % (2 * np.pi) - np.pi
         place = self.positions[number] - _turned(self.place_m, heading)
-        return np.array([*place, heading]), float(np.sqrt(2.0)) * self.sigma_xy_m / chord
+        by_place = complex(np.diff(np.exp(1j * self.by_wheels[[first, last], 2]))[0]) / complex(*wheels)
+        rate = float((complex(self.velocity_mps[last] - self.velocity_mps[first]) / complex(*wheels)).imag)
+        error = np.array([by_place.imag, by_place.real, self.turn_rate_rad_per_s[number] - rate])
+        return np.array([*place, heading]), float(np.sqrt(2.0)) * self.sigma_xy_m / chord, error
 
     def _sensor_by_wheels(self, number: int) -> FloatArray:
         return self.by_wheels[number, :2] + _turned(self.place_m, self.by_wheels[number, 2])
@@ -252,9 +263,13 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
+        by_wheels = _by_wheels(left, right, model.track_m)[there]
+        lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
         course = CourseOverGround(
             positions=seen,
-            by_wheels=_by_wheels(left, right, model.track_m)[there],
+            by_wheels=by_wheels,
+            velocity_mps=np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s,
+            turn_rate_rad_per_s=np.gradient(by_wheels[:, 2]) / lasts_s,
             travelled_m=travelled,
             place_m=np.array([reference.sensor_x_m, reference.sensor_y_m]),
             sigma_xy_m=reference.sigma_xy_m,

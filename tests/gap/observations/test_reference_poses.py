@@ -9,8 +9,9 @@ from calib.campaign.check import notes_for_results
 from calib.campaign.settings import Reference
 from calib.errors import RefusedError
 from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
+from calib.gap.effects.library import effect_class
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.predict import predict
+from calib.gap.predict import predict, residuals
 from tests.gap.observations.paths import ROUTE, Truth, campaign_of, seen
 
 #: sums of some hundred exact arcs in double precision
@@ -81,6 +82,37 @@ def test_positions_alone_give_headings_by_the_course(place: complex) -> None:
     np.testing.assert_allclose(observations.measured[:, 1:4], [t.end() for t in truths], atol=2e-5)
     assert (observations.sigma_start_rad > 0).all()
     assert any("without a heading" in note for note in observations.notes)
+
+
+#: of what the fault moves, root mean square: turns of 0.1 rad to first order, a tenth of 0.1 s of a weave of 5 m
+COURSE_SHARE = 0.08
+
+
+@pytest.mark.parametrize(
+    ("place", "late_s", "effect", "size", "n"),
+    [
+        (0.1 - 0.05j, 0.0, "reference_lever_arm", (0.1, -0.05), 15),
+        (0.1 - 0.05j, 0.0, "reference_lever_arm", (0.1, -0.05), 6),
+        (0.0, 0.2, "reference_latency", (0.2,), 6),
+    ],
+)
+def test_a_place_or_a_delay_turns_headings_taken_from_the_course(
+    place: complex, late_s: float, effect: str, size: tuple[float, ...], n: int
+) -> None:
+    """A sensor off its stated place, or late, takes another course in curves, as the effect of its size says."""
+    weave, logs = [(0.1, 0.8 * float(np.sin(0.4 * np.pi * 0.1 * k))) for k in range(100)], []
+    for start, heading in STARTS[:n]:
+        truth = Truth(weave, start, heading)
+        poses = seen(truth, place, in_map=True)
+        late = {name: np.interp(truth.t - late_s, truth.t, poses[name]) for name in ("ref_x_m", "ref_y_m")}
+        # recorded on the move
+        logs.append({name: values[60:] for name, values in (truth.counts() | late).items()})
+    observations = observations_of(campaign_of(logs, Reference(frame="map")))
+    nominal = predict(observations)
+    form = effect_class(effect)().forms(observations)[0]
+    moves = [push.scaled(one) for push, one in zip(form.perturbations(nominal), size, strict=True)]
+    off, left = (residuals(path, nominal)[:, 1:4] for path in (nominal, predict(observations, moves)))
+    assert (np.sqrt(np.mean(left**2, axis=0)) < COURSE_SHARE * np.sqrt(np.mean(off**2, axis=0))).all()
 
 
 def test_the_stated_heading_of_a_course_is_that_of_monte_carlo() -> None:
