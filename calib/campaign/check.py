@@ -254,14 +254,15 @@ def _together(notes: Iterable[Note]) -> list[Note]:
 def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none.
 
-    `of_loads`: with what is said of payloads and wheel loads.
+    `of_loads`: with what is said of payloads, wheel loads and values that nobody stated, none of which makes runs end
+    off by a share of their length.
     """
     kept = _taken_apart(campaign.included())[1]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
     of_checks = (check(kept) for check in (*checks, settings.odd_lengths))
     said = []
     for several in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
-        notes = _together(note for note in several if of_loads or "load" not in note.code)
+        notes = _together(note for note in several if of_loads or not ("load" in note.code or note.code == "assumed"))
         said += [note.sentence for note in notes[:_MOST_LISTED]]
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")

@@ -117,12 +117,12 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
-    return replace(diagnosis, sentence=text, correct_first=first)
+    return replace(diagnosis, sentence=text, correct_first=first or (sentences.CHECK_UNITS,) * blunder)
 
 
 def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
     wrong = tuple(note.sentence for note in implausible(situation.campaign))
-    # no load makes a run end off by so much of its length
+    # no load, nor what nobody stated, makes a run end off by so much of its length
     return wrong or (notes_for_results(situation.campaign, of_loads=False)[:MOST_SAID] if off else ())
 
 

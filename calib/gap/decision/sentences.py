@@ -39,13 +39,18 @@ def sentence(diagnosis: Diagnosis) -> str:
     return f"{diagnosis.noise_level.finding} {_verdict(diagnosis)}".lstrip()
 
 
+#: where runs end off by more than wheels and floor can
+CHECK_UNITS: Final = (
+    "Check units (metres, radians, newtons), axes of the reference (x ahead, y to the left, angles counter-clockwise), "
+    "swapped columns, counts per revolution, and wheels that this drive does not have."
+)
+
+
 def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
     """Return the verdict where runs end off by more of their length than any effect of a vehicle explains."""
     return (
         f"Against {diagnosis.against}, runs end off by {100 * off:.0f} % of their length on average, with any effect "
-        "of the library: wheels and floor cannot do that. Check units (metres, radians, newtons), axes of the "
-        "reference (x ahead, y to the left, angles counter-clockwise), swapped columns, counts per revolution, and "
-        "wheels that this drive does not have."
+        f"of the library: wheels and floor cannot do that. {CHECK_UNITS}"
     )
 
 
