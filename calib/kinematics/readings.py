@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, TWIST, Fault
-from calib.kinematics.drives import Drive, nominal_turn
+from calib.kinematics.drives import SKID_TRACK, Drive, nominal_turn
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
@@ -316,8 +316,6 @@ FARTHEST: Final = 5.0
 PLAUSIBLE_CHANGE: Final = 0.15
 #: a track may be an effective one, of two tyres that scrub or of a wide tread
 PLAUSIBLE_TRACK_CHANGE: Final = 0.3
-#: skid steering turns about an effective track of 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
-SKID_TRACK: Final = 2.5
 #: what a track too wide for two wheels may be
 SKID_HINT: Final = ' (an effective track? of wheels that skid in turns state drive = "skid")'
 

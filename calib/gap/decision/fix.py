@@ -123,7 +123,7 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
     """Yield that a length is beyond any vehicle's, by the bounds of `calib geometry`."""
     kind = effect_class(cause.effect)
     largest = inf if kind is None else kind.wrong_beyond
-    if any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
+    if not cause.plausible and any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
         sizes = ", ".join(f"{100 * quantity.value:+.3g} %" for quantity in cause.parameters.values())
         yield (
             f"{cause.effect} of {sizes} is beyond any vehicle's ({100 * largest:.0f} %): check the units of the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -23,6 +24,7 @@ from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, sa
 from calib.gap.effects.steering import angle_error, has_front
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import Perturbation
+from calib.kinematics.drives import SKID_TRACK
 from calib.types import FloatArray
 
 
@@ -35,8 +37,10 @@ class _Calibration(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return the single form."""
-        ones = np.ones(len(observations))
-        return [Form(self.id, "", (self.parameter,), lambda path: [acting_on(path, self.acts_on, ones)])]
+        ones, parameter = np.ones(len(observations)), self.parameter
+        if self.acts_on == "track" and observations.vehicle.drive == "skid":
+            parameter = replace(parameter, largest=SKID_TRACK - 1.0)
+        return [Form(self.id, "", (parameter,), lambda path: [acting_on(path, self.acts_on, ones)])]
 
 
 class RadiusScale(_Calibration):

@@ -197,7 +197,7 @@ def _excess(shapes: components.NoiseComponents, covariance: FloatArray) -> Float
 def repeated_in_a_session(s: Observations) -> bool:
     """Return whether any two units of one condition were driven in one session."""
     pairs = np.unique(np.stack([s.condition, np.unique(s.labels["session"], return_inverse=True)[1]]), axis=1)
-    return pairs.shape[1] < len(s)
+    return bool(pairs.shape[1] < len(s))
 
 
 def _support(

@@ -8,6 +8,7 @@ import pytest
 from calib.campaign.check import notes_for_results
 from calib.campaign.settings import Reference
 from calib.errors import RefusedError
+from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.floor import common_frame, far_end_m, floor_place, map_heading_rad
 from calib.gap.effects.library import effect_class
 from calib.gap.observations.from_campaign import observations_of
@@ -226,3 +227,27 @@ def test_what_lacks_for_an_end_pose_in_a_map_is_said() -> None:
     numbers = {name: np.array([end[name][-1] for end in ends]) for name in ends[0]}
     with pytest.raises(RefusedError, match=r"15 runs have an end pose in a map, .* where they begin"):
         observations_of(campaign_of([t.counts() for t in truths], Reference(frame="map"), numbers))
+
+
+#: rad, m: of the stated sigmas
+NOISE = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "in_one", "verdict"), [(0.08, False, "undecided"), (0.0, False, "no_gap"), (0.08, True, None)]
+)
+def test_repeats_that_share_no_session_support_no_noise_level_far_beyond_the_stated_one(
+    moved_m: float, in_one: bool, verdict: str | None
+) -> None:
+    """A sensor that was moved between sessions is no noise: beside one route a session it may be all that differs."""
+    rng, logs, sessions = np.random.default_rng(3), [], []
+    for session in range(3):
+        for bend in (0.0, 0.5, -0.5, 0.8, -0.8) * (1 + in_one):
+            truth = Truth([(2.0, 0.0), (2.0, bend), (2.0, 0.0)], steps=60)
+            poses = seen(truth, complex(moved_m * (session - 1), 0.5 * moved_m * (session == 2)), in_map=False)
+            noisy = {name: values + rng.normal(0, NOISE, len(values)) for name, values in poses.items()}
+            logs.append(truth.counts() | noisy)
+            sessions.append(f"s{session}")
+    campaign = campaign_of(logs, Reference(frame="start", sigma_xy_m=NOISE, sigma_theta_rad=NOISE), session=sessions)
+    found = diagnose_in_full(campaign, plan=False)
+    assert found.kind.value == verdict or (verdict is None and found.kind.value not in ("no_gap", "explained"))
