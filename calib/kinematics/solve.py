@@ -18,6 +18,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
 #: how far below its stated size a component may fall
 LEAST: Final = 1e-4
+#: readings of the reference at its stated size that stand beside the data: of few runs a walk may fit all by chance
+STATED_READINGS: Final = np.array([1.0, 1.0, 0.0, 0.0])
 #: exponent of the step: 0.5 never lowers the likelihood but converges slowly
 POWER: Final = 0.9
 
@@ -166,7 +168,7 @@ def solve(
     steady
         A step of the noise's variances that gains less log likelihood ends their estimation.
     """
-    values, least = start.copy(), LEAST * scales
+    values, stated = start.copy(), scales
     free, prior = parameters.free, parameters.prior_std
     seen = model.segments.seen
     size = seen.sum(axis=1)
@@ -184,7 +186,7 @@ def solve(
         problem = _Linear(np.ascontiguousarray(prediction.residuals.T), by_spread, seen, size, *pull)
         if number < noise_rounds:
             some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
-            scales = _noise(problem.part(some), np.ascontiguousarray(kernel[:, :, some]), scales, least, steady)
+            scales = _noise(problem.part(some), np.ascontiguousarray(kernel[:, :, some]), scales, stated, steady)
             whitener = _whiteners(kernel, scales, seen)
         spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
@@ -272,11 +274,11 @@ def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, wei
     return np.asarray(np.linalg.solve(normal, residuals @ scaled + problem.off @ problem.pull))
 
 
-def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: FloatArray, steady: float) -> FloatArray:
+def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: FloatArray, steady: float) -> FloatArray:
     """Return better variances, by steps that do not lower the likelihood (Zhou et al. 2019).
 
     `kernel`: lower triangles of the covariance of each displacement by each component of unit size, shape (4, 6, n);
-    `scales`, `least`: variances now, and at least, shape (4,); `steady`: see `solve`.
+    `scales`, `stated`: variances now, and by the settings, shape (4,); `steady`: see `solve`.
     """
     flat = kernel.reshape(len(kernel), -1)
     step = np.zeros(problem.jacobian.shape[2])
@@ -289,9 +291,13 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, least: Floa
         pulled = _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
         size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()
         now = scales
-        scales = np.maximum(now * np.clip(size / np.where(trace > 0.0, trace, 1.0), 0.05, 20.0) ** POWER, least)
-        # what the component that gains most adds to the log likelihood
-        if np.max(0.5 * np.abs(now * (size - trace) * np.log(scales / now))) < steady:
+        size, trace = size + STATED_READINGS * stated / now**2, trace + STATED_READINGS / now
+        quotient = size / np.where(trace > 0.0, trace, 1.0)
+        moved = np.maximum(now * np.clip(quotient, 0.05, 20.0) ** POWER, LEAST * stated)
+        # what adds nothing to the log likelihood stays
+        gains = 0.5 * np.abs(now * (size - trace) * np.log(moved / now)) >= steady
+        scales = np.where(gains, moved, now)
+        if not gains.any():
             break
     return scales
 

@@ -242,18 +242,14 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
 
 
 def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, power: float = UNBIASED) -> Uncertainty:
-    """Return the covariance of the free parameters.
+    """Return the covariance of the free parameters by what stretches of one cluster leave together.
 
     Parameters
     ----------
-    solution
-        Of the robust fit.
-    free : array of bool, shape (n_parameters,)
-        Which parameters were free.
-    cluster : array of int, shape (n,)
-        Stretches of one cluster share their noise.
-    by
-        What the clusters are.
+    solution, free
+        The robust fit, and which parameters were free, shape (n_parameters,).
+    cluster, by
+        Stretches of one cluster share their noise, shape (n,), and what clusters are.
     power
         Of what leverage takes from the residuals; they are enlarged by it.
     """
@@ -278,10 +274,14 @@ def sandwich(solution: Solution, free: BoolArray, cluster: IntArray, by: str, po
     return Uncertainty(covariance, degrees, by, len(pull), apart, np.diag(by_nominal))
 
 
+def _by_information(solution: Solution, free: BoolArray) -> FloatArray:
+    jacobian = flattened(whitened(solution, free)[0])
+    return np.asarray(np.linalg.inv(jacobian.T @ jacobian + solution.pull), dtype=np.float64)
+
+
 def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertainty:
     """Return the covariance by the runs' information, and the degrees of freedom of `sandwich`."""
-    jacobian = flattened(whitened(solution, free)[0])
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + solution.pull), dtype=np.float64)
+    covariance = _by_information(solution, free)
     by_runs = sandwich(solution, free, cluster, "run", power=OF_RUNS)
     return replace(by_runs, covariance=covariance, apart=np.sqrt(np.diag(covariance)))
 
@@ -358,7 +358,7 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
     differ: a shared error does not average out over repeats. Of several such groupings the one with the widest
-    intervals is used.
+    intervals is used, none narrower than by the noise.
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
@@ -368,24 +368,23 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     else:
         best = sandwich_along(solution, free, block, own_directions(parameters.free_names, solution.values[free]))
     alone = best.by
-    candidates = {"session": _codes(recording.session)[run], "route": _codes(_routes(recording))[run]}
-    for name, group in candidates.items():
+    for name, labels in (("session", recording.session), ("route", _routes(recording))):
+        group = np.unique(labels, return_inverse=True)[1][run]
         apart = name == "session" and left_within(solution, free, segments, recording.session)[0] < np.inf
         if len(np.unique(group)) >= FEWEST and (apart or _alike(scores, group) > ALIKE):
             tried = sandwich(solution, free, group[block], name)
             if best.by == alone or _width(tried) > _width(best):
                 best = tried
-    return best
+    # the residuals of few runs may agree by chance
+    least = np.sqrt(np.diag(_by_information(solution, free)))
+    wider = np.maximum(least / np.maximum(best.std, 1e-300), 1.0)
+    return replace(best, covariance=best.covariance * np.outer(wider, wider))
 
 
 def _width(uncertainty: Uncertainty) -> float:
     from scipy.special import stdtrit
 
     return float(np.mean(np.log(uncertainty.std * stdtrit(uncertainty.dof, 0.975))))
-
-
-def _codes(labels: StrArray) -> IntArray:
-    return np.asarray(np.unique(labels, return_inverse=True)[1])
 
 
 def _routes(recording: Recording) -> StrArray:

@@ -276,3 +276,16 @@ def test_one_run_that_its_parameters_fit_exactly_shows_nothing() -> None:
     made = campaign(both_ways(1), TRUTH, np.random.default_rng(12))
     one = estimate_geometry(made.select(np.arange(len(made.runs)) == 0))
     assert not one.passed and any("fitted exactly" in why for why in one.why)
+
+
+def test_readings_that_agree_by_chance_leave_the_stated_noise() -> None:
+    """Readings without any noise, and one as stated: their mean square is the stated one over their number."""
+    n, stated_m = 8, 1e-3
+    made = campaign(both_ways(n // 2), TRUTH, np.random.default_rng(2), sigma=(1e-7, 1e-7))
+    found = estimate_geometry(
+        replace(made, reference=replace(made.reference, sigma_xy_m=stated_m, sigma_theta_rad=1e-3))
+    )
+    least_m = stated_m / np.sqrt(1 + 3 * n)
+    assert found.noise["reference_xy"] > least_m
+    # over squares of 8 m or more
+    assert all(each.half_width > 0.05 * least_m / 8.0 * each.value for each in found.estimates)

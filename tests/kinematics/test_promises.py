@@ -23,9 +23,10 @@ from tests.kinematics.promises import LABS, NOTHING, SIGMA, Lab, kept, promise
 CAMPAIGNS = 12
 #: the squares of so many errors over the promised variance leave these bounds by chance once in a thousand times
 BOUNDS = np.sqrt(chi2.ppf([5e-4, 1.0 - 5e-4], CAMPAIGNS) / CAMPAIGNS)
-#: a standard deviation from four taped runs is itself known to a third, and the median of twelve to a tenth; in 100
-#: campaigns the median widths are 0.98 to 1.15 of those promised
-WIDTH = 0.35
+#: a standard deviation from four taped runs is itself known to a third, and the median of twelve to a tenth; in 60
+#: campaigns the median widths are 0.98 to 1.23 of those promised, most where a tape has noise at one end alone and
+#: the stated one stands for both
+WIDTH = 0.4
 
 
 @pytest.mark.parametrize("lab", ["gyro and tape", "closed loops and tape", "headings", "positions"])
