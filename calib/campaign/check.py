@@ -105,7 +105,9 @@ def _model(campaign: Campaign) -> Iterator[Note]:
             yield implausible_setting(f"model.slope_{side}_m_per_N", text)
     loads = both_sides(campaign, "load_{}_N")
     loads = loads[loads > 0]
-    if len(loads) and not 0.1 * loads.min() <= model.reference_load_N <= 10 * loads.max():
+    of_nominal = math.isclose(model.reference_load_N, campaign.vehicle.unladen_load_N, rel_tol=1e-5)
+    unstated = of_nominal and not design.stated(campaign, "vehicle.mass_kg")
+    if len(loads) and not unstated and not 0.1 * loads.min() <= model.reference_load_N <= 10 * loads.max():
         text = f"""found {model.reference_load_N:g} N for wheel loads of {loads.min():g} to {loads.max():g} N; expected
             a load near these; check the unit (kN or kg?)"""
         yield implausible_setting("model.reference_load_N", text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.model import LOG_COLUMNS, WHEEL_SETS, Border, LogColumns, Logs, RunTable
+from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, WHEEL_SETS, Border, LogColumns, Logs, RunTable
 from calib.campaign.readers import READERS, RawTable, read_table
 from calib.campaign.settings import Encoder, Recognised, converted, recognise, second_column
 from calib.errors import BadFileError
@@ -111,8 +111,36 @@ def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None
     columns: dict[str, FloatArray] = {}
     add_recognised(columns, raw, shown, border)
     refuse_incomplete(columns, shown, raw.line)
+    omit_lost_frames(columns, REFERENCE_POSE, shown, border)
     from_first_sample(columns, shown, border)
     return columns
+
+
+#: steps of a reference that it does not take at once
+_LOST_STEPS: Final = 10.0
+
+
+def omit_lost_frames(columns: dict[str, FloatArray], names: Sequence[str], shown: str, border: Border) -> None:
+    """Empty poses that are exactly zero after one far from there, in place: a tracker that sees nothing writes these.
+
+    `names`: columns of the pose, x and y first; without them all are passed over.
+    """
+    poses = [name for name in names if name in columns and columns[name].dtype == np.float64]
+    if len(poses) < 2:
+        return
+    zero = np.logical_and.reduce([columns[name] == 0.0 for name in poses])
+    away = np.hypot(columns[poses[0]], columns[poses[1]])
+    kept = np.flatnonzero(~zero & np.isfinite(away))
+    if not zero.any() or not len(kept):
+        return
+    last = kept[np.maximum(np.searchsorted(kept, np.arange(len(zero))) - 1, 0)]
+    step = np.abs(np.diff(away[kept], prepend=away[kept[0]]))
+    lost = zero & (last < np.arange(len(zero))) & (away[last] > _LOST_STEPS * np.median(step))
+    if lost.any():
+        columns.update({name: np.where(lost, np.nan, columns[name]) for name in poses})
+        border.say(
+            shown, f"{lost.sum()} poses are exactly 0 in {' and '.join(poses)}: lost frames, omitted", "lost_frames"
+        )
 
 
 def in_log(name: str) -> bool:

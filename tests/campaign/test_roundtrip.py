@@ -47,7 +47,7 @@ def campaigns(draw: st.DrawFn) -> Campaign:
         columns["t_s"] = np.concatenate([np.arange(m) * draw(st.sampled_from([0.01, 1 / 3, 0.05])) for m in lengths])
         for name in ("counts_left", "counts_right"):
             # small enough to be taken for no overflow
-            columns[name] = np.rint(draw(arrays(np.float64, samples, elements=st.floats(-3e4, 3e4))))
+            columns[name] = np.rint(draw(arrays(np.float64, samples, elements=st.floats(-1e4, 1e4))))
         columns["range_m"] = draw(arrays(np.float64, samples, elements=st.floats(-50, 50)))
     made = campaign(logs=False)
     return replace(

@@ -17,6 +17,7 @@ from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray
 from calib.units import GRAVITY_MPS2
+from calib.vehicle import Vehicle
 
 
 def missing_values(campaign: Campaign) -> Iterator[Note]:
@@ -145,6 +146,12 @@ _LOADS: Final = ", ".join(WHEEL_LOADS)
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
     loads, permitted = both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
+    if permitted == Vehicle().max_wheel_load_N and not design.stated(campaign, "vehicle.mass_kg"):
+        # of a vehicle that nobody described
+        if (most := float(np.nanmax(loads, initial=0.0))) > permitted:
+            text = f"loads of up to {most:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
+            yield design.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
+        permitted = np.inf
     for name, load in zip(WHEEL_LOADS, loads, strict=True):
         for run in np.flatnonzero(load <= 0):
             text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"

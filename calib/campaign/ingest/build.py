@@ -20,7 +20,7 @@ from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
-from calib.campaign.settings import Encoder
+from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel
 from calib.campaign.settings_file import parse_settings
 from calib.campaign.tables import csv_bytes, write_campaign
 from calib.documents import plain, to_json
@@ -192,7 +192,23 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
         stack.add(index, {name: values for name, values in logs[index].columns.items() if name != "cut"})
     named = {index: (str(runs.run_id[index]), log.shown) for index, log in logs.items()}
     finished = stack.finished(encoder, named, work.border)
-    return replace(work.settings, encoder=encoder, runs=runs, logs=finished, notes=tuple(work.border.notes))
+    model = _with_reference_load(work, runs)
+    return replace(
+        work.settings, model=model, encoder=encoder, runs=runs, logs=finished, notes=tuple(work.border.notes)
+    )
+
+
+def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
+    """Return the model, radii stated at the mean load measured where neither this load nor a mass was given."""
+    settings, loads = work.settings, np.stack([runs.number(name) for name in WHEEL_LOADS])
+    model, known = settings.model, loads[np.isfinite(loads)]
+    assumed = model.reference_load_N == settings.vehicle.unladen_load_N and "vehicle.mass_kg" in settings.assumed
+    if not (assumed and len(known)):
+        return model
+    mean_N = float(np.round(known.mean(), 0))
+    text = f"{mean_N:g} N, the mean load measured, since neither this load nor vehicle.mass_kg is given"
+    work.border.notes.append(Note("info", "campaign.toml, model.reference_load_N", text, "assumed"))
+    return replace(model, reference_load_N=mean_N)
 
 
 def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:

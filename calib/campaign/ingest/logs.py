@@ -13,8 +13,15 @@ import numpy as np
 from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
 from calib.campaign.ingest.mapping import MappedColumn, Mapping
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
-from calib.campaign.logs import add_recognised, from_first_sample, in_log, log_column, refuse_incomplete
-from calib.campaign.model import LOG_COLUMNS, Border, Note
+from calib.campaign.logs import (
+    add_recognised,
+    from_first_sample,
+    in_log,
+    log_column,
+    omit_lost_frames,
+    refuse_incomplete,
+)
+from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Note
 from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty, joined_table
 from calib.campaign.readers.sheets import COUNT_UNITS
@@ -69,7 +76,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
             lines = resolved({name: line for name, line in lines.items() if name != "t_s"}, recording.column_names)
             _refuse_missing(recording.column_names, lines, shown, mapping)
         base = _wheel_stream(recording, lines, shown)
-        recording, bits = _unwrapped(recording, lines, base, bits)
+        recording, bits = _unwrapped(recording, lines, base, bits, shown, border)
         if base.time_ns is not None:
             _note_clocks(recording, base, shown, border)
             lags = estimate_lags(recording, lines, base, shown, border)
@@ -84,13 +91,14 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
 
         raw = read_table(path, shown, wanted, mapping.log.layout)
         lines = resolved(lines, raw.columns)
-        raw = replace(raw, columns=_with_heading(raw.columns, lines))
+        raw = replace(raw, columns=_with_heading(raw.columns, lines, shown, border))
         _refuse_missing(raw.columns, lines, shown, mapping, row=1)
         border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
         _to_counts(columns, lines, encoder)
     refuse_incomplete(columns, shown, raw.line)
+    omit_lost_frames(columns, REFERENCE_POSE, shown, border)
     columns = _without_repeats(columns, shown, border)
     start = from_first_sample(columns, shown, border)
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
@@ -170,12 +178,14 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
     return max(recording.streams, key=len)
 
 
-def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | None) -> tuple[Recording, int | None]:
+def _unwrapped(
+    recording: Recording, lines: Lines, base: Stream, bits: int | None, shown: str, border: Border
+) -> tuple[Recording, int | None]:
     """Undo turns of the heading and overflows of other streams, before interpolation."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:
-        columns = _with_heading(stream.columns, lines)
+        columns = _with_heading(stream.columns, lines, shown, border)
         for name in counters & set(columns) if stream is not base else ():
             time_s = None if stream.time_ns is None else (stream.time_ns - stream.time_ns[0]) / NS_PER_S
             columns[name], width = continuous_counts(columns[name], bits, time_s)
@@ -184,9 +194,14 @@ def _unwrapped(recording: Recording, lines: Lines, base: Stream, bits: int | Non
     return replace(recording, streams=tuple(streams)), bits
 
 
-def _with_heading(columns: MappingType[str, FloatArray], lines: Lines) -> dict[str, FloatArray]:
+def _with_heading(
+    columns: MappingType[str, FloatArray], lines: Lines, shown: str, border: Border
+) -> dict[str, FloatArray]:
+    """Return columns without lost frames, headings unwrapped."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
-    for name, cells in columns.items():
+    poses = [column for name in REFERENCE_POSE if name in lines for column in lines[name].sources]
+    omit_lost_frames(out, poses, shown, border)
+    for name, cells in out.items():
         mapped = name == line.column
         match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
         if mapped and line.w in columns:

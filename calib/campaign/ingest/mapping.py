@@ -293,6 +293,10 @@ def read_mapping(path: Path | None) -> Mapping:
     document = load_toml(path, shown) if path else {}
     table = parse_section(TableSection, document.pop("table", {}), shown, "table")
     log = parse_section(LogSection, document.pop("log", {}), shown, "log")
+    for name, other in (("counts_left", "counts_right"), ("speed_left_mps", "speed_right_mps")):
+        line = log.columns.get(name)
+        if line and line.column and line == log.columns.get(other):
+            raise bad_line(shown, "log", other, line.column, f"another column than that of {name}, a wheel each")
     cut = parse_section(Segmentation, document.pop("cut"), shown, "cut") if "cut" in document else None
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
     return Mapping(shown, table, log, cut, document, table_file)

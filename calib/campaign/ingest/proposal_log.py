@@ -203,9 +203,13 @@ def _wheel_lines(
         if name not in found or other in found or "counts_front" in found:
             continue
         lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
-    for wheel in (name for name in LOG_COLUMNS if name.startswith("counts_") and name in found):
+    wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in found]
+    units = {name: _wheel_unit(found[name], streams.get(found[name].name)) for name in wheels}
+    # an angle may fall and rise as a rate does, a rate never only rises: of one vehicle all wheels are alike
+    angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
+    for wheel in wheels:
         column, stream = found[wheel], streams.get(found[wheel].name)
-        unit, why = _wheel_unit(column, stream)
+        unit, why = angle if angle and units[wheel][0] == "rad/s" and _RATE not in column.name else units[wheel]
         line = entry(wheel, column, unit or None)
         if column.kind == "number" and column.low == column.high:
             lines.append(f"#{line}   # never changes")

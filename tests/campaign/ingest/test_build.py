@@ -218,3 +218,32 @@ def test_front_wheel_and_mecanum_logs_pass_through(tmp_path: Path) -> None:
         campaign = read_campaign(folder / "c")
         assert set(campaign.logs.of(0)) == {"t_s", *columns}
         check_campaign(campaign)
+
+
+def test_radii_are_stated_at_the_mean_load_measured_where_nobody_states_a_mass(tmp_path: Path) -> None:
+    """The load of an assumed mass is nobody's reference; nor is the load that an unknown vehicle permits a limit."""
+    rows = [f"r{k},{5000 + 3000 * (k % 3)},{5000 + 3000 * (k % 3)},20,9000,9000" for k in range(9)]
+    (tmp_path / "runs.csv").write_text(
+        "\n".join(["run_id,load_left_N,load_right_N,distance_m,counts_left,counts_right", *rows]) + "\n"
+    )
+    into = tmp_path / "c"
+    ingest([tmp_path / "runs.csv"], into)
+    made = read_campaign(into)
+    assert made.model.reference_load_N == 8000.0
+    found = [note for note in check_campaign(made).suspicious if note.code == "excess_load"]
+    assert len(found) == 1 and "nobody stated" in found[0].text
+
+
+def test_poses_that_are_exactly_zero_are_lost_frames(tmp_path: Path) -> None:
+    """A tracker writes zeros where it sees nothing; standing at the origin before the first motion is a pose."""
+    x = np.concatenate([np.zeros(5), 1.0 + 0.05 * np.arange(19.0)])
+    x[12:15] = 0.0
+    rows = [f"{0.1 * k:.1f},{100 * k},{100 * k},{v},0,0" for k, v in enumerate(x)]
+    (tmp_path / "r1.csv").write_text(
+        "\n".join(["t_s,counts_left,counts_right,ref_x_m,ref_y_m,ref_theta_rad", *rows]) + "\n"
+    )
+    (tmp_path / "runs.csv").write_text("run_id,log\nr1,r1.csv\n")
+    made = ingest([tmp_path / "runs.csv", tmp_path / "r1.csv"], tmp_path / "c").campaign
+    for one in (made, read_campaign(tmp_path / "c")):
+        lost = np.isnan(one.log("r1")["ref_x_m"])
+        assert np.flatnonzero(lost).tolist() == [12, 13, 14]

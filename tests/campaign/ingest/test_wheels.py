@@ -12,6 +12,7 @@ from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
 from calib.campaign.ingest.guesses import guessed_log_column, side_of
 from calib.campaign.read import log_totals
+from calib.errors import BadFileError
 
 TWO = "counts_left", "counts_right"
 FOUR = "counts_front_left", "counts_front_right", "counts_rear_left", "counts_rear_right"
@@ -164,3 +165,20 @@ def test_a_gap_in_time_hides_no_overflow(clock: str, tmp_path: Path) -> None:
         campaign = ingest([source], tmp_path / "c", mapping=mapping).campaign
         assert log_totals(campaign.logs, "counts_left") == pytest.approx(np.full(6, 65000.0), abs=2)
         assert not list(count_jumps(campaign))
+
+
+def test_wheels_of_one_vehicle_have_one_unit(tmp_path: Path) -> None:
+    """An angle that falls where the other wheel's rises is no rate (radians beside radians per second, proposed)."""
+    t = np.linspace(0.0, 40.0, 401)
+    right = 30.0 * t / 40.0
+    left = np.where(t < 20.0, right, 30.0 - right)
+    log = _log(tmp_path / "run.csv", {"t": t, "enc_l": left, "enc_r": right})
+    lines = [line for line in describe([log]).to_toml().splitlines() if line.startswith(TWO)]
+    assert len(lines) == 2 and all('unit = "rad"' in line for line in lines)
+
+
+def test_one_column_is_no_two_wheels(tmp_path: Path) -> None:
+    log = _log(tmp_path / "run.csv", {"t_s": np.arange(9.0), "left": np.arange(9.0), "right": np.arange(9.0)})
+    (mapping := tmp_path / "m.toml").write_text('[log]\ncounts_left = "left"\ncounts_right = "left"\n')
+    with pytest.raises(BadFileError, match="another column than that of counts_left"):
+        ingest([log], tmp_path / "c", mapping=mapping)
