@@ -10,7 +10,7 @@ import pytest
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import Closure
-from calib.gap.localise.result import ChannelGap, GapLocation
+from calib.gap.localise.locate import ChannelGap, GapLocation
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.reporting.blocks import Notice, Picture, Section, Table

@@ -23,7 +23,7 @@ from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
-from calib.gap.localise.result import GapLocation
+from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun

@@ -14,7 +14,8 @@ from calib.gap.decision.trials import reach_of_noise
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.localise.result import GapLocation, PlaceResult
+from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise.locate import GapLocation
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Improvement as Reduction

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.gap.inference import noise_components as components
 from calib.gap.inference import repeatability
-from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
 
@@ -157,8 +157,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
         log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
-        apart = support.labels is path.s.condition and not repeated_in_a_session(path.s)
-        noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof, apart=apart)
+        noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
         if noise.supported:
             return noise
         # differences that may be a gap: the next support
@@ -167,14 +166,7 @@ def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -
 
 
 def _noise(
-    path: Path,
-    shapes: components.NoiseComponents,
-    log_scale: FloatArray,
-    weight: FloatArray,
-    basis: Basis,
-    dof: float,
-    *,
-    apart: bool = False,
+    path: Path, shapes: components.NoiseComponents, log_scale: FloatArray, weight: FloatArray, basis: Basis, dof: float
 ) -> Noise:
     covariance = shapes.covariance(log_scale, weight)
     scales = {
@@ -183,7 +175,7 @@ def _noise(
         if on
     }
     excess = _excess(shapes, covariance)
-    supported, words = _support(path, covariance, basis, dof, excess, apart=apart)
+    supported, words = _support(path, covariance, basis, dof, excess)
     return Noise(covariance, scales, dof, weight, supported, words, excess)
 
 
@@ -194,15 +186,7 @@ def _excess(shapes: components.NoiseComponents, covariance: FloatArray) -> Float
     return np.array([float(np.median(ratio[on, k])) if (on := usable[:, k]).any() else np.nan for k in range(6)])
 
 
-def repeated_in_a_session(s: Observations) -> bool:
-    """Return whether any two units of one condition were driven in one session."""
-    pairs = np.unique(np.stack([s.condition, np.unique(s.labels["session"], return_inverse=True)[1]]), axis=1)
-    return bool(pairs.shape[1] < len(s))
-
-
-def _support(
-    path: Path, covariance: FloatArray, basis: Basis, dof: float, excess: FloatArray, *, apart: bool
-) -> tuple[bool, str]:
+def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, excess: FloatArray) -> tuple[bool, str]:
     if basis is Basis.STATED:
         if path.s.sigmas_assumed:
             return False, str(Basis.NOTHING)
@@ -211,11 +195,12 @@ def _support(
         return True, str(basis)
     counted = f"{basis} ({dof:.0f} degrees of freedom)"
     most = float(np.nanmax(excess))
-    if basis is Basis.REPEATS and apart and most > MAX_NOISE_EXCESS:
+    if basis is Basis.REPEATS:
+        of_session = np.stack([path.s.condition, np.unique(path.s.labels["session"], return_inverse=True)[1]])
+        if most <= MAX_NOISE_EXCESS or np.unique(of_session, axis=1).shape[1] < len(path.s):
+            return True, counted
         words = f"{counted}, each in another session, scatter {most:.3g} times as much as the stated sigmas"
         return False, f"nothing: {words}; a repeat within a session tells noise from what differs between them"
-    if basis is Basis.REPEATS:
-        return True, counted
     if most > MAX_NOISE_EXCESS:
         words = f"{counted} scatter {most:.3g} times as much as the stated sigmas, and no repeats say why"
         return False, f"nothing: {words}"

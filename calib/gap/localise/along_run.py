@@ -4,17 +4,49 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_one_axle
+from calib.documents import plain_fields
 from calib.gap.effects.quantities import MOVING_MPS
 from calib.gap.localise.covariates import BOOTSTRAP_DRAWS
-from calib.gap.localise.result import PlaceResult
 from calib.gap.observations.arrays import Channel, Observations
 from calib.types import FloatArray, IntArray
+
+#: fields of a place that is a stretch
+STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direction", "floor")
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceResult:
+    """A place inside the runs where the gap opens."""
+
+    where: str  #: ``zone`` or ``joint`` for a stretch of a route; ``turns`` or ``stops``
+    channel: Channel  #: what opens there
+    size: float  #: by how much, in `unit`
+    ci95: tuple[float, float]  #: interval of the size
+    unit: str  #: ``m``, ``rad``, or either per radian of turn
+    p_value: float  #: times the number of places looked at
+    n_runs: int  #: looked at
+    what: str = ""  #: of turns and stops, what the size counts: ``per stop``
+    #: of a stretch: kind of runs, and what counts its place
+    route: str = ""
+    coordinate: str = ""
+    place: tuple[float, float] | None = None  #: its ends in m
+    place_ci95: tuple[tuple[float, float], tuple[float, float]] | None = None
+    by_direction: bool = False  #: whether its sign changes on the way back
+    #: x and y of its ends on the ground, m
+    floor: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values, without fields that do not apply."""
+        absent = STRETCH_FIELDS if self.place is None else ("what",)
+        document = plain_fields(self, channel=self.channel.label)
+        return {key: value for key, value in document.items() if key not in absent}
+
 
 MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")

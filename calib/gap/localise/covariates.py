@@ -3,18 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from calib.documents import plain_fields
 from calib.gap.effects.columns import covariate_columns
 from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
 from calib.gap.inference.noise import Noise
-from calib.gap.localise.result import CovariateResult
 from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
+
+#: name of all channels together
+ALL_CHANNELS: Final = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateResult:
+    """What the gap correlates with."""
+
+    name: str  #: with its unit suffix; ``left wheel`` and ``right wheel`` for travel
+    channel: Channel | None  #: where it shows most; None: all together
+    share: float  #: of the variance above the noise level, 0 to 1
+    ci95: tuple[float, float] | None  #: bootstrap interval of the share
+    p_value: float  #: of no dependence, times the number of channels looked at
+    significant: bool  #: at a chance of 5 % of any false line in the table
+    n_units: int = 0  #: looked at
+
+    @property
+    def channel_label(self) -> str:
+        """Name of the channel, ``all`` for all together."""
+        return ALL_CHANNELS if self.channel is None else self.channel.label
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values."""
+        return plain_fields(self, channel=self.channel_label)
+
 
 #: known values that a test needs
 MIN_RUNS: Final = 6

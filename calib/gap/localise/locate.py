@@ -2,20 +2,101 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.documents import plain_fields
 from calib.gap.inference.noise import Noise
-from calib.gap.localise.along_run import MIN_TRACED_RUNS, TRACED_CHANNELS, Trace, scan_route, traces_of
-from calib.gap.localise.covariates import BOOTSTRAP_DRAWS, covariate_test, covariate_values, wheel_tests
-from calib.gap.localise.result import ChannelGap, CovariateResult, GapLocation, PlaceResult, RunDeviation
+from calib.gap.localise.along_run import MIN_TRACED_RUNS, TRACED_CHANNELS, PlaceResult, Trace, scan_route, traces_of
+from calib.gap.localise.covariates import (
+    BOOTSTRAP_DRAWS,
+    CovariateResult,
+    covariate_test,
+    covariate_values,
+    wheel_tests,
+)
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import edges_along
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelGap:
+    """The gap in one channel."""
+
+    channel: Channel = field(metadata={"json": False})
+    #: root mean squares of gap and noise level, in the channel's unit
+    rms: float
+    floor: float
+    mean: float = 0.0  #: mean of the gap
+    n_units: int = 0  #: units with the channel
+
+    @property
+    def ratio(self) -> float | None:
+        """Gap over noise level; None without a noise level."""
+        return self.rms / self.floor if self.floor else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the gap as plain JSON values."""
+        return plain_fields(self, unit=self.channel.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class RunDeviation:
+    """A run that deviates much: gap, floor and their ratio `z`."""
+
+    run_id: str
+    channel: Channel
+    value: float
+    floor: float
+    z: float
+    #: of a window of a recording
+    from_s: float | None = None
+    to_s: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The run, and when in it."""
+        if self.from_s is None or self.to_s is None:
+            return self.run_id
+        return f"{self.run_id}, {self.from_s:.1f} s to {self.to_s:.1f} s"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values."""
+        return plain_fields(self, channel=self.channel.label)
+
+
+@dataclass(frozen=True, slots=True)
+class GapLocation:
+    """Where a gap lies."""
+
+    channels: tuple[ChannelGap, ...] = ()  #: measured ones
+    covariates: tuple[CovariateResult, ...] = ()  #: smallest p first
+    runs: tuple[RunDeviation, ...] = ()  #: deviating most
+    places: tuple[PlaceResult, ...] = ()  #: inside the runs, smallest p first
+    notes: tuple[str, ...] = ()  #: what these runs cannot be asked
+    rest: GapLocation | None = None  #: of what the named causes leave
+
+    @property
+    def significant(self) -> tuple[CovariateResult, ...]:
+        """Covariates that stand."""
+        return tuple(line for line in self.covariates if line.significant)
+
+    def channel(self, channel: Channel) -> ChannelGap | None:
+        """Return a channel's gap, None if not measured."""
+        return next((gap for gap in self.channels if gap.channel is channel), None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the location as plain JSON values; ``rest`` if there is one."""
+        document = plain_fields(self, channels={gap.channel.label: gap.to_dict() for gap in self.channels})
+        if self.rest is None:
+            del document["rest"]
+        return document
+
 
 #: chance of any false finding in the table
 FALSE_FINDING_PROBABILITY: Final = 0.05

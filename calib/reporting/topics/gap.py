@@ -9,7 +9,8 @@ from typing import Final
 from calib.gap.decision.diagnosis import Diagnosis, Quantity
 from calib.gap.decision.held_out import RERUN, Closure
 from calib.gap.decision.sentences import advice, headline
-from calib.gap.localise.result import GapLocation, PlaceResult, RunDeviation
+from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise.locate import GapLocation, RunDeviation
 from calib.gap.observations.arrays import POSE
 from calib.reporting import formatting
 from calib.reporting.blocks import Block, Table, Text, caption, items, paragraph, table

@@ -10,7 +10,8 @@ from calib.gap.decision.decide import tied_with
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
-from calib.gap.localise.result import ChannelGap, GapLocation, PlaceResult, RunDeviation
+from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise.locate import ChannelGap, GapLocation, RunDeviation
 from calib.gap.observations.arrays import Channel
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)

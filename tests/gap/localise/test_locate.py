@@ -11,8 +11,8 @@ from calib.campaign.model import Campaign
 from calib.gap.inference.fit import fit
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.localise.along_run import Trace
+from calib.gap.localise.covariates import CovariateResult
 from calib.gap.localise.locate import FALSE_FINDING_PROBABILITY, _slope, compare_windows, holm_corrected, locate
-from calib.gap.localise.result import CovariateResult
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
