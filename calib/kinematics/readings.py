@@ -95,8 +95,11 @@ def readings(
 
 def _referred(change: OfArray) -> Change:
     def changed(recording: Recording) -> Recording:
-        ends = change(recording.end_pose.T).T
-        return replace(recording, reference=change(recording.reference), end_pose=np.asarray(ends))
+        ends, other = np.asarray(change(recording.end_pose.T).T), recording.with_reference(change(recording.reference))
+        # in a map an end is seen from the start's own heading
+        known = np.isfinite(other.reference).all(axis=0)
+        followed = np.add.reduceat(known, recording.offsets[:-1], dtype=np.int64)[:, None] > 1
+        return replace(other, end_pose=np.where(followed, other.end_pose, ends))
 
     return changed
 

@@ -249,3 +249,17 @@ def test_an_axis_of_the_map_that_is_too_long_is_named(runs: int, longer: float) 
     assert found.passed is (longer == 1.0)
     assert set(named(found)) == ({"axis_scale"} if longer > 1.0 else set())
     assert right(found, "radius_left_m", "radius_right_m", "track_m")
+
+
+@pytest.mark.parametrize(
+    ("code", "change"),
+    [
+        ("heading_clockwise", lambda log: log | {"ref_theta_rad": -log["ref_theta_rad"]}),
+        ("y_mirrored", lambda log: log | {"ref_y_m": -log["ref_y_m"]}),
+        ("axes_exchanged", lambda log: log | {"ref_x_m": log["ref_y_m"], "ref_y_m": log["ref_x_m"]}),
+    ],
+)
+def test_axes_of_a_map_are_named_by_ends_from_any_heading(code: str, change: Callable[[Columns], Columns]) -> None:
+    """An end in a map is seen from the start's own heading, which the blunder changes as well."""
+    found = estimate_geometry(in_map(16, change, samples=200), using="end_poses")
+    assert not found.passed and code in named(found)
