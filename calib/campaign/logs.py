@@ -121,9 +121,9 @@ _LOST_STEPS: Final = 10.0
 
 
 def omit_lost_frames(columns: dict[str, FloatArray], names: Sequence[str], shown: str, border: Border) -> None:
-    """Empty poses that are exactly zero after one far from there, in place: a tracker that sees nothing writes these.
+    """Empty poses, in place, that are exactly zero after one far away: a tracker that sees nothing writes these.
 
-    `names`: columns of the pose, x and y first; without them all are passed over.
+    `names`: of the pose, x and y first; without two of them nothing changes.
     """
     poses = [name for name in names if name in columns and columns[name].dtype == np.float64]
     if len(poses) < 2:

@@ -294,24 +294,24 @@ def integrate(
     Parameters
     ----------
     travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
-        Travel of each wheel in each step: one log, a stack of runs of equal length, or, with `offsets`, runs of any
-        length laid end to end. With 0 at a run's first sample the poses stand at the samples.
+        Travel in each step: one log, runs of equal length, or, with `offsets`, of any length laid end to end. With 0 at
+        a run's first sample the poses stand at the samples.
     track_m : array_like of float
-        Distance of the rear wheels' contact points: a number, or anything that broadcasts to the travel's shape.
+        Distance of the rear wheels' contact points; broadcasts to the travel's shape.
     offsets : array_like of int, shape (runs + 1,), optional
         Steps of run i stand at ``offsets[i]:offsets[i + 1]``; runs may be empty.
     start : array_like of float, shape (3,) or (runs, 3)
         Start pose (x in m, y in m, theta in rad), one for all or one a run.
     scheme : {"exact", "mid_point", "euler", "end_point"}
-        How a step is drawn: as the arc of constant curvature; as a straight line at the heading in its middle, at its
-        beginning, or at its end (Eq. 7 as printed).
+        A step is an arc; or a straight line at the heading in its middle, at its beginning, or at its end (Eq. 7 as
+        printed).
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
     threads : {1, 2}, optional
         Work on both halves of the runs at once; None: where there are two processors and `MANY_STEPS`.
     compiled : bool, optional
-        Whether exact arcs are drawn by machine code (extra ``fast``), which gives the same poses to 1e-9 m; None: where
-        it is installed and there are `MANY_STEPS`. Its first call in a process costs a second.
+        Whether machine code (extra ``fast``) draws exact arcs, the same to 1e-9 m; None: where it is installed, from
+        `MANY_STEPS` on. Its first call costs a second.
     """
     flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     n = len(flat.left)

@@ -199,14 +199,14 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
 
 
 def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
-    """Return the model, radii stated at the mean load measured where neither this load nor a mass was given."""
+    """Return the model, its radii at the mean load measured where neither that load nor a mass was given."""
     settings, loads = work.settings, np.stack([runs.number(name) for name in WHEEL_LOADS])
     model, known = settings.model, loads[np.isfinite(loads)]
     assumed = model.reference_load_N == settings.vehicle.unladen_load_N and "vehicle.mass_kg" in settings.assumed
     if not (assumed and len(known)):
         return model
     mean_N = float(np.round(known.mean(), 0))
-    text = f"{mean_N:g} N, the mean load measured, since neither this load nor vehicle.mass_kg is given"
+    text = f"{mean_N:g} N, the mean load measured: neither it nor vehicle.mass_kg is given"
     work.border.notes.append(Note("info", "campaign.toml, model.reference_load_N", text, "assumed"))
     return replace(model, reference_load_N=mean_N)
 

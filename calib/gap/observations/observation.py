@@ -200,9 +200,9 @@ class CourseOverGround:
     turn_rate_rad_per_s: FloatArray  #: shape (n_poses,): by the wheels
 
     def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
-        """Return the vehicle's pose at a sample, its heading's standard uncertainty and `course_error`, shape (3,).
+        """Return the vehicle's pose at a sample, its heading's standard uncertainty and `course_error`; NaN at rest.
 
-        NaN where it stood. In a curve a sensor elsewhere, or one that reads late, moves along another course.
+        In a curve a sensor elsewhere, or a late one, moves along another course.
         """
         here = self.travelled_m[number]
         first = int(np.searchsorted(self.travelled_m, here - 0.5 * self.way_m, side="right")) - 1
