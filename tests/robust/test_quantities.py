@@ -159,19 +159,19 @@ def test_an_absurd_journey_is_one_line(name: str, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "factor", "words"),
     [
-        ("geometry", "found numbers that differ too much in size to compute with"),
-        ("diagnose", "run r000: found counts of a distance of"),
+        ("geometry", 10**15, "found numbers that differ too much in size to compute with"),
+        ("diagnose", 10**12, "run r000: found counts of a distance of"),
     ],
 )
 def test_counts_beyond_computing_are_one_line(
-    command: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, factor: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Counts of 10^18 on one wheel: the other's part is lost in rounding, and no matrix can be solved."""
+    """Counts of 10^18 and more on one wheel: the other's part is lost in rounding, and no matrix can be solved."""
     log = small_campaign(tmp_path / "C") / "logs" / "r000.csv"
     header, *rows = log.read_text(encoding="utf-8").splitlines()
-    beyond = [f"{t},{int(left) * 10**12},{right}" for t, left, right in (row.split(",") for row in rows)]
+    beyond = [f"{t},{int(left) * factor},{right}" for t, left, right in (row.split(",") for row in rows)]
     log.write_text("\n".join([header, *beyond]) + "\n", encoding="utf-8")
     assert run([command, str(tmp_path / "C")]) == 2
     err = capsys.readouterr().err
