@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -176,7 +176,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     path = correct_paths(campaign)
     notes = [*notes, *path.notes]
     wheels = {"left": (encoder.counts_per_rev_left, path.left), "right": (encoder.counts_per_rev_right, path.right)}
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, FloatArray] = {}
     parts: dict[str, dict[str, FloatArray]] = {}
     for side, (per_rev, excess) in wheels.items():
         counts = np.abs(runs.number(f"counts_{side}"))

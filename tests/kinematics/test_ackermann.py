@@ -7,7 +7,6 @@ reference, whole counts.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ import pandas as pd
 import pytest
 import yaml
 
-from calib.campaign.ingest.describe import describe
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
 from calib.kinematics.adequacy import GeometryVerdict
@@ -28,8 +26,6 @@ from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters, steering_zero_spread_rad
 from calib.kinematics.model import window_segments
 from calib.kinematics.recording import recording_of
-from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
-from tests.real.recordings import available
 
 #: fine steps of the vehicle, and samples of its log
 STEP_S, EVERY = 0.002, 10
@@ -378,39 +374,3 @@ def test_speeds_stand_for_counts(tmp_path: Path, columns: str, kind: str) -> Non
     for name in ("radius_left_m", "radius_right_m"):
         assert abs(found[name].value - 0.99 * RADIUS_M) < WITHIN * found[name].std
     assert abs(found["track_m"].value - TRACK_M) < WITHIN * found["track_m"].std
-
-
-def test_a_real_cars_recordings_are_taken_at_the_first_try(shared_data: Path, tmp_path: Path) -> None:
-    """The proposed mapping finds clock, speed, steering and reference of DART's files; six lengths are filled in."""
-    source = tmp_path / "dart"
-    source.mkdir()
-    for path in sorted(available(shared_data, "dart").glob("*_ramp.csv"))[:2]:
-        shutil.copy(path, source)
-    mapping = describe([source]).to_toml()
-    for line in (
-        'drive = "ackermann"',
-        'kind = "speed"',
-        'speed_rear_mps = {column = "vel encoder"',
-        "ref_theta_rad = {",
-    ):
-        assert line in mapping
-    for key, value in {"track_m": 0.15, "wheelbase_m": 0.1735, "wheel_radius_m": 0.03, "mass_kg": 1.58}.items():
-        mapping = mapping.replace(f"#{key} =", f"{key} = {value}")
-    (tmp_path / "map.toml").write_text(mapping.replace("#cog_x_m =", "cog_x_m = 0.093"))
-    assert calib(["ingest", str(source), "--mapping", str(tmp_path / "map.toml"), "--into", str(tmp_path / "c")]) == 0
-    made = read_campaign(tmp_path / "c")
-    assert made.vehicle.drive == "ackermann" and {"counts_rear", "steer_rad", "ref_x_m"} <= set(made.logs.columns)
-
-
-def test_a_real_car_under_motion_capture(shared_data: Path) -> None:
-    """DART up to 1.2 m/s: the makers' reference point within 3 mm and 5 mrad, their zero of the steering."""
-    found = estimate_geometry(dart(shared_data, fastest_mps=1.2))
-    assert found["sensor_x_m"].value == pytest.approx(SENSOR_M[0], abs=3e-3)
-    assert found["sensor_y_m"].value == pytest.approx(SENSOR_M[1], abs=3e-3)
-    assert abs(found["sensor_yaw_rad"].value) == pytest.approx(SENSOR_YAW_RAD, abs=5e-3)
-    low, high = found["steering_zero_rad"].ci95
-    assert low < STEERING_ZERO_RAD < high
-    assert not any("sensor" in sentence for sentence in found.why)
-    # the servo's zero is another one in each recording, and the result says so
-    assert found.verdict is GeometryVerdict.DOUBTFUL
-    assert any("steering_zero_rad differs between recordings" in sentence for sentence in found.why)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.campaign.ingest.describe import describe
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.cli.main import run as calib
+from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
 from tests.kinematics.published import published, tuples_of
 from tests.real import recordings
+from tests.real.dart import SENSOR_M, SENSOR_YAW_RAD, STEERING_ZERO_RAD, dart
+from tests.real.recordings import available
 
 #: how far the general estimate may be from the published one, relative: the full recordings, and thirds of them
 FULL, THIRD = 2e-3, 4e-3
@@ -130,3 +137,39 @@ def test_where_the_vehicle_hardly_turned_its_arm_is_named_as_open(shared_data: P
     assert "half_length_plus_half_width_m" in found.undetermined
     assert "half_length_plus_half_width_m" not in found.to_dict()["parameters"]
     assert found["wheel_radius_m"].value == pytest.approx(0.0680, rel=0.02)
+
+
+def test_a_real_cars_recordings_are_taken_at_the_first_try(shared_data: Path, tmp_path: Path) -> None:
+    """The proposed mapping finds clock, speed, steering and reference of DART's files; six lengths are filled in."""
+    source = tmp_path / "dart"
+    source.mkdir()
+    for path in sorted(available(shared_data, "dart").glob("*_ramp.csv"))[:2]:
+        shutil.copy(path, source)
+    mapping = describe([source]).to_toml()
+    for line in (
+        'drive = "ackermann"',
+        'kind = "speed"',
+        'speed_rear_mps = {column = "vel encoder"',
+        "ref_theta_rad = {",
+    ):
+        assert line in mapping
+    for key, value in {"track_m": 0.15, "wheelbase_m": 0.1735, "wheel_radius_m": 0.03, "mass_kg": 1.58}.items():
+        mapping = mapping.replace(f"#{key} =", f"{key} = {value}")
+    (tmp_path / "map.toml").write_text(mapping.replace("#cog_x_m =", "cog_x_m = 0.093"))
+    assert calib(["ingest", str(source), "--mapping", str(tmp_path / "map.toml"), "--into", str(tmp_path / "c")]) == 0
+    made = read_campaign(tmp_path / "c")
+    assert made.vehicle.drive == "ackermann" and {"counts_rear", "steer_rad", "ref_x_m"} <= set(made.logs.columns)
+
+
+def test_a_real_car_under_motion_capture(shared_data: Path) -> None:
+    """DART up to 1.2 m/s: the makers' reference point within 3 mm and 5 mrad, their zero of the steering."""
+    found = estimate_geometry(dart(shared_data, fastest_mps=1.2))
+    assert found["sensor_x_m"].value == pytest.approx(SENSOR_M[0], abs=3e-3)
+    assert found["sensor_y_m"].value == pytest.approx(SENSOR_M[1], abs=3e-3)
+    assert abs(found["sensor_yaw_rad"].value) == pytest.approx(SENSOR_YAW_RAD, abs=5e-3)
+    low, high = found["steering_zero_rad"].ci95
+    assert low < STEERING_ZERO_RAD < high
+    assert not any("sensor" in sentence for sentence in found.why)
+    # the servo's zero is another one in each recording, and the result says so
+    assert found.verdict is GeometryVerdict.DOUBTFUL
+    assert any("steering_zero_rad differs between recordings" in sentence for sentence in found.why)
