@@ -357,8 +357,8 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """Return the covariance, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
-    differ: a shared error does not average out over repeats. Of several such groupings the one with the widest
-    intervals is used, none narrower than by the noise.
+    differ: a shared error does not average out over repeats. The grouping of the widest intervals is used; of runs none
+    is narrower than by the noise, for the residuals of few may agree by chance.
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
@@ -375,7 +375,8 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
             tried = sandwich(solution, free, group[block], name)
             if best.by == alone or _width(tried) > _width(best):
                 best = tried
-    # the residuals of few runs may agree by chance
+    if alone == "block":
+        return best
     least = np.sqrt(np.diag(_by_information(solution, free)))
     wider = np.maximum(least / np.maximum(best.std, 1e-300), 1.0)
     return replace(best, covariance=best.covariance * np.outer(wider, wider))
