@@ -113,7 +113,7 @@ def check(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
-    from calib.reporting.present import after_check
+    from calib.reporting.sentences import after_check
     from calib.reporting.topics.runs import check_content
 
     with terminal.progress("checking") as tick:

@@ -48,7 +48,7 @@ def run(
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.diagnose import diagnosed
-    from calib.reporting.present import after_diagnosis
+    from calib.reporting.sentences import after_diagnosis
     from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import GAP_FIGURES, diagnosis_full
 
@@ -252,7 +252,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
-    from calib.reporting.present import without_runs
+    from calib.reporting.sentences import without_runs
     from calib.reporting.topics.diagnosis import runs_and_promises
 
     with terminal.progress("planning") as tick:

@@ -164,7 +164,7 @@ def report(
 
 def _next_step(report: Report, given: Fit | Campaign) -> str:
     from calib.campaign.model import Campaign
-    from calib.reporting.present import after_diagnosis, after_geometry
+    from calib.reporting.sentences import after_diagnosis, after_geometry
 
     if report.diagnosis is not None:
         return after_diagnosis(report.diagnosis)

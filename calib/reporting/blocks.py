@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.documents import plain_fields
+from calib.reporting.sentences import caption
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,24 +150,6 @@ def column(head: str) -> Column:
 def table(caption: str, heads: Iterable[str], rows: Iterable[Sequence[str]], *, dense: bool = False) -> Table:
     """Return a table; `heads`: see `column`; `dense`: in small print."""
     return Table(caption, tuple(map(column, heads)), tuple(map(tuple, rows)), dense)
-
-
-@cache
-def catalogue() -> dict[str, dict[str, str]]:
-    """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
-    text = Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
-    sentences: dict[str, dict[str, str]] = tomllib.loads(text)
-    return sentences
-
-
-def paragraph(name: str, /, **values: object) -> str:
-    """Return a paragraph of the report with its places filled in; see `catalogue`."""
-    return catalogue()["report"][name].format(**values)
-
-
-def caption(name: str, /, **values: object) -> str:
-    """Return the caption of a picture, or of ``table-NAME``, with its places filled in; see `catalogue`."""
-    return catalogue()["caption"][name].format(**values)
 
 
 def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> Picture:

@@ -15,12 +15,13 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, paragraph
+from calib.reporting.blocks import Items, Notice, Picture, Section
 from calib.reporting.formatting import capital, prose
+from calib.reporting.sentences import catalogue, paragraph
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
 from calib.reporting.topics import sections_of
-from calib.reporting.topics.conditions import missing_of, preparation_of
 from calib.reporting.topics.fit import assumed_text
+from calib.reporting.topics.report import missing_of, preparation_of
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from calib.cli.export import _next_step
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import Diagnosis, Group, VerdictKind
 from calib.gap.plan.planned_runs import PlannedRun
-from calib.reporting.present import after_diagnosis, after_geometry, next_step
+from calib.reporting.sentences import after_diagnosis, after_geometry, next_step
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources

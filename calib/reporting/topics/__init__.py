@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import importlib
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from calib.reporting.blocks import Section
-from calib.reporting.source import Source
+if TYPE_CHECKING:
+    from calib.reporting.blocks import Section
+    from calib.reporting.source import Source
 
 #: ``module:function`` of this folder, in the order of the report; each function is ``(source) -> Section | None``
 PAGES: Final = (
-    "fit:result_section", "conditions:item_section", "conditions:method_section", "conditions:conditions_section",
-    "conditions:preparation_section", "runs:runs_section", "law:regression_section", "runs:deviation_section",
-    "fit:residuals_section", "law:coefficients_section", "law:budget_section", "fit:diagnosis_section",
-    "fit:decision_section", "conditions:limits_section", "conditions:files_section", "conditions:missing_section",
+    "fit:result_section", "report:item_section", "report:method_section", "report:conditions_section",
+    "report:preparation_section", "runs:runs_section", "report:regression_section", "runs:deviation_section",
+    "fit:residuals_section", "report:coefficients_section", "report:budget_section", "fit:diagnosis_section",
+    "fit:decision_section", "report:limits_section", "report:files_section", "report:missing_section",
 )  # fmt: skip
 
 

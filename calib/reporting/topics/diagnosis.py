@@ -15,20 +15,9 @@ from calib.gap.effects.library import LIBRARY, Entry
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
 from calib.reporting import blocks
-from calib.reporting.blocks import (
-    Block,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    caption,
-    items,
-    paragraph,
-    picture,
-    table,
-)
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
+from calib.reporting.sentences import caption, paragraph
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics import gap as findings
 from calib.reporting.topics.gap import effect_name

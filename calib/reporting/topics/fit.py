@@ -1,34 +1,35 @@
-"""Result of a fit, its checks, and its comparison with a model."""
+"""Result of a fit: both laws with their budget, checks, runs, pictures, and comparison with a model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from calib.campaign.checks.design import WEIGHTY
+import numpy as np
+
+from calib.campaign.checks.design import SIDES, WEIGHTY, listed
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
-from calib.radius.regression import Check
+from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks
-from calib.reporting.blocks import (
-    Block,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    caption,
-    items,
-    paragraph,
-    picture,
-    table,
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.formatting import (
+    MISSING,
+    aligned,
+    fixed,
+    measured,
+    places,
+    plural,
+    probability,
+    prose,
+    span,
+    two_digits,
 )
-from calib.reporting.formatting import fixed, places, plural, probability, prose, span
-from calib.reporting.source import Source
-from calib.reporting.topics import law
-from calib.reporting.topics.law import law_table, radius_budget, regressions_picture, single_run_text, static_table
-from calib.reporting.topics.runs import deviation_picture, left_out_table, runs_picture, runs_table
-from calib.types import grouped
+from calib.reporting.sentences import caption, paragraph
+from calib.types import FloatArray, grouped
+
+if TYPE_CHECKING:
+    from calib.reporting.source import Source
 
 #: in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -42,8 +43,8 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
         *([blocks.simulated_notice()] if fit.simulated else []),
         law_table(fit),
         single_run_text(fit),
-        Text(" ".join(map(law.quality_text, fit.wheels.values()))),
-        *law.naive_text(fit),
+        Text(" ".join(map(quality_text, fit.wheels.values()))),
+        *naive_text(fit),
         *([static_table(fit)] if fit.static else []),
         checks_table(fit),
         *([radius_budget(fit)] if fit.radii.budget else []),
@@ -57,7 +58,7 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
 def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple[Block, ...]:
     """Return a fitted law held against a model's."""
     kinds = {"radius_ref": (f"radius at {compared.reference_load_N:.0f} N", 1e3, "mm"), "slope": ("slope", 1e6, "µm/N")}
-    rows = [_row(one, *kinds[one.quantity]) for one in compared.differences]
+    rows = [_compared(one, *kinds[one.quantity]) for one in compared.differences]
     interval = ("95 % interval | from", "95 % interval | to")
     heads = ("<Quantity", "<Unit", "Fitted", "Model", "Difference", *interval, "<Model lies")
     exact = "; the model states no uncertainty, its values are taken as exact" if compared.exact else ""
@@ -65,7 +66,7 @@ def comparison_content(compared: ModelComparison, notes: Sequence[str]) -> tuple
     return (table(caption, heads, rows), *items(map(prose, notes)))
 
 
-def _row(difference: Difference, name: str, factor: float, unit: str) -> tuple[str, ...]:
+def _compared(difference: Difference, name: str, factor: float, unit: str) -> tuple[str, ...]:
     low, high = (factor * end for end in difference.ci95)
     decimals = places(0.5 * (high - low))
     values = (factor * difference.fitted, factor * difference.model, factor * difference.difference, low, high)
@@ -131,7 +132,7 @@ def _gap(source: Source) -> tuple[Notice, ...]:
 def fit_pictures(fit: Fit) -> tuple[Picture, ...]:
     """Return the pictures that a report on a fit shows."""
     draw = (runs_picture, regressions_picture, deviation_picture, residuals_picture)
-    return (*(picture(fit) for picture in draw), *((law.budget_picture(fit),) if fit.radii.budget else ()))
+    return (*(picture(fit) for picture in draw), *((budget_picture(fit),) if fit.radii.budget else ()))
 
 
 def fit_brief(fit: Fit) -> tuple[Block, ...]:
@@ -209,3 +210,177 @@ def residuals_picture(fit: Fit) -> Picture:
     sizes = {name: 1e6 * float(abs(wheel.residual_m).max()) for name, wheel in fit.wheels.items()}
     alt = "Residuals of both wheels: " + "; ".join(f"{name} wheel within {um:.0f} µm" for name, um in sizes.items())
     return picture("residuals", alt, "calibration.residuals", fit.left, fit.right, fit.radii.session)
+
+
+MM: Final = 1e3
+UM: Final = 1e6
+
+
+def law_table(fit: Fit) -> Table:
+    """Return both wheels' laws with expanded uncertainties."""
+    left, right = fit.left.law.reference_load_N, fit.right.law.reference_load_N
+    zero = f"F₀ = {left:.4g} N" + ("" if left == right else f" (left), {right:.4g} N (right)")
+    return _table(caption("table-law", zero=zero), fit.wheels)
+
+
+def static_table(fit: Fit) -> Table:
+    """Return the same regression on the standing wheels."""
+    return _table("Static radius against load, the same regression on the standing wheel; U as above.", fit.static)
+
+
+def _table(title: str, wheels: Mapping[str, WheelFit]) -> Table:
+    radius = tuple(f"Radius at F₀ | {head}" for head in ("r(F₀) (mm)", "U (mm)", "k"))
+    slope = tuple(f"Slope | {head}" for head in ("s (µm/N)", "U (µm/N)", "k"))
+    rows = [(name, *_row(wheel)) for name, wheel in wheels.items()]
+    return table(title, ("<Wheel", "Runs", "^Loads (N)", *radius, *slope), rows)
+
+
+def coefficients_in_units(fit: WheelFit) -> list[tuple[str, str, float, float, float]]:
+    """Return the coefficients of a wheel: title, unit, value, standard uncertainty and its degrees of freedom."""
+    law, (radius_std, slope_std) = fit.law, np.sqrt(np.diag(fit.law.covariance)).tolist()
+    title = f"radius at {law.reference_load_N:.4g} N"
+    rows = [(title, "mm", MM * law.radius_ref_m, MM * radius_std, fit.dof_radius_ref)]
+    if fit.model == "line":
+        rows.append(("slope", "µm/N", UM * law.slope_m_per_N, UM * slope_std, fit.dof_slope))
+    return rows
+
+
+def _row(fit: WheelFit) -> tuple[str, ...]:
+    cells: list[str] = []
+    for _, _, value, std, dof in coefficients_in_units(fit):
+        k = float(t_quantile(dof))
+        cells += [*measured(value, k * std), fixed(k, 2)]
+    cells += [MISSING] * (6 - len(cells))
+    loads = span(fit.law.load_min_N, fit.law.load_max_N, "", ".0f").replace(" to ", "–")
+    return (str(fit.law.n_runs), loads, *cells)
+
+
+def single_run_text(fit: Fit) -> Text:
+    """Return a further run's prediction interval in mid load range."""
+    parts = []
+    line = any(wheel.model == "line" for wheel in fit.wheels.values())
+    for name, wheel in fit.wheels.items():
+        half = wheel.law.half_width_m(0.5 * (wheel.law.load_min_N + wheel.law.load_max_N), single_run=True)
+        parts.append(f"±{two_digits(UM * float(half))} µm ({name})")
+    return Text(
+        f"The radius that one further run shows lies, with 95 % probability, within {' and '.join(parts)} of the law "
+        + ("in the middle of the load range." if line else "at this load.")
+    )
+
+
+def quality_text(wheel: WheelFit) -> str:
+    """Return the scatter about the law, and what it explains."""
+    text = f"{wheel.wheel.capitalize()} wheel: residual standard deviation {two_digits(UM * wheel.residual_std_m)} µm"
+    if wheel.model == "line":
+        # more digits where the line explains nearly all
+        text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
+    if wheel.session_std_m > 0:
+        of_runs, of_sessions = two_digits(UM * wheel.run_std_m), two_digits(UM * wheel.session_std_m)
+        text += f", scatter of runs {of_runs} µm and of sessions {of_sessions} µm"
+    return text + "."
+
+
+def naive_text(fit: Fit) -> tuple[Text, ...]:
+    """Return the slopes' intervals as if runs were independent."""
+    parts = []
+    for name, wheel in fit.wheels.items():
+        if wheel.naive is not None and wheel.model == "line" and wheel.design != "single":
+            low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
+            _, half = measured(0.5 * (low + high), 0.5 * (high - low))
+            parts.append(f"±{half} µm/N ({name})")
+    return (Text(paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
+
+
+def regressions_picture(fit: Fit) -> Picture:
+    """Return both laws with their bands."""
+    alt = f"Regression of the radius on the load: {'; '.join(map(_law_in_words, fit.wheels.values()))}"
+    return picture("regressions", alt, "calibration.regressions", fit.left, fit.right, fit.radii.session)
+
+
+def _law_in_words(wheel: WheelFit) -> str:
+    law = wheel.law
+    if wheel.model != "line":
+        return f"{wheel.wheel} wheel: constant radius {1e3 * law.radius_ref_m:.4f} mm"
+    change = "grows" if law.slope_m_per_N > 0 else "shrinks"
+    return f"{wheel.wheel} wheel: the radius {change} by {abs(1e6 * law.slope_m_per_N):.3g} µm for each newton"
+
+
+_NAMES: Final = {"other run to run": "other, run to run"}
+
+
+def radius_budget(fit: Fit) -> Table:
+    """Return the budget of a single effective radius."""
+    rows: list[tuple[str, ...]] = []
+    for part in fit.radii.budget:
+        name, dof = part.name.replace("_", " "), "∞" if part.dof is None else fixed(part.dof, 1)
+        sizes = (two_digits(1e6 * std_m) for std_m in (part.std_left_m, part.std_right_m))
+        rows.append((_NAMES.get(name, name), prose(part.what), part.kind, part.distribution, dof, *sizes))
+    total = np.linalg.norm([(part.std_left_m, part.std_right_m) for part in fit.radii.budget], axis=0)
+    combined = (two_digits(1e6 * float(std_m)) for std_m in total)
+    rows.append(("combined", "one run in a session of its own", "", "", "", *combined))
+    heads = ("<Contribution", "*Quantity", "^Type", "<Distribution", "~ν", "u | left (µm)", "u | right (µm)")
+    return table(caption("table-radius-budget"), heads, aligned(rows, 5, 6))
+
+
+def budget_picture(fit: Fit) -> Picture:
+    """Return the budget of a single radius as bars."""
+    largest = max(fit.radii.budget, key=lambda part: part.std_left_m + part.std_right_m)
+    alt = f"Bars of the uncertainty budget; the largest contribution is {largest.name.replace('_', ' ')}"
+    return picture("budget", alt, "calibration.budget_bars", fit.radii.budget)
+
+
+#: more runs make the report's table one of sessions
+MOST_ROWS: Final = 200
+#: for one reason
+MOST_NAMED: Final = 12
+
+
+def left_out_table(fit: Fit) -> Table:
+    """Return a row a reason, a dozen unused runs named; the fit's JSON names them all."""
+    by_reason = grouped((run.reason, run.run_id) for run in fit.radii.left_out)
+    rows = [(reason, str(len(names)), listed(names, MOST_NAMED)) for reason, names in by_reason.items()]
+    return table("Runs that were not used.", ("*Reason", "Number", "*Runs"), rows[:MOST_ROWS], dense=True)
+
+
+def runs_table(fit: Fit) -> Table:
+    """Return a row a run."""
+    radii = fit.radii
+    # head -> values, factor of its unit, decimals
+    numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
+    encoder = None if fit.setup is None else fit.setup.encoder
+    for side in SIDES if encoder is not None else ():
+        path, radius_m = getattr(radii, f"path_{side}"), getattr(radii, f"radius_{side}_m")
+        per_rev = getattr(encoder, f"counts_per_rev_{side}")
+        numbers[f"~Counts | {side}"] = (radii.distance_m * (1 + path) / (2 * np.pi * radius_m) * per_rev, 1.0, 0)
+    for head, factor, decimals, left, right in (
+        ("Load | {} (N)", 1.0, 1, radii.load_left_N, radii.load_right_N),
+        ("Radius | {} (mm)", 1e3, 4, radii.radius_left_m, radii.radius_right_m),
+        ("~Path | {} (ppm)", 1e6, 0, radii.path_left, radii.path_right),
+        ("Residual | {} (µm)", 1e6, 1, fit.left.residual_m, fit.right.residual_m),
+    ):
+        numbers[head.format("left")] = (left, factor, decimals)
+        numbers[head.format("right")] = (right, factor, decimals)
+    labels = [array.astype(str).tolist() for array in (radii.run_id, radii.session, radii.direction)]
+    cells = [[fixed(factor * value, places) for value in array.tolist()] for array, factor, places in numbers.values()]
+    rows = zip(*labels, *cells, strict=True)
+    return table(caption("table-runs"), ("<Run", "<Session", "<Dir.", *numbers), rows, dense=True)
+
+
+def runs_picture(fit: Fit) -> Picture:
+    """Return the radius of every run in the order driven."""
+    parts = []
+    for name, wheel in fit.wheels.items():
+        low, high = 1e3 * float(wheel.radius_m.min()), 1e3 * float(wheel.radius_m.max())
+        parts.append(f"{name} wheel {low:.3f} to {high:.3f} mm")
+    alt = f"Radius by run for both wheels, {len(fit.radii)} runs: {'; '.join(parts)}"
+    return picture("runs-by-series", alt, "calibration.runs_by_series", fit.radii)
+
+
+def deviation_picture(fit: Fit) -> Picture:
+    """Return what weaving and turning added to the paths."""
+    radii = fit.radii
+    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
+    worst = 1e6 * float(np.abs((radii.path_left, radii.path_right)).max())
+    shown = f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs"
+    alt = f"{shown}; corrections of all runs up to {worst:.0f} ppm"
+    return picture("path-deviation", alt, "calibration.path_deviation", radii)

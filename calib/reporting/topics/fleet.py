@@ -9,8 +9,9 @@ from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, caption, paragraph, table
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
 from calib.reporting.formatting import MISSING
+from calib.reporting.sentences import caption, catalogue, paragraph
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
@@ -82,7 +83,7 @@ def _drifting(fleet: Fleet) -> Table:
 def _pictures(fleet: Fleet) -> list[Picture]:
     from calib.reporting.figures.challenge import fleet_figures
 
-    figures, shown = fleet_figures(fleet).items(), blocks.catalogue()["fleet"]
+    figures, shown = fleet_figures(fleet).items(), catalogue()["fleet"]
     return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
-from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
+from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
+from calib.reporting.sentences import paragraph
 
 _ROUTE: Final = (
     "<route", "n", "before | position (mm)", "before | heading (mrad)", "after | position (mm)",

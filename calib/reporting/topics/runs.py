@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,59 +15,21 @@ from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.effective import RunDeviations
 from calib.radius.result import Fit
 from calib.reporting import blocks
-from calib.reporting.blocks import (
-    Block,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    caption,
-    items,
-    paragraph,
-    picture,
-    table,
-)
+from calib.reporting.blocks import Block, Notice, Section, Table, Text, items, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
-from calib.reporting.source import Source
-from calib.reporting.topics.law import static_table
+from calib.reporting.sentences import caption, catalogue, paragraph
+from calib.reporting.topics.fit import (
+    MOST_ROWS,
+    deviation_picture,
+    left_out_table,
+    runs_picture,
+    runs_table,
+    static_table,
+)
 from calib.types import FloatArray, grouped
 
-#: more runs make the report's table one of sessions
-MOST_ROWS: Final = 200
-#: for one reason
-MOST_NAMED: Final = 12
-
-
-def left_out_table(fit: Fit) -> Table:
-    """Return a row a reason, a dozen unused runs named; the fit's JSON names them all."""
-    by_reason = grouped((run.reason, run.run_id) for run in fit.radii.left_out)
-    rows = [(reason, str(len(names)), listed(names, MOST_NAMED)) for reason, names in by_reason.items()]
-    return table("Runs that were not used.", ("*Reason", "Number", "*Runs"), rows[:MOST_ROWS], dense=True)
-
-
-def runs_table(fit: Fit) -> Table:
-    """Return a row a run."""
-    radii = fit.radii
-    # head -> values, factor of its unit, decimals
-    numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
-    encoder = None if fit.setup is None else fit.setup.encoder
-    for side in SIDES if encoder is not None else ():
-        path, radius_m = getattr(radii, f"path_{side}"), getattr(radii, f"radius_{side}_m")
-        per_rev = getattr(encoder, f"counts_per_rev_{side}")
-        numbers[f"~Counts | {side}"] = (radii.distance_m * (1 + path) / (2 * np.pi * radius_m) * per_rev, 1.0, 0)
-    for head, factor, decimals, left, right in (
-        ("Load | {} (N)", 1.0, 1, radii.load_left_N, radii.load_right_N),
-        ("Radius | {} (mm)", 1e3, 4, radii.radius_left_m, radii.radius_right_m),
-        ("~Path | {} (ppm)", 1e6, 0, radii.path_left, radii.path_right),
-        ("Residual | {} (µm)", 1e6, 1, fit.left.residual_m, fit.right.residual_m),
-    ):
-        numbers[head.format("left")] = (left, factor, decimals)
-        numbers[head.format("right")] = (right, factor, decimals)
-    labels = [array.astype(str).tolist() for array in (radii.run_id, radii.session, radii.direction)]
-    cells = [[fixed(factor * value, places) for value in array.tolist()] for array, factor, places in numbers.values()]
-    rows = zip(*labels, *cells, strict=True)
-    return table(caption("table-runs"), ("<Run", "<Session", "<Dir.", *numbers), rows, dense=True)
+if TYPE_CHECKING:
+    from calib.reporting.source import Source
 
 
 def sessions_table(fit: Fit) -> Table:
@@ -101,16 +63,6 @@ def runs_section(source: Source) -> Section:
     return Section("Runs", (*content, *([static_table(fit)] if fit.static else [])))
 
 
-def runs_picture(fit: Fit) -> Picture:
-    """Return the radius of every run in the order driven."""
-    parts = []
-    for name, wheel in fit.wheels.items():
-        low, high = 1e3 * float(wheel.radius_m.min()), 1e3 * float(wheel.radius_m.max())
-        parts.append(f"{name} wheel {low:.3f} to {high:.3f} mm")
-    alt = f"Radius by run for both wheels, {len(fit.radii)} runs: {'; '.join(parts)}"
-    return picture("runs-by-series", alt, "calibration.runs_by_series", fit.radii)
-
-
 #: relative error of a radius that the runs are compared with
 TOLERANCE: Final = 5e-4
 
@@ -126,7 +78,7 @@ def deviation_section(source: Source) -> Section:
         weave = (1e3 * _median(radii.amplitude_m[on & known]), _median(radii.wavelength_m[on & known]))
         corrected = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
         sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
-        rows.append((blocks.catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
+        rows.append((catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
     heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
     corrected = {"corrected": int((radii.path_source != "none").sum()), "runs": len(radii)}
     text = Text(paragraph("paths", **corrected, worst=1e6 * float(np.abs(paths).max())))
@@ -146,16 +98,6 @@ def deviation_section(source: Source) -> Section:
 
 def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else float("nan")
-
-
-def deviation_picture(fit: Fit) -> Picture:
-    """Return what weaving and turning added to the paths."""
-    radii = fit.radii
-    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
-    worst = 1e6 * float(np.abs((radii.path_left, radii.path_right)).max())
-    shown = f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs"
-    alt = f"{shown}; corrections of all runs up to {worst:.0f} ppm"
-    return picture("path-deviation", alt, "calibration.path_deviation", radii)
 
 
 #: entries of a list of names, and runs of one note

@@ -10,8 +10,9 @@ from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
+from calib.reporting.blocks import Block, Table, Text, table
 from calib.reporting.formatting import fixed, measured
+from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.vehicle import Vehicle, WeighedPayload
 
 #: component of the error -> factor for reading

@@ -1,4 +1,4 @@
-"""Vehicle, instruments, conditions and assumed settings; method, limits of the result, and input files."""
+"""Pages that only a report has: item, method, conditions, regression, coefficients, budget, limits and files."""
 
 from __future__ import annotations
 
@@ -6,11 +6,27 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any, Final
 
+import numpy as np
+
 from calib import __version__
-from calib.reporting.blocks import Equation, Facts, Items, Section, Text, catalogue, items, paragraph, table
-from calib.reporting.formatting import MISSING, plural, prose, span
+from calib.campaign.checks.design import SIDES
+from calib.radius.law import round_loads
+from calib.radius.regression import WheelFit, t_quantile
+from calib.radius.result import Fit
+from calib.reporting.blocks import Block, Equation, Facts, Items, Section, Table, Text, items, table
+from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
+from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.reporting.source import OPTIONAL, STATED, Source
-from calib.reporting.topics.fit import assumed_text
+from calib.reporting.topics.fit import (
+    MM,
+    UM,
+    assumed_text,
+    budget_picture,
+    coefficients_in_units,
+    quality_text,
+    radius_budget,
+    regressions_picture,
+)
 
 
 def item_section(source: Source) -> Section:
@@ -166,3 +182,95 @@ def files_section(source: Source) -> Section:
         remark = (Text(f"{listing}the attached coefficients.json.", small=True),)
     files = table("Input files and their SHA-256.", ("*File", "=SHA-256"), rows, dense=True)
     return Section("Files", (facts, files, *remark))
+
+
+def regression_section(source: Source) -> Section:
+    """Return figure and table of both laws with their bands."""
+    fit = source.fit
+    bands = ("radius (mm)", "mean (± µm)", "single run (± µm)")
+    heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
+    title = "The law at the least and largest load and at round ones between, with the half widths of both bands."
+    shown = table(title, heads, aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6))
+    quality = Text(" ".join(map(quality_text, fit.wheels.values())))
+    return Section("Regression on load", (Text(paragraph("bands")), regressions_picture(fit), shown, quality))
+
+
+def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
+    lows, highs = zip(*((wheel.law.load_min_N, wheel.law.load_max_N) for wheel in (left, right)), strict=True)
+    low, high = (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
+    loads = np.unique(np.rint([low, *round_loads(low, high), high]))
+    columns = [[fixed(float(load), 0) for load in loads]]
+    for wheel in (left, right):
+        mean, single = (UM * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
+        # one number of decimals for all radii: the narrowest band's
+        decimals = places(1e-3 * float(mean.min()))
+        columns.append([fixed(MM * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
+        columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
+    return tuple(zip(*columns, strict=True))
+
+
+def coefficients_section(source: Source) -> Section:
+    """Return the coefficients with uncertainties, and how to get a radius at a load."""
+    fit = source.fit
+    rows = []
+    for wheel in fit.wheels.values():
+        for number, (title, unit, value, std, dof) in enumerate(coefficients_in_units(wheel)):
+            k = float(t_quantile(dof))
+            # two digits of u fix the value's last place, too
+            numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
+            rows.append(("" if number else wheel.wheel, title, unit, *numbers))
+    heads = ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U")
+    blocks: list[Block] = [table(caption("table-coefficients"), heads, aligned(rows, 3, 4, 7))]
+    if any(wheel.model == "line" for wheel in fit.wheels.values()):
+        text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
+        blocks += [Text(text), Equation("law_uncertainty")]
+    ends = "clamps loads outside the valid range to its ends"
+    outside = "refuses loads outside the valid range" if source.coefficients.outside == "refuse" else ends
+    wheels = {side: getattr(source.coefficients.law, side) for side in SIDES}
+    valid = [f"{span(one.load_min_N, one.load_max_N, 'N', '.1f')} ({side})" for side, one in wheels.items()]
+    known = {"checksum": source.coefficients.checksum[:19], "valid": " and ".join(valid), "outside": outside}
+    correlations = Text(" ".join(map(_correlation, fit.wheels.values())))
+    return Section("Coefficients", (*blocks, correlations, Text(paragraph("attached", **known))))
+
+
+def _correlation(wheel: WheelFit) -> str:
+    law, covariance = wheel.law, wheel.law.covariance
+    valid = span(law.load_min_N, law.load_max_N, "N", ".1f")
+    if wheel.model != "line":
+        return f"{wheel.wheel.capitalize()} wheel: constant, measured at {valid}."
+    norm = float(np.sqrt(covariance[0, 0] * covariance[1, 1]))
+    correlation = fixed(float(covariance[0, 1]) / norm if norm > 0 else 0.0, 2)
+    return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, measured at {valid}."
+
+
+def law_budget(fit: Fit) -> Table:
+    """Return what scatter and systematic sources contribute to the coefficients."""
+    systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
+    rows = []
+    for name, wheel in fit.wheels.items():
+        parts = [wheel.estimate.cov_within, wheel.estimate.cov_between]
+        parts += [wheel.estimate.cov_systematic] if systematic else []
+        std = np.sqrt(np.maximum([np.diag(part) for part in (*parts, wheel.estimate.covariance)], 0.0))
+        rows.append((name, "radius at F₀", "µm", *(two_digits(1e6 * float(value)) for value in std[:, 0])))
+        if wheel.model == "line":
+            rows.append(("", "slope", "nm/N", *(two_digits(1e9 * float(value)) for value in std[:, 1])))
+    heads = ["<Wheel", "<Coefficient", "<Unit", "u from the scatter | of runs", "u from the scatter | of sessions"]
+    heads += ["Systematic", "Combined"] if systematic else ["Combined"]
+    remark = " Systematic parts do not become smaller with more runs." if systematic else ""
+    return table(caption("table-law-budget", systematic=remark), heads, aligned(rows, *range(3, len(heads))))
+
+
+def _scatter(fit: Fit) -> tuple[Text, ...]:
+    known = [float(np.sqrt(np.mean(std**2))) for std in (fit.radii.std_left_m, fit.radii.std_right_m)]
+    scatter = [wheel.run_std_m for wheel in fit.wheels.values()]
+    if not all(spread > 2 * two for spread, two in zip(scatter, known, strict=True)):
+        return ()
+    return (Text(paragraph("scatter", left=scatter[0] / known[0], right=scatter[1] / known[1])),)
+
+
+def budget_section(source: Source) -> Section:
+    """Return what the uncertainty is made of."""
+    fit = source.fit
+    declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
+    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
+    return Section("Uncertainty budget", blocks)
