@@ -18,9 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from calib.arguments import refuse_input
 from calib.documents import to_json
-from calib.errors import BadFileError, BadInputError, would_overwrite
+from calib.errors import BadFileError, BadInputError, refuse_input, would_overwrite
 
 #: names of temporary files: .calib-<target's hash or "inside">-<host>-<process>-<random>.tmp
 PREFIX: Final = ".calib-"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from numpy.random import Generator, default_rng
 
+from calib.api.arguments import checked
 from calib.api.results import CampaignLike, opened, refuse_below
-from calib.arguments import checked
 from calib.errors import BadInputError
 from calib.io import write_bytes
 from calib.kinematics.result import Geometry

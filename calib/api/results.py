@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from calib import __version__
-from calib.arguments import checked
+from calib.api.arguments import checked
 from calib.campaign.ingest import describe as descriptions
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign

@@ -12,9 +12,8 @@ from typing import Any, Final
 import typer
 from typer.core import TyperCommand
 
-from calib.arguments import inputs_kept, refuse_special
 from calib.cli.terminal import FORCE, JSON_TARGET, Force, JsonTarget, refuse_outputs
-from calib.errors import BadInputError
+from calib.errors import BadInputError, inputs_kept, refuse_special
 from calib.io import refuse_empty
 
 #: parameters that say where something is written; every other path is an input

@@ -49,8 +49,7 @@ def finish(
     simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
 ) -> None:
     """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
-    from calib.reporting.pages import simulation_trajectories, write_simulation
-    from calib.reporting.topics.simulation import simulation_content
+    from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
 
     force = terminal.forced()
     written = [] if targets.output is None else write_simulation(simulation, targets.output, force=force)
@@ -222,8 +221,7 @@ def replay(
     from calib.coefficients.build import coefficients_of
     from calib.coefficients.file import effects_left_out
     from calib.odometry.replay import replay as replay_runs
-    from calib.reporting.pages import replay_trajectories, write_replay
-    from calib.reporting.topics.simulation import replay_content
+    from calib.reporting.topics.simulation import replay_content, replay_trajectories, write_replay
 
     terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
     with terminal.waiting("replaying"):

@@ -1,4 +1,4 @@
-"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; result folders."""
+"""Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; the result folder of a fleet."""
 
 from __future__ import annotations
 
@@ -16,27 +16,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-from matplotlib.figure import Figure
-
 from calib.campaign.model import Campaign
-from calib.campaign.wheels import without_rear_wheels
-from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain, templates_of, to_json
 from calib.errors import CalibError
-from calib.io import refuse_existing, write_files, write_json, write_text
-from calib.odometry.integrate import integrate
-from calib.odometry.poses import Poses, write_tum
-from calib.odometry.replay import Replay, carried_loads_N, stood_in
-from calib.odometry.routes import radii_under_load, travel_from_counts
-from calib.odometry.simulation import SHOWN, Simulation
+from calib.io import write_files
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures import motion
-from calib.reporting.figures.style import known, render, render_all, write_figures
+from calib.reporting.figures.style import known, render, render_all
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
-from calib.types import FloatArray, Progress, silent, stepped
+from calib.types import Progress, silent, stepped
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -185,86 +174,6 @@ def _template() -> Template:
 def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
     keys = ((column["group"] or number, column["group"]) for number, column in enumerate(columns))
     return [(run[0][1], len(run)) for run in (list(group) for _, group in groupby(keys, key=lambda key: key[0]))]
-
-
-def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
-    """Write the figures of a simulation with their numbers as CSV beside them, and everything as JSON.
-
-    Raises BadInputError where a file exists and `force` is False; nothing is then written.
-    """
-    figures: dict[str, Figure] = {}
-    tables: dict[str, Sequence[Mapping[str, Any]]] = {}
-    for name, sweep in simulation.sweeps.items():
-        figures[name] = motion.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
-        figures[f"{name}_errors"] = motion.sweep_errors_figure(sweep, title=simulation.title)
-        tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
-    if simulation.law is not None:
-        rows, path = simulation.law.table, simulation.law.path
-        title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
-        figures |= {
-            "fig15": motion.ratio_figure(rows, simulation.law.law.left, simulation.law.law.right),
-            "band": motion.law_path_figure(path, title=title),
-            "errors": motion.law_errors_figure(path, title=title),
-        }
-        tables |= {"table1": plain(rows), "band": path.covariance_rows(), "errors": path.error_rows()}
-    document = folder / f"{simulation.study}.json"
-    refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
-    written = write_figures(figures, folder, force=force)
-    written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
-    return [write_json(document, simulation.to_dict(), force=force), *written]
-
-
-def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
-    """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
-    written = []
-    for name, sweep in simulation.sweeps.items():
-        t = sweep.distance_m / speed_mps
-        written.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
-        for number, case in enumerate(sweep.cases):
-            stem = f"{name}_{case.which}_{case.ratio:g}.tum"
-            written.append(write_tum(folder / stem, t, sweep.poses[number], force=force))
-    return written
-
-
-def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
-    """Write the figure of a replay, its table as CSV and everything as JSON."""
-    written = write_figures({"replay": motion.replay_figure(replay)}, folder, force=force)
-    table = _csv(folder / "replay.csv", document["runs"], force=force)
-    return [write_json(folder / "replay.json", document, force=force), *written, table]
-
-
-def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
-    """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
-    written = []
-    for run in np.flatnonzero(campaign.logs.present).tolist():
-        log = campaign.logs.of(run)
-        driven = _driven(campaign.select([run]), log, coefficients)
-        if driven is None:
-            continue
-        stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(campaign.runs.run_id[run]))
-        written.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
-        if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
-            poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
-            fine = np.isfinite(poses.stacked()).all(axis=1)
-            written.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
-    return written
-
-
-def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: CoefficientFile) -> Poses | None:
-    if without_rear_wheels(campaign):
-        poses, _ = stood_in(campaign, believed_model(coefficients, campaign.model.reference_load_N))
-        return poses if np.isfinite(poses.stacked()).all() else None
-    if not {"t_s", "counts_left", "counts_right"} <= log.keys():
-        return None
-    radii = radii_under_load(coefficients.law, *carried_loads_N(campaign))
-    if not np.isfinite(radii).all():
-        return None
-    left, right = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
-    return integrate(left, right, coefficients.geometry.track_m)
-
-
-def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:
-    return write_text(path, csv_text(list(rows[0]) if rows else [], (row.values() for row in rows)), force=force)
 
 
 @dataclass(frozen=True, slots=True)

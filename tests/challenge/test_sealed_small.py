@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from calib.arguments import inputs_kept, refuse_input
 from calib.challenge.run import run
 from calib.challenge.score import Score, score
 from calib.challenge.seal import make, read_public
-from calib.errors import BadFileError, BadInputError
+from calib.errors import BadFileError, BadInputError, inputs_kept, refuse_input
 
 pytest.importorskip("calib.gap.diagnose")
 

@@ -15,11 +15,10 @@ ALLOWED: dict[str, set[str]] = {
     # what is seen here are the names for type checkers; nothing is imported before it is used
     "__init__": {"api", "campaign", "documents", "gap", "kinematics", "odometry", "radius"},
     "errors": set(),
-    "arguments": {"errors"},
     "units": set(),
     # words and figures of a result are looked up by name at the first call: tests/test_result.py
     "documents": set(),
-    "io": {"arguments", "documents", "errors"},
+    "io": {"documents", "errors"},
     "types": set(),
     "vehicle": {"errors", "types", "units"},
     "campaign": GROUND,
@@ -34,8 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "runtime": set(),
     "plant": GROUND | {"campaign"},
     "challenge": GROUND | {"__init__", "campaign", "plant", "gap", "fleet"},
-    "api": GROUND
-    | {"__init__", "arguments", "campaign", "radius", "kinematics", "coefficients", "odometry", "gap", "reporting"},
+    "api": GROUND | {"__init__", "campaign", "radius", "kinematics", "coefficients", "odometry", "gap", "reporting"},
     "cli": {"*"},
     "__main__": {"cli"},
 }

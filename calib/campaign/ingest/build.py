@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.contents import grouped
+from calib.campaign.ingest.contents import listed_files
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import listed_files, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
+from calib.campaign.ingest.runs import mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
@@ -26,7 +26,7 @@ from calib.campaign.tables import csv_bytes, write_campaign
 from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file
-from calib.types import Progress, silent, stepped
+from calib.types import Progress, grouped, silent, stepped
 
 RECORDINGS: Final = "recordings"
 _SMALL_BYTES: Final = 1 << 16
@@ -356,7 +356,7 @@ def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
         file, column = _file_and_column(note.where)
         return note.level, note.code, PurePath(file).suffix + column, _NUMBER.sub("#", note.text)
 
-    groups = grouped(notes, kind)
+    groups = grouped((kind(note), note) for note in notes)
     return tuple(group[0] if len(group) == 1 else _merged(group) for group in groups.values())
 
 

@@ -1,9 +1,9 @@
-"""The contents of files: columns, sheets, streams with their clocks."""
+"""The files of sources and their contents: columns, sheets, streams with their clocks."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +16,20 @@ from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.model import Note
-from calib.campaign.readers import Layout, RawTable, holds_recording, read_recording, read_table, table
+from calib.campaign.readers import (
+    READERS,
+    Layout,
+    RawTable,
+    holds_recording,
+    is_bag_folder,
+    read_recording,
+    read_table,
+    table,
+)
 from calib.campaign.readers.recording import StreamContents, check_not_empty
 from calib.campaign.settings import bracketed
-from calib.errors import BadFileError
-from calib.types import IntArray, Item
+from calib.errors import BadFileError, BadInputError
+from calib.types import IntArray
 
 #: of a column
 _LISTED_TEXTS: Final = 6
@@ -32,12 +41,34 @@ _MOSTLY_NUMBERS: Final = 0.8
 _LEAST_NAMES: Final = 2
 
 
-def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> dict[Hashable, list[Item]]:
-    """Return items by their key, in the order of the first of each."""
-    groups: dict[Hashable, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
+def listed_files(sources: Sequence[Path]) -> list[Path]:
+    """Return the files of sources: files, rosbag2 folders, and other folders' files.
+
+    Raises BadInputError where a source is missing.
+    """
+    files: list[Path] = []
+    for source in sources:
+        if is_bag_folder(source) or source.is_file():
+            files.append(source)
+        elif source.is_dir():
+            files += _files_inside(source)
+        else:
+            raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
+    return files
+
+
+def _files_inside(folder: Path) -> list[Path]:
+    """Return a folder's readable files, and its folders' where it has one at most.
+
+    So a run table stands beside folders of logs; campaigns are omitted.
+    """
+    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]
+    if len(files) < 2:
+        for path in inside:
+            is_logs = path.is_dir() and not path.is_symlink() and path not in files
+            files += _files_inside(path) if is_logs and not (path / "campaign.toml").is_file() else []
+    return files
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,17 +10,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest.contents import FileContents, described, file_contents, grouped, together, wrapped
+from calib.campaign.ingest.contents import FileContents, described, file_contents, listed_files, together, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, table_lines
-from calib.campaign.ingest.runs import listed_files
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED, to_toml, toml_value
 from calib.documents import plain
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text
+from calib.types import grouped
 
 #: files of one kind all read; of more, the first and the last
 _ALL_READ: Final = 40
@@ -85,7 +85,9 @@ class Description:
         lines.append("#")
         # logs alike are described once
         apart = any(not file.alike(self.files[0]) for file in self.files)
-        groups = grouped(self.files, lambda file: (apart and file is self.table, *(one.name for one in file.columns)))
+        groups = grouped(
+            ((apart and file is self.table, *(one.name for one in file.columns)), file) for file in self.files
+        )
         for group in groups.values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
@@ -105,9 +107,9 @@ def describe(sources: Sequence[Path]) -> Description:
         remedy = "name them, or the folder that holds them itself"
         found = f"no file to read{_folders_inside(sources)}"
         raise BadInputError(f"sources: found {found}; expected tables, logs or recordings; {remedy}")
-    kinds = grouped(paths, lambda path: re.sub(r"\d+", "#", str(path)))
+    kinds = grouped((re.sub(r"\d+", "#", str(path)), path) for path in paths)
     if len(kinds) > _ALL_READ:
-        kinds = grouped(paths, lambda path: f"{path.parent}/*{path.suffix.lower()}")
+        kinds = grouped((f"{path.parent}/*{path.suffix.lower()}", path) for path in paths)
     files: list[FileContents] = []
     for members in kinds.values():
         read = members if len(members) <= _ALL_READ else [members[0], members[-1]]

@@ -1,4 +1,4 @@
-"""The mapping: a TOML file that says which column of a laboratory's export is which.
+"""The mapping: a TOML file that says which column of a laboratory's export is which, and how logs are named.
 
 docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a source column for a column of calib's,
 ``[cut]`` says how a recording is cut into runs, all else is of ``campaign.toml``. Columns that already carry the names
@@ -7,6 +7,7 @@ of calib, with any known unit, need no line.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
@@ -339,3 +340,54 @@ def parse_section(model: type[_Parsed], section: object, shown: str, where: str)
 def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> BadFileError:
     """Return the error for one line of a mapping; see `BadFileError`."""
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")
+
+
+def run_number(run_id: str, pattern: str | None) -> int | None:
+    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
+    if pattern is None:
+        numbers = re.findall(r"\d+", run_id)
+        return int(numbers[-1]) if numbers else None
+    before, _, after = pattern.partition("{n}")
+    match = re.fullmatch(re.escape(before) + r"\s*0*(\d+)\s*" + re.escape(after), run_id.strip(), re.IGNORECASE)
+    return int(match[1]) if match else None
+
+
+#: what a name may hold beside the run -> what it looks like
+_PARTS: Final = {
+    "{date}": r"\d{2,4}[-_.]?\d{2}[-_.]?\d{2,4}",
+    "{time}": r"\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?([.,_]\d+)?",
+    "*": r".*",
+}
+
+
+def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
+    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
+
+    `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
+    """
+    pattern = pattern or log.file
+    name = None if pattern is None else pattern.replace("{run_id}", run_id)
+    if name is None or "{n" not in name:
+        return name
+    number = run_number(run_id, log.run)
+    return None if number is None else with_number(name, number)
+
+
+def with_number(pattern: str, number: int) -> str:
+    """Return a pattern with a number for its ``{n}`` or ``{n:03}``."""
+    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), pattern)
+
+
+def fits_name(name: str, wanted: str) -> bool:
+    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
+    parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
+    return re.fullmatch("".join(_PARTS.get(part, re.escape(part)) for part in parts), name, re.IGNORECASE) is not None
+
+
+def run_in(name: str, pattern: str) -> str | None:
+    """Return what a file's name holds where a pattern has ``{n}`` or ``{run_id}``; None where it does not fit."""
+    parts = re.split(r"(\{date\}|\{time\}|\*|\{run_id\}|\{n(?::0?\d+)?\})", pattern)
+    signs = {**_PARTS, "{run_id}": r"(?P<run>.+)"}
+    form = "".join(signs.get(part, r"0*(?P<run>\d+)" if part[:2] == "{n" else re.escape(part)) for part in parts)
+    match = re.fullmatch(form, name, re.IGNORECASE)
+    return match["run"] if match else None

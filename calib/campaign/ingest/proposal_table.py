@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents, grouped
+from calib.campaign.ingest.contents import ColumnContents, FileContents
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
-from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
-from calib.campaign.ingest.runs import run_in, run_number
+from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, run_in, run_number, units_for
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
 from calib.campaign.settings import bracketed, recognise
 from calib.campaign.settings_file import toml_value
+from calib.types import grouped
 from calib.units import SUFFIXES, split_suffix
 
 
@@ -254,7 +254,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     """
     if any(log.recording for log in logs):
         return {}
-    groups = list(grouped(logs, lambda log: re.sub(r"\d+", "#", Path(log.name).name)).values())
+    groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())
     whole = [pattern for group in groups if (pattern := name_pattern([Path(log.name).stem for log in group]))]
     # files that each hold the wheels are separate runs: run_1_out, run_1_back
     wheels = sum("counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Sequence
 from collections.abc import Mapping as MappingType
 from dataclasses import replace
@@ -13,14 +12,25 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.mapping import TABLE_COLUMNS, LogSection, MappedColumn, Mapping, bad_line
+from calib.campaign.ingest.mapping import (
+    TABLE_COLUMNS,
+    LogSection,
+    MappedColumn,
+    Mapping,
+    bad_line,
+    expected_name,
+    fits_name,
+    run_in,
+    run_number,
+    with_number,
+)
 from calib.campaign.model import Border, RunTable
-from calib.campaign.readers import READERS, Layout, RawTable, is_bag_folder, read_table
+from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
 from calib.campaign.settings import Encoder, bracketed, converted, recognise
 from calib.campaign.tables import run_table
-from calib.errors import BadFileError, BadInputError
+from calib.errors import BadFileError
 from calib.io import sha256_file
 
 #: in a message
@@ -224,78 +234,6 @@ def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
     return raw.select(keep)
 
 
-def listed_files(sources: Sequence[Path]) -> list[Path]:
-    """Return the files of sources: files, rosbag2 folders, and other folders' files.
-
-    Raises BadInputError where a source is missing.
-    """
-    files: list[Path] = []
-    for source in sources:
-        if is_bag_folder(source) or source.is_file():
-            files.append(source)
-        elif source.is_dir():
-            files += _files_inside(source)
-        else:
-            raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
-    return files
-
-
-def _files_inside(folder: Path) -> list[Path]:
-    """Return a folder's readable files, and its folders' where it has one at most.
-
-    So a run table stands beside folders of logs; campaigns are omitted.
-    """
-    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
-    files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]
-    if len(files) < 2:
-        for path in inside:
-            is_logs = path.is_dir() and not path.is_symlink() and path not in files
-            files += _files_inside(path) if is_logs and not (path / "campaign.toml").is_file() else []
-    return files
-
-
-def run_number(run_id: str, pattern: str | None) -> int | None:
-    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
-    if pattern is None:
-        numbers = re.findall(r"\d+", run_id)
-        return int(numbers[-1]) if numbers else None
-    before, _, after = pattern.partition("{n}")
-    match = re.fullmatch(re.escape(before) + r"\s*0*(\d+)\s*" + re.escape(after), run_id.strip(), re.IGNORECASE)
-    return int(match[1]) if match else None
-
-
-#: what a name may hold beside the run -> what it looks like
-_PARTS: Final = {
-    "{date}": r"\d{2,4}[-_.]?\d{2}[-_.]?\d{2,4}",
-    "{time}": r"\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?([.,_]\d+)?",
-    "*": r".*",
-}
-
-
-def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
-
-    `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
-    """
-    pattern = pattern or log.file
-    name = None if pattern is None else pattern.replace("{run_id}", run_id)
-    if name is None or "{n" not in name:
-        return name
-    number = run_number(run_id, log.run)
-    return None if number is None else with_number(name, number)
-
-
-def with_number(pattern: str, number: int) -> str:
-    """Return a pattern with a number for its ``{n}`` or ``{n:03}``."""
-    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), pattern)
-
-
-def fits_name(name: str, wanted: str) -> bool:
-    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
-    parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
-    return re.fullmatch("".join(_PARTS.get(part, re.escape(part)) for part in parts), name, re.IGNORECASE) is not None
-
-
 def match_logs(
     runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
@@ -347,15 +285,6 @@ def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None
         if twin is not None:
             text, code = f"holds the same bytes as {twin}", "repeated_log"
         border.say(str(path), f"{text} and was omitted", code)
-
-
-def run_in(name: str, pattern: str) -> str | None:
-    """Return what a file's name holds where a pattern has ``{n}`` or ``{run_id}``; None where it does not fit."""
-    parts = re.split(r"(\{date\}|\{time\}|\*|\{run_id\}|\{n(?::0?\d+)?\})", pattern)
-    signs = {**_PARTS, "{run_id}": r"(?P<run>.+)"}
-    form = "".join(signs.get(part, r"0*(?P<run>\d+)" if part[:2] == "{n" else re.escape(part)) for part in parts)
-    match = re.fullmatch(form, name, re.IGNORECASE)
-    return match["run"] if match else None
 
 
 def runs_of_files(files: Sequence[Path], log: LogSection) -> list[str]:

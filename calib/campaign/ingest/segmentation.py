@@ -13,8 +13,8 @@ import numpy as np
 
 from calib.campaign.ingest.guesses import continuous_counts
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation
-from calib.campaign.ingest.runs import mapped_runs, with_number
+from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation, with_number
+from calib.campaign.ingest.runs import mapped_runs
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -16,13 +16,15 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from calib.kinematics.result import RunTrace
 from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.regression import WheelFit
 from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled
 from calib.types import FloatArray, StrArray, evenly
+
+if TYPE_CHECKING:
+    from calib.kinematics.result import RunTrace
 
 MM: Final = 1e3
 UM: Final = 1e6

@@ -11,8 +11,7 @@ import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.ingest.build import ingest
-from calib.campaign.ingest.mapping import LogSection
-from calib.campaign.ingest.runs import expected_name
+from calib.campaign.ingest.mapping import LogSection, expected_name
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 

@@ -10,9 +10,8 @@ import pytest
 
 from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
-from calib.campaign.ingest.mapping import LogSection, MappedColumn, unit_spelled, units_for
+from calib.campaign.ingest.mapping import LogSection, MappedColumn, expected_name, fits_name, unit_spelled, units_for
 from calib.campaign.ingest.proposal_table import name_pattern
-from calib.campaign.ingest.runs import expected_name, fits_name
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
 from calib.units import GRAVITY_MPS2, SUFFIXES, unit_named
