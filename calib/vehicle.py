@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,8 @@ from calib.units import GRAVITY_MPS2
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
 #: below it a length or a mass is a typing error
 Positive = Annotated[float, Field(ge=1e-12)]
+#: skid steering turns about an effective track of 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
+SKID_TRACK: Final = 2.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -335,3 +335,16 @@ def read_or_ingest(
     known = {(note.code, note.text) for note in campaign.notes}
     notes = (*(note for note in ingested.notes if (note.code, note.text) not in known), *campaign.notes)
     return replace(campaign, root=None, notes=notes)
+
+
+def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
+    """Return whether distances (n_runs,) are those along the start heading, by their end poses, NaN where unknown.
+
+    Else, and where no end pose tells, they are those of the chord to the end point.
+    """
+    known = np.isfinite(distance_m + x_m + y_m)
+    if not known.any():
+        return False
+    along, chord = np.abs(x_m[known]), np.hypot(x_m[known], y_m[known])
+    off_along, off_chord = (float(np.median(np.abs(distance_m[known] - way))) for way in (along, chord))
+    return off_along <= off_chord

@@ -36,6 +36,8 @@ SOURCE_NAMES: Final = {
 }
 #: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, m
 ASIDE: Final = "aside_m"
+#: no wheel is driven slower, by 0.1 m a millimetre in a second
+SLOWEST_RADPS: Final = 0.01
 #: what the axle's middle moves ahead and to the left (m) and turns (rad) in each step
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -180,12 +180,11 @@ def deviation(
     """
     from calib.campaign.read import read_campaign
     from calib.radius import deviation as table
-    from calib.radius.effective import judge_runs
     from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
     with terminal.waiting("reading"):
         read = None if campaign is None else read_campaign(campaign)
-        judged = None if read is None else judge_runs(read, tolerance)
+        judged = None if read is None else table.judge_runs(read, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
     rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
     arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)

@@ -13,6 +13,7 @@ import numpy as np
 from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.campaign.wheels import SLOWEST_RADPS
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
@@ -40,7 +41,6 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, measured_gap, predict, residuals
-from calib.kinematics.blunders import SLOWEST_RADPS
 from calib.types import FloatArray, Progress, silent
 
 if TYPE_CHECKING:

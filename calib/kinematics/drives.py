@@ -22,8 +22,6 @@ GYRO_SCALE_STD: Final = 0.01
 
 #: first random walks of heading and distance, per metre
 WALKS: Final = (2.5e-7, 2.5e-7)
-#: skid steering turns about an effective track of 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
-SKID_TRACK: Final = 2.5
 
 #: of scale, lever arm, angle and delay from the settings
 SENSOR_STD: Final = {

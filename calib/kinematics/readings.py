@@ -10,11 +10,13 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, TWIST, Fault
-from calib.kinematics.drives import SKID_TRACK, Drive, nominal_turn
+from calib.kinematics.blunders import NEAR, TWIST, Fault
+from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.recording import Recording
+from calib.kinematics.steering import LARGEST_STEERING_RAD
 from calib.types import BoolArray, FloatArray, since_start
+from calib.vehicle import SKID_TRACK
 
 #: axes turned by less are a sensor's mounting, which is estimated
 LEAST_ANGLE_RAD: Final = 0.02

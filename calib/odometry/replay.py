@@ -19,7 +19,7 @@ from calib.errors import RefusedError
 from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import PoseErrors, Poses, pose_errors, poses_of_vehicle
 from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
-from calib.radius.law import RadiusLaw
+from calib.radius.law import RadiusLaw, within_law
 from calib.runtime import Coefficients, Odometer, OdometerFault, Status
 from calib.types import BoolArray, FloatArray, StrArray, in_frame, since_start, unwrapped
 from calib.vehicle import wheel_loads_N
@@ -190,13 +190,6 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
         left_out[reason] = int((usable & ~fits).sum())
         usable &= fits
     return campaign.select(usable), left_out, notes
-
-
-def within_law(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
-    """Return whether both loads lie within a newton of the law's range, shape (n,)."""
-    loads = ((law.left, load_left_N), (law.right, load_right_N))
-    inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
-    return np.asarray(np.all(inside, axis=0))
 
 
 def _with_end_poses(campaign: Campaign) -> Campaign:

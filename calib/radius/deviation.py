@@ -1,4 +1,4 @@
-"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, and tables of them.
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run.
 
 The rangefinder sees S_O along the corridor. A path longer by the share e makes a radius S_O / (2 pi n) too small: its
 relative error is 1 / (1 + e) - 1.
@@ -14,52 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import steered_itself_m
+from calib.documents import plain
 from calib.errors import BadInputError
-from calib.types import FloatArray, floats
+from calib.radius.effective import UnusedRun, usable_runs
+from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
+from calib.types import FloatArray, Row, StrArray, floats
 from calib.vehicle import Vehicle
 
-#: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
-SERIES_BELOW: Final = 1e-6
 #: halvings, to rounding
 BISECTIONS: Final = 60
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PathExcess:
-    """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape."""
-
-    #: middle of the rear axle and both wheels
-    centre: FloatArray
-    left: FloatArray
-    right: FloatArray
-    #: heading at the end minus heading at the start
-    yaw_rad: FloatArray
-
-    @staticmethod
-    def of(centre: FloatArray, yaw_rad: FloatArray, distance_m: FloatArray, track_m: float) -> PathExcess:
-        """Return the excess of paths by that of their middle; the wheels keep half a track from it."""
-        half = 0.5 * track_m * yaw_rad / distance_m
-        return PathExcess(centre, centre - half, centre + half, np.asarray(yaw_rad))
-
-
-def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
-    """Return the relative excess of ``y = A sin(2 pi x / lambda)`` over whole periods, equal for centre and wheels.
-
-    ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
-    kind and ``m = u / (1 + u)`` (Fig. 9).
-
-    `amplitude_m`, `wavelength_m`: A and lambda, of shapes that broadcast.
-    """
-    from scipy.special import ellipe
-
-    u = (2 * np.pi * floats(amplitude_m) / floats(wavelength_m)) ** 2
-    exact = 2 / np.pi * np.sqrt(1 + u) * ellipe(u / (1 + u)) - 1
-    return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
-
-
-def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
-    """Return the small-amplitude form ``(pi A / lambda)^2`` of `whole_period_excess`."""
-    return np.asarray((np.pi * (floats(amplitude_m) / floats(wavelength_m))) ** 2)
 
 
 def weave_excess(
@@ -88,17 +52,6 @@ def weave_excess(
     length = np.sqrt(1 + u) * (ellipeinc(end, u / (1 + u)) - ellipeinc(phase, u / (1 + u))) / k
     yaw = np.arctan(slope * np.cos(end)) - np.arctan(slope * np.cos(phase))
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
-
-
-def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> PathExcess:
-    """Return the relative excess of a steady arc over its chord (Fig. 8a).
-
-    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
-    wheels' contact points. The arguments broadcast.
-    """
-    yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
-    # np.sinc is sin(pi x) / (pi x)
-    return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
 def arc_of_radii_rad(
@@ -267,3 +220,141 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
         "excess_left": float(path.left),
         "excess_right": float(path.right),
     }
+
+
+#: quantile of the normal distribution, 97.5 %
+NORMAL_95: Final = 1.96
+PASSED: Final = "within"
+BEYOND: Final = "beyond"
+UNKNOWN: Final = "unknown"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunDeviations:
+    """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
+
+    #: relative error of a radius
+    tolerance: float
+    #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
+    run_id: StrArray
+    source: StrArray
+    verdict: StrArray
+    distance_m: FloatArray
+    amplitude_m: FloatArray
+    wavelength_m: FloatArray
+    #: relative excess of each path over S_O
+    excess_centre: FloatArray
+    excess_left: FloatArray
+    excess_right: FloatArray
+    #: excess of the weave alone by the small-amplitude form
+    small_amplitude: FloatArray
+    #: relative error of the radii if the path were not corrected
+    error_left: FloatArray
+    error_right: FloatArray
+    #: the same in m on the nominal radius
+    error_left_m: FloatArray
+    error_right_m: FloatArray
+    #: largest amplitude that keeps both radii within tolerance on that run
+    allowed_amplitude_m: FloatArray
+    #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
+    arc_turn_rad: FloatArray
+    arc_excess: FloatArray
+    #: not judged
+    left_out: tuple[UnusedRun, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no run is beyond the tolerance."""
+        return not bool((self.verdict == BEYOND).any())
+
+    @property
+    def summary(self) -> str:
+        """How many runs keep the tolerance, and what to do about the others."""
+        n, share = len(self.run_id), f"{100 * self.tolerance:g} %"
+        beyond, unknown = int((self.verdict == BEYOND).sum()), int((self.verdict == UNKNOWN).sum())
+        text = f"{n - beyond - unknown} of {n} runs keep both radii within {share} of what a straight path would give"
+        if beyond:
+            text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
+        if unknown:
+            open_, remedy = self.verdict == UNKNOWN, "add logs, or amplitude_m and wavelength_m"
+            if np.isfinite(self.error_left[open_]).any():
+                remedy = "where on the weave they began and ended decides; add logs, or ref_theta_rad at the end"
+            elif (self.source[open_] != "none").any():
+                remedy = "the wheels rolled as alike as steered by their own counts; measure ref_theta_rad at the end"
+            text += f"; of {unknown} the path is not known well enough: {remedy}"
+        curved = float(np.max(np.abs(self.arc_turn_rad)))
+        return (
+            f"{text}. Steered by its own odometry with the model's radii the vehicle would have turned by up to "
+            f"{curved:.3f} rad, a path up to {100 * float(np.max(self.arc_excess)):.3f} % longer."
+        )
+
+    def rows(self) -> list[Row]:
+        """Return one mapping of plain values a run."""
+        names = [name for name in self.__dataclass_fields__ if name not in {"tolerance", "left_out", "notes"}]
+        columns = [plain(getattr(self, name)) for name in names]
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
+    """Judge the path of every straight run against a tolerance.
+
+    Runs without log and without measured amplitude and wavelength are ``unknown``, and those of which the 95 % interval
+    alone reaches beyond the tolerance; `tolerance`: largest relative error of a radius. Raises RefusedError where there
+    is no straight run; BadInputError where the tolerance is not between 0 and 1.
+    """
+    if not 0 < tolerance < 1:
+        expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
+        raise BadInputError(f"tolerance: found {tolerance:g}; expected {expected}")
+    campaign, left_out, _ = usable_runs(campaign, need_load=False)
+    runs, vehicle, model = campaign.runs, campaign.vehicle, campaign.model
+    path = correct_paths(campaign)
+    distance = np.abs(runs.number("distance_m"))
+    # wheels that were kept alike say nothing of the path
+    unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
+    known = (path.source != "none") & ~unseen
+    left, right = radius_error(path.left), radius_error(path.right)
+    error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
+    # the turn of an unknown phase is at most the root of two times its standard deviation
+    off = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
+    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * off <= tolerance
+    weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
+    # of an unknown phase, that of the largest turn
+    phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
+    phased = weaving & np.isfinite(phases)
+    allowed = np.full(len(runs), np.nan)
+    allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
+    if phased.any():
+        length, phase, far = (part[phased] for part in (path.wavelength_m, phases, distance))
+        allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
+    small = np.full(len(runs), np.nan)
+    small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
+    # r_R / r_L by each run; the distance cancels
+    ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
+        np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
+    )
+    believed = model.radius_right_m / model.radius_left_m
+    turn = arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
+    unknown_nan = np.where(known, 0.0, np.nan)
+    return RunDeviations(
+        tolerance=tolerance,
+        run_id=runs.run_id,
+        source=path.source,
+        verdict=np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
+        distance_m=distance,
+        amplitude_m=path.amplitude_m,
+        wavelength_m=path.wavelength_m,
+        excess_centre=path.centre + unknown_nan,
+        excess_left=path.left + unknown_nan,
+        excess_right=path.right + unknown_nan,
+        small_amplitude=small,
+        error_left=left + unknown_nan,
+        error_right=right + unknown_nan,
+        error_left_m=left * vehicle.wheel_radius_m + unknown_nan,
+        error_right_m=right * vehicle.wheel_radius_m + unknown_nan,
+        allowed_amplitude_m=allowed,
+        arc_turn_rad=turn,
+        arc_excess=arc_excess(turn, distance, vehicle.track_m).centre,
+        left_out=left_out,
+        notes=path.notes,
+    )

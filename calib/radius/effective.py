@@ -1,4 +1,4 @@
-"""Effective radius of each wheel and run, r_e = S / (2 pi n) (Eq. 6), its budget, and how far its path moved it."""
+"""Effective radius of each wheel and run, r_e = S / (2 pi n) (Eq. 6), and its budget."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.wheels import SOURCE_NAMES, odometry_source, steered_itself_m, without_rear_wheels
-from calib.documents import plain
-from calib.errors import BadInputError, RefusedError
-from calib.radius import deviation
-from calib.radius.deviation import allowed_amplitude_m, arc_excess, radius_error, small_amplitude_excess
+from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
+from calib.errors import RefusedError
 from calib.radius.path_length import correct_paths
-from calib.types import FloatArray, Row, StrArray
+from calib.types import FloatArray, StrArray
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
@@ -24,8 +21,6 @@ STRAIGHT_TURN_RAD: Final = 1.2
 STRAIGHT_HEADING_RAD: Final = 0.5
 #: over less, counts and rangefinder leave more than a per mille of the radius
 SHORTEST_M: Final = 1.0
-#: quantile of the normal distribution, 97.5 %
-NORMAL_95: Final = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,140 +217,4 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
         Component(name, "B", distribution, text, typical(left[name]), typical(right[name]))
         for name, (distribution, text) in what.items()
         if name != "weave" or left[name].any()
-    )
-
-
-PASSED: Final = "within"
-BEYOND: Final = "beyond"
-UNKNOWN: Final = "unknown"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunDeviations:
-    """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
-
-    #: relative error of a radius
-    tolerance: float
-    #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
-    run_id: StrArray
-    source: StrArray
-    verdict: StrArray
-    distance_m: FloatArray
-    amplitude_m: FloatArray
-    wavelength_m: FloatArray
-    #: relative excess of each path over S_O
-    excess_centre: FloatArray
-    excess_left: FloatArray
-    excess_right: FloatArray
-    #: excess of the weave alone by the small-amplitude form
-    small_amplitude: FloatArray
-    #: relative error of the radii if the path were not corrected
-    error_left: FloatArray
-    error_right: FloatArray
-    #: the same in m on the nominal radius
-    error_left_m: FloatArray
-    error_right_m: FloatArray
-    #: largest amplitude that keeps both radii within tolerance on that run
-    allowed_amplitude_m: FloatArray
-    #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
-    arc_turn_rad: FloatArray
-    arc_excess: FloatArray
-    #: not judged
-    left_out: tuple[UnusedRun, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether no run is beyond the tolerance."""
-        return not bool((self.verdict == BEYOND).any())
-
-    @property
-    def summary(self) -> str:
-        """How many runs keep the tolerance, and what to do about the others."""
-        n, share = len(self.run_id), f"{100 * self.tolerance:g} %"
-        beyond, unknown = int((self.verdict == BEYOND).sum()), int((self.verdict == UNKNOWN).sum())
-        text = f"{n - beyond - unknown} of {n} runs keep both radii within {share} of what a straight path would give"
-        if beyond:
-            text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
-        if unknown:
-            open_, remedy = self.verdict == UNKNOWN, "add logs, or amplitude_m and wavelength_m"
-            if np.isfinite(self.error_left[open_]).any():
-                remedy = "where on the weave they began and ended decides; add logs, or ref_theta_rad at the end"
-            elif (self.source[open_] != "none").any():
-                remedy = "the wheels rolled as alike as steered by their own counts; measure ref_theta_rad at the end"
-            text += f"; of {unknown} the path is not known well enough: {remedy}"
-        curved = float(np.max(np.abs(self.arc_turn_rad)))
-        return (
-            f"{text}. Steered by its own odometry with the model's radii the vehicle would have turned by up to "
-            f"{curved:.3f} rad, a path up to {100 * float(np.max(self.arc_excess)):.3f} % longer."
-        )
-
-    def rows(self) -> list[Row]:
-        """Return one mapping of plain values a run."""
-        names = [name for name in self.__dataclass_fields__ if name not in {"tolerance", "left_out", "notes"}]
-        columns = [plain(getattr(self, name)) for name in names]
-        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
-
-
-def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
-    """Judge the path of every straight run against a tolerance.
-
-    Runs without log and without measured amplitude and wavelength are ``unknown``, and those of which the 95 % interval
-    alone reaches beyond the tolerance; `tolerance`: largest relative error of a radius. Raises RefusedError where there
-    is no straight run; BadInputError where the tolerance is not between 0 and 1.
-    """
-    if not 0 < tolerance < 1:
-        expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
-        raise BadInputError(f"tolerance: found {tolerance:g}; expected {expected}")
-    campaign, left_out, _ = usable_runs(campaign, need_load=False)
-    runs, vehicle, model = campaign.runs, campaign.vehicle, campaign.model
-    path = correct_paths(campaign)
-    distance = np.abs(runs.number("distance_m"))
-    # wheels that were kept alike say nothing of the path
-    unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
-    known = (path.source != "none") & ~unseen
-    left, right = radius_error(path.left), radius_error(path.right)
-    error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
-    # the turn of an unknown phase is at most the root of two times its standard deviation
-    off = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
-    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * off <= tolerance
-    weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
-    # of an unknown phase, that of the largest turn
-    phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
-    phased = weaving & np.isfinite(phases)
-    allowed = np.full(len(runs), np.nan)
-    allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
-    if phased.any():
-        length, phase, far = (part[phased] for part in (path.wavelength_m, phases, distance))
-        allowed[phased] = deviation.allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
-    small = np.full(len(runs), np.nan)
-    small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
-    # r_R / r_L by each run; the distance cancels
-    ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
-        np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
-    )
-    believed = model.radius_right_m / model.radius_left_m
-    turn = deviation.arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
-    unknown_nan = np.where(known, 0.0, np.nan)
-    return RunDeviations(
-        tolerance=tolerance,
-        run_id=runs.run_id,
-        source=path.source,
-        verdict=np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
-        distance_m=distance,
-        amplitude_m=path.amplitude_m,
-        wavelength_m=path.wavelength_m,
-        excess_centre=path.centre + unknown_nan,
-        excess_left=path.left + unknown_nan,
-        excess_right=path.right + unknown_nan,
-        small_amplitude=small,
-        error_left=left + unknown_nan,
-        error_right=right + unknown_nan,
-        error_left_m=left * vehicle.wheel_radius_m + unknown_nan,
-        error_right_m=right * vehicle.wheel_radius_m + unknown_nan,
-        allowed_amplitude_m=allowed,
-        arc_turn_rad=turn,
-        arc_excess=arc_excess(turn, distance, vehicle.track_m).centre,
-        left_out=left_out,
-        notes=path.notes,
     )

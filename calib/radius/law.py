@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri, ndtr, stdtridf, stdtrit
 
 from calib.documents import plain_fields
-from calib.types import FloatArray, floats
+from calib.types import BoolArray, FloatArray, floats
 
 #: in this order
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
@@ -358,3 +358,10 @@ def _nodes(dof: float) -> FloatArray:
     n = NODES_MANY_DOF if dof > MANY_DOF else NODES_FEW_DOF
     quantiles = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
     return np.asarray(quantiles / quantiles.mean())
+
+
+def within_law(law: RadiusLaw, load_left_N: FloatArray, load_right_N: FloatArray) -> BoolArray:
+    """Return whether both loads lie within a newton of the law's range, shape (n,)."""
+    loads = ((law.left, load_left_N), (law.right, load_right_N))
+    inside = [(load >= law.load_min_N - 1.0) & (load <= law.load_max_N + 1.0) for law, load in loads]
+    return np.asarray(np.all(inside, axis=0))

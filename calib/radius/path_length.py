@@ -15,10 +15,11 @@ from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign, Logs
-from calib.radius.deviation import arc_excess, whole_period_excess
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.campaign.read import looks_ahead
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 #: a heading reference is used where it tells more than its own noise
 MIN_RELIABILITY: Final = 0.05
@@ -43,6 +44,59 @@ SCALED: Final = (2, 1, 0, 2, 1, 1, 2)
 GAUSS_NEWTON_STEPS: Final = 7
 #: a larger step would jump to another wave
 MAX_PERIOD_CHANGE: Final = 0.2
+
+
+#: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
+SERIES_BELOW: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathExcess:
+    """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape."""
+
+    #: middle of the rear axle and both wheels
+    centre: FloatArray
+    left: FloatArray
+    right: FloatArray
+    #: heading at the end minus heading at the start
+    yaw_rad: FloatArray
+
+    @staticmethod
+    def of(centre: FloatArray, yaw_rad: FloatArray, distance_m: FloatArray, track_m: float) -> PathExcess:
+        """Return the excess of paths by that of their middle; the wheels keep half a track from it."""
+        half = 0.5 * track_m * yaw_rad / distance_m
+        return PathExcess(centre, centre - half, centre + half, np.asarray(yaw_rad))
+
+
+def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
+    """Return the relative excess of ``y = A sin(2 pi x / lambda)`` over whole periods, equal for centre and wheels.
+
+    ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
+    kind and ``m = u / (1 + u)`` (Fig. 9).
+
+    `amplitude_m`, `wavelength_m`: A and lambda, of shapes that broadcast.
+    """
+    from scipy.special import ellipe
+
+    u = (2 * np.pi * floats(amplitude_m) / floats(wavelength_m)) ** 2
+    exact = 2 / np.pi * np.sqrt(1 + u) * ellipe(u / (1 + u)) - 1
+    return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
+
+
+def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> FloatArray:
+    """Return the small-amplitude form ``(pi A / lambda)^2`` of `whole_period_excess`."""
+    return np.asarray((np.pi * (floats(amplitude_m) / floats(wavelength_m))) ** 2)
+
+
+def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> PathExcess:
+    """Return the relative excess of a steady arc over its chord (Fig. 8a).
+
+    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
+    wheels' contact points. The arguments broadcast.
+    """
+    yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
+    # np.sinc is sin(pi x) / (pi x)
+    return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,19 +169,6 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     wavelength = np.where(logged, weaves.wavelength_m, wavelength)
     weave, notes = (amplitude, wavelength, weaves.phase_rad), tuple(_notes(logged, listed, used))
     return RunPaths(centre, centre - half, centre + half, yaw, yaw_std, centre_std, *weave, source, notes)
-
-
-def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
-    """Return whether distances (n_runs,) are those along the start heading, by their end poses, NaN where unknown.
-
-    Else, and where no end pose tells, they are those of the chord to the end point.
-    """
-    known = np.isfinite(distance_m + x_m + y_m)
-    if not known.any():
-        return False
-    along, chord = np.abs(x_m[known]), np.hypot(x_m[known], y_m[known])
-    off_along, off_chord = (float(np.median(np.abs(distance_m[known] - way))) for way in (along, chord))
-    return off_along <= off_chord
 
 
 def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,15 +9,13 @@ from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
     allowed_amplitude_on_run_m,
-    arc_excess,
     arc_of_radii_rad,
     arc_row,
     excess_of_radius_error,
     radius_error,
-    small_amplitude_excess,
     weave_excess,
-    whole_period_excess,
 )
+from calib.radius.path_length import arc_excess, small_amplitude_excess, whole_period_excess
 
 AMPLITUDES = st.floats(1e-4, 1.5)
 WAVELENGTHS = st.floats(0.5, 80.0)

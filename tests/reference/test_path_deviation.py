@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from calib.radius.deviation import radius_error, small_amplitude_excess, weave_excess, whole_period_excess
+from calib.radius.deviation import radius_error, weave_excess
+from calib.radius.path_length import small_amplitude_excess, whole_period_excess
 
 #: amplitude m: excess in % at a wavelength of 40 m (exact, small amplitude) and of 5 m (the same, error of r_e)
 TABLE = {

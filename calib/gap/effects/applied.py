@@ -20,7 +20,7 @@ from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
-from calib.odometry.replay import within_law
+from calib.radius.law import within_law
 from calib.types import FloatArray
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, sa
 from calib.gap.effects.steering import angle_error, has_front
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import Perturbation
-from calib.kinematics.drives import SKID_TRACK
 from calib.types import FloatArray
+from calib.vehicle import SKID_TRACK
 
 
 class _Calibration(Effect):

@@ -16,8 +16,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from calib.radius.deviation import whole_period_excess
 from calib.radius.effective import Component, EffectiveRadii
+from calib.radius.path_length import whole_period_excess
 from calib.radius.regression import WheelFit
 from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled

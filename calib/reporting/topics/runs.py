@@ -11,8 +11,7 @@ import numpy as np
 from calib.campaign.check import CheckReport
 from calib.campaign.checks.design import SIDES, listed
 from calib.campaign.model import Note
-from calib.radius.deviation import allowed_amplitude_m, radius_error
-from calib.radius.effective import RunDeviations
+from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Section, Table, Text, items, table
