@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from calib.cli import terminal
 from calib.cli.terminal import Count, Number, Place, Text, Texts, arg, opt
@@ -60,7 +60,9 @@ def finish(
     terminal.then("simulate --law" if law else "simulate", c=law or "")
 
 
-def _tell(document: dict[str, Any], content: Iterable[Block | Section], notes: list[str], written: list[Path]) -> None:
+def _tell(
+    document: dict[str, object], content: Iterable[Block | Section], notes: list[str], written: list[Path]
+) -> None:
     from calib.reporting.blocks import items
 
     terminal.answer(document | {"notes": notes, "files": [str(path) for path in written]}, [*content, *items(notes)])

@@ -226,7 +226,7 @@ def from_geometry(
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 
-def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") -> dict[str, Any]:
+def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") -> dict[str, object]:
     """Return what ``calib geometry --json`` writes: `from_geometry` is its section, null where it is refused."""
     try:
         section = from_geometry(geometry, campaign, accept=accept).to_dict()

@@ -14,14 +14,7 @@ from calib.errors import RefusedError
 from calib.kinematics.drives import Drive, nominal_values
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
-from calib.kinematics.steering import (
-    CLEARLY_LESS,
-    POOR,
-    TURNS_RAD,
-    of_front,
-    still_steering,
-    straight_reading_rad,
-)
+from calib.kinematics.steering import CLEARLY_LESS, POOR, TURNS_RAD, of_front, still_steering, straight_reading_rad
 from calib.types import FloatArray
 
 #: relative distance of a ratio from its factor

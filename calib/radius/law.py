@@ -108,7 +108,7 @@ class WheelLaw:
         offset = floats(load_N) - self.reference_load_N
         return np.stack((np.ones_like(offset), offset), axis=-1)
 
-    def _more(self, contrast: FloatArray, single_run: bool) -> dict[str, Any]:
+    def _more(self, contrast: FloatArray, single_run: bool) -> dict[str, FloatArray]:
         if not single_run or self.strata is None:
             return {}
         square = contrast[..., 0] ** 2

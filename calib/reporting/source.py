@@ -205,7 +205,7 @@ def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
     return f"logo{path.suffix.lower()}", path.read_bytes()
 
 
-def verdict_document(verdict: Diagnosis) -> dict[str, Any]:
+def verdict_document(verdict: Diagnosis) -> dict[str, object]:
     """Return a verdict as ``calib diagnose --json`` writes it: with the paper's headline where load is the cause."""
     from calib.gap.decision.sentences import headline
 

@@ -17,7 +17,7 @@ from calib.reporting.blocks import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
 from calib.reporting.figures.calibration import path_deviation, regressions, residuals, runs_by_series
-from calib.reporting.figures.style import Groups, render, render_all
+from calib.reporting.figures.style import named_groups, render, render_all
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
 
@@ -179,7 +179,7 @@ def test_laid_out_once_a_figure_is_the_same_in_every_format() -> None:
 
 def test_long_names_that_end_differently_stay_apart() -> None:
     labels = np.array([f"afternoon_in_the_hot_hall_of_the_plant_in_the_south_{k}" for k in range(4)])
-    assert len(set(Groups.of(labels, "none").names)) == 4
+    assert len(set(named_groups(labels, "none").names)) == 4
 
 
 def test_there_is_no_tick_between_two_runs() -> None:

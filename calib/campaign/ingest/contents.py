@@ -12,20 +12,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.campaign import readers
 from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.model import Note
-from calib.campaign.readers import (
-    READERS,
-    Layout,
-    RawTable,
-    holds_recording,
-    is_bag_folder,
-    read_recording,
-    read_table,
-    table,
-)
+from calib.campaign.readers import Layout, RawTable, read_recording, read_table, table
 from calib.campaign.readers.recording import StreamContents, check_not_empty
 from calib.campaign.settings import bracketed
 from calib.errors import BadFileError, BadInputError
@@ -48,7 +40,7 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
     """
     files: list[Path] = []
     for source in sources:
-        if is_bag_folder(source) or source.is_file():
+        if readers.is_bag_folder(source) or source.is_file():
             files.append(source)
         elif source.is_dir():
             files += _files_inside(source)
@@ -63,7 +55,8 @@ def _files_inside(folder: Path) -> list[Path]:
     So a run table stands beside folders of logs; campaigns are omitted.
     """
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
-    files = [path for path in inside if is_bag_folder(path) or (path.is_file() and path.suffix.lower() in READERS)]
+    known, is_bag = readers.READERS, readers.is_bag_folder
+    files = [path for path in inside if is_bag(path) or (path.is_file() and path.suffix.lower() in known)]
     if len(files) < 2:
         for path in inside:
             is_logs = path.is_dir() and not path.is_symlink() and path not in files
@@ -149,7 +142,7 @@ def file_contents(path: Path) -> FileContents:
     Raises BadFileError where it cannot be read.
     """
     shown = str(path)
-    if holds_recording(path):
+    if readers.holds_recording(path):
         return _recording_contents(path, shown)
     names: list[str] = []
     if path.suffix.lower() == ".xlsx":

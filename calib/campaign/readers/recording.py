@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -78,16 +78,21 @@ class Stream:
 
     def contents(self) -> StreamContents:
         """Return what the stream holds, and its clock's span, rate and gaps."""
-        shown: dict[str, Any] = {}
-        if self.time_ns is not None and len(self.time_ns):
-            steps_s = np.diff(self.time_ns) / NS_PER_S
-            usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
-            gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
-            shown = {"span_s": float(np.ptp(self.time_ns)) / NS_PER_S, "rate_Hz": 1.0 / usual_s if usual_s > 0 else 0.0}
-            shown |= {"n_gaps": len(gaps_s), "longest_gap_s": float(gaps_s.max(initial=0.0))}
-            shown["start_ns"] = int(self.time_ns.min())
         given = (self.name, self.kind, len(self), self.clock, tuple(self.columns))
-        return StreamContents(*given, behind_arrival_s=self.behind_arrival_s, **shown)
+        held = StreamContents(*given, behind_arrival_s=self.behind_arrival_s)
+        if self.time_ns is None or not len(self.time_ns):
+            return held
+        steps_s = np.diff(self.time_ns) / NS_PER_S
+        usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+        gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
+        return replace(
+            held,
+            span_s=float(np.ptp(self.time_ns)) / NS_PER_S,
+            rate_Hz=1.0 / usual_s if usual_s > 0 else 0.0,
+            n_gaps=len(gaps_s),
+            longest_gap_s=float(gaps_s.max(initial=0.0)),
+            start_ns=int(self.time_ns.min()),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

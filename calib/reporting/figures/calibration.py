@@ -19,8 +19,9 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.path_length import whole_period_excess
 from calib.radius.regression import WheelFit
+from calib.radius.sessions import Groups
 from calib.reporting.figures import style
-from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, Groups, axes_grid, canvas, styled
+from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, axes_grid, canvas, styled
 from calib.types import FloatArray, StrArray, evenly
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
     order = np.arange(1.0, len(radii) + 1)
-    sessions = Groups.of(radii.session, NO_SESSION)
+    sessions = style.named_groups(radii.session, NO_SESSION)
     loads = np.stack((radii.load_left_N, radii.load_right_N))
     sides = zip((radii.radius_left_m, radii.radius_right_m), (radii.std_left_m, radii.std_right_m), loads, strict=True)
     span = Normalize(float(loads.min()), float(loads.max())) if varies(loads) else None
@@ -54,7 +55,7 @@ def runs_by_series(radii: EffectiveRadii) -> Figure:
         if len(order) <= MANY:
             axis.errorbar(order, MM * radius, yerr=2 * MM * np.nan_to_num(std), fmt="none", ecolor=GREY, elinewidth=0.6)
         if span is None:
-            sessions.draw(axis, order, MM * radius, ms=3.6)
+            style.draw_groups(axis, sessions, order, MM * radius, ms=3.6)
         else:
             axis.scatter(order, MM * radius, c=load, norm=span, cmap=scale, s=9, lw=0, zorder=3)
             _mark_sessions(axis, sessions)
@@ -95,7 +96,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     """
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
-    sessions = Groups.of(session, NO_SESSION)
+    sessions = style.named_groups(session, NO_SESSION)
     for column, fit in enumerate((left, right)):
         law = fit.law
         span = max(law.load_max_N - law.load_min_N, 0.04 * abs(law.load_max_N), 1.0)
@@ -109,8 +110,8 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=style.INK, lw=1.0, label="law")
             axis.tick_params(labelleft=True)
-        sessions.draw(upper, fit.load_N, MM * fit.radius_m, ms=3.2)
-        sessions.draw(lower, fit.load_N, UM * fit.residual_m, ms=3.2)
+        style.draw_groups(upper, sessions, fit.load_N, MM * fit.radius_m, ms=3.2)
+        style.draw_groups(lower, sessions, fit.load_N, UM * fit.residual_m, ms=3.2)
         upper.set_title(f"{fit.wheel.capitalize()} wheel")
         lower.set_xlabel("wheel load (N)")
         upper.margins(x=0)
@@ -180,7 +181,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 
     figure = canvas(8.0)
     axes = axes_grid(figure, 2, 3, sharey=True)
-    sessions = Groups.of(session, NO_SESSION)
+    sessions = style.named_groups(session, NO_SESSION)
     for row, fit in enumerate((left, right)):
         rest = UM * fit.residual_m
         # Blom's plotting positions
@@ -188,7 +189,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
         for column, x in enumerate((fit.load_N, np.arange(1.0, len(rest) + 1), quantile)):
             axis = axes[row, column]
             axis.axhline(0.0, color=GREY, lw=0.6)
-            sessions.draw(axis, x, rest, ms=3)
+            style.draw_groups(axis, sessions, x, rest, ms=3)
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
         style.over_runs(axes[row, 1], "")
@@ -338,14 +339,14 @@ def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
     """Draw end residuals before and after, in the order driven, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)
-    kinds = style.Groups.of(np.array([trace.kind for trace in traces]), "all runs")
+    kinds = style.named_groups(np.array([trace.kind for trace in traces]), "all runs")
     order = np.arange(1.0, len(traces) + 1)
     for row, word, values in (
         (grid[0], "before", [trace.residual_before[-1] for trace in traces]),
         (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
     ):
         for axes, column, (title, unit, factor) in zip(row, np.transpose(values), CHANNELS, strict=True):
-            kinds.draw(axes, order, factor * column, marker="o", ms=2.8)
+            style.draw_groups(axes, kinds, order, factor * column, marker="o", ms=2.8)
             axes.axhline(0.0, color=INK, lw=0.5)
             axes.set_title(f"{word}: {title} ({unit})")
     for axes in grid[1]:

@@ -12,8 +12,9 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from calib.gap.observations.arrays import Channel
+from calib.radius.sessions import Groups
 from calib.reporting.figures import style
-from calib.reporting.figures.style import GREY, INK, Groups, colour, group_legend, legible, panels, round_down, styled
+from calib.reporting.figures.style import GREY, INK, colour, group_legend, legible, panels, round_down, styled
 from calib.reporting.formatting import readable, with_unit
 from calib.types import FloatArray, StrArray
 
@@ -104,7 +105,7 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     for path in paths_m:
         axis.plot(path[:, 0], path[:, 1], color="#C4C9CE", lw=0.7, solid_capstyle="round")
     x, y = np.where(known[:, None], ends, np.nan).T
-    groups.draw(axis, x, y, marker="o", ms=2.2)
+    style.draw_groups(axis, groups, x, y, marker="o", ms=2.2)
     arrow = {"arrowstyle": "-|>", "lw": 0.9, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0}
     for k in np.flatnonzero(known):
         tint = colour(int(groups.index[k]))
@@ -148,7 +149,7 @@ def gap_by_covariate(
         good = np.isfinite(gap) & np.isfinite(values)
         axis.axhspan(-factor * noise_level, factor * noise_level, color=GREY, alpha=0.3, lw=0.5, ec=INK)
         axis.axhline(0.0, color=GREY, lw=0.6)
-        groups.draw(axis, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
+        style.draw_groups(axis, groups, values, gap, marker="o", ms=2.2, alpha=0.6, mew=0)
         if good.sum() >= 3:
             centre, mean, error = _classes(values[good], gap[good])
             axis.errorbar(centre, mean, yerr=error, fmt="s", color=INK, elinewidth=0.8, ms=2.6)
@@ -252,7 +253,8 @@ def rms(values: FloatArray) -> float:
 
 
 def _groups(group: StrArray) -> Groups:
-    return Groups.of(np.char.replace(group, "_", " "), "(none)", limit=max(int(np.char.str_len(group).max()), 1))
+    longest = max(int(np.char.str_len(group).max()), 1)
+    return style.named_groups(np.char.replace(group, "_", " "), "(none)", limit=longest)
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

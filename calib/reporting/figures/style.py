@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, Final, ParamSpec
@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from calib.errors import BadInputError
 from calib.io import refuse_existing, write_files
-from calib.radius.sessions import groups_of
-from calib.types import BoolArray, FloatArray, IntArray, Progress, StrArray, silent, stepped
+from calib.radius.sessions import Groups, groups_of
+from calib.types import BoolArray, FloatArray, Progress, StrArray, silent, stepped
 
 P = ParamSpec("P")
 
@@ -84,31 +84,34 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
         figure.legend(handles, labels, handlelength=1.2, handletextpad=0.5, columnspacing=1.4, **look)
 
 
-def group_legend(figure: Figure, axis: Any, names: Sequence[str], *, below: bool = False) -> None:
+def group_legend(figure: Figure, axis: Any, names: Sequence[str] | StrArray, *, below: bool = False) -> None:
     """Put a legend of several groups outside the axes, unless too many to be told apart."""
     if 1 < len(names) <= LEGEND_LIMIT:
         shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Groups:
-    """Runs by session or kind: names as they first appear, and each run's number."""
+def named_groups(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Groups:
+    """Return runs (n,) by session or kind under names that fit a legend; an empty label is called `none`."""
+    groups = groups_of(labels)
+    return replace(groups, names=np.array([_short(str(name), none, limit) for name in groups.names]))
 
-    names: list[str]
-    index: IntArray
 
-    @staticmethod
-    def of(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Groups:
-        """Return the groups of labels (n,); an empty label is called `none`."""
-        groups = groups_of(labels)
-        return Groups([_short(str(name), none, limit) for name in groups.names], groups.index)
+def draw_groups(axis: Axes, groups: Groups, x: FloatArray, y: FloatArray, **style: Any) -> None:
+    """Draw runs as dots in the colours of their groups.
 
-    def draw(self, axis: Axes, x: FloatArray, y: FloatArray, **style: Any) -> None:
-        """Draw runs as dots in the colours of their groups."""
-        style = {"marker": ".", "linestyle": "none", "rasterized": len(self.index) > MANY, **style}
-        for number, name in enumerate(self.names):
-            on = self.index == number
-            axis.plot(x[on], y[on], color=colour(number), label=name, **style)
+    Parameters
+    ----------
+    axis, groups
+        Where, and the group of each run.
+    x, y
+        Their places, shape (n,).
+    style
+        More of `Axes.plot`.
+    """
+    style = {"marker": ".", "linestyle": "none", "rasterized": len(groups.index) > MANY, **style}
+    for number, name in enumerate(groups.names):
+        on = groups.index == number
+        axis.plot(x[on], y[on], color=colour(number), label=name, **style)
 
 
 def _short(name: str, none: str, limit: int) -> str:

@@ -11,20 +11,9 @@ from calib.campaign.checks.design import SIDES, WEIGHTY, listed
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
-from calib.reporting import blocks
+from calib.reporting import blocks, formatting
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, table
-from calib.reporting.formatting import (
-    MISSING,
-    aligned,
-    fixed,
-    measured,
-    places,
-    plural,
-    probability,
-    prose,
-    span,
-    two_digits,
-)
+from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.reporting.sentences import caption, paragraph
 from calib.types import FloatArray, grouped
 
@@ -157,7 +146,7 @@ def checks_table(fit: Fit) -> Table:
             "both" if len(same) == 2 else next(iter(same)),
             _LEVELS.get(level, level),
             _statistics(list(same.values())),
-            " / ".join(dict.fromkeys(probability(check.p_value) for check in same.values())),
+            " / ".join(dict.fromkeys(formatting.probability(check.p_value) for check in same.values())),
             prose(sentence),
         )
         for name, results in by_name.items()

@@ -17,16 +17,7 @@ from calib.reporting.blocks import Block, Equation, Facts, Items, Section, Table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.reporting.source import OPTIONAL, STATED, Source
-from calib.reporting.topics.fit import (
-    MM,
-    UM,
-    assumed_text,
-    budget_picture,
-    coefficients_in_units,
-    quality_text,
-    radius_budget,
-    regressions_picture,
-)
+from calib.reporting.topics import fit as results
 
 
 def item_section(source: Source) -> Section:
@@ -114,7 +105,7 @@ def conditions_section(source: Source) -> Section:
     some = any(key.startswith(("rangefinder", "reference")) for key in setup.assumed)
     beside = " where none is assumed" if some else ""
     stated = f"{traceable} The standard uncertainties of the instruments are as stated by the campaign{beside}."
-    texts = [Text(stated), assumed_text(setup.assumed)]
+    texts = [Text(stated), results.assumed_text(setup.assumed)]
     if "remarks" in source.stated:
         texts.append(Text(f"Remarks: {source.stated['remarks']}"))
     return Section("Instruments and conditions", (Facts(tuple(rows)), *texts))
@@ -191,8 +182,8 @@ def regression_section(source: Source) -> Section:
     heads = ("Load (N)", *(f"{wheel} wheel | {head}" for wheel in ("Left", "Right") for head in bands))
     title = "The law at the least and largest load and at round ones between, with the half widths of both bands."
     shown = table(title, heads, aligned(_band_rows(fit.left, fit.right), 2, 3, 5, 6))
-    quality = Text(" ".join(map(quality_text, fit.wheels.values())))
-    return Section("Regression on load", (Text(paragraph("bands")), regressions_picture(fit), shown, quality))
+    quality = Text(" ".join(map(results.quality_text, fit.wheels.values())))
+    return Section("Regression on load", (Text(paragraph("bands")), results.regressions_picture(fit), shown, quality))
 
 
 def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
@@ -201,10 +192,10 @@ def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     loads = np.unique(np.rint([low, *round_loads(low, high), high]))
     columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
-        mean, single = (UM * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
+        mean, single = (1e6 * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
         # one number of decimals for all radii: the narrowest band's
         decimals = places(1e-3 * float(mean.min()))
-        columns.append([fixed(MM * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
+        columns.append([fixed(1e3 * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
         columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
     return tuple(zip(*columns, strict=True))
 
@@ -214,7 +205,7 @@ def coefficients_section(source: Source) -> Section:
     fit = source.fit
     rows = []
     for wheel in fit.wheels.values():
-        for number, (title, unit, value, std, dof) in enumerate(coefficients_in_units(wheel)):
+        for number, (title, unit, value, std, dof) in enumerate(results.coefficients_in_units(wheel)):
             k = float(t_quantile(dof))
             # two digits of u fix the value's last place, too
             numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
@@ -272,5 +263,5 @@ def budget_section(source: Source) -> Section:
     """Return what the uncertainty is made of."""
     fit = source.fit
     declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
-    blocks = (radius_budget(fit), budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
+    blocks = (results.radius_budget(fit), results.budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
     return Section("Uncertainty budget", blocks)

@@ -17,14 +17,7 @@ from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Section, Table, Text, items, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
 from calib.reporting.sentences import caption, catalogue, paragraph
-from calib.reporting.topics.fit import (
-    MOST_ROWS,
-    deviation_picture,
-    left_out_table,
-    runs_picture,
-    runs_table,
-    static_table,
-)
+from calib.reporting.topics import fit as results
 from calib.types import FloatArray, grouped
 
 if TYPE_CHECKING:
@@ -43,10 +36,10 @@ def sessions_table(fit: Fit) -> Table:
         scatter = [float(np.std(part, ddof=1)) if len(part) > 1 else float("nan") for part in pieces]
         sizes = (fixed(1e6 * part, 1) for part in (*(float(part.mean()) for part in pieces), *scatter))
         rows.append((str(name), str(int(on.sum())), *loads, *sizes))
-    first = f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
+    first = f", the first {results.MOST_ROWS} of {len(rows)}" if len(rows) > results.MOST_ROWS else ""
     columns = ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in SIDES))
     title = caption("table-sessions", runs=len(radii), first=first)
-    return table(title, columns, rows[:MOST_ROWS], dense=True)
+    return table(title, columns, rows[: results.MOST_ROWS], dense=True)
 
 
 def runs_section(source: Source) -> Section:
@@ -55,11 +48,11 @@ def runs_section(source: Source) -> Section:
     sessions = plural(len(set(radii.session.tolist())), "session")
     content = (
         Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
-        runs_picture(fit),
-        runs_table(fit) if len(radii) <= MOST_ROWS else sessions_table(fit),
-        left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
+        results.runs_picture(fit),
+        results.runs_table(fit) if len(radii) <= results.MOST_ROWS else sessions_table(fit),
+        results.left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
     )
-    return Section("Runs", (*content, *([static_table(fit)] if fit.static else [])))
+    return Section("Runs", (*content, *([results.static_table(fit)] if fit.static else [])))
 
 
 #: relative error of a radius that the runs are compared with
@@ -81,7 +74,8 @@ def deviation_section(source: Source) -> Section:
     heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
     corrected = {"corrected": int((radii.path_source != "none").sum()), "runs": len(radii)}
     text = Text(paragraph("paths", **corrected, worst=1e6 * float(np.abs(paths).max())))
-    content: list[Block] = [text, deviation_picture(source.fit), table(caption("table-corrections"), heads, rows)]
+    shown = table(caption("table-corrections"), heads, rows)
+    content: list[Block] = [text, results.deviation_picture(source.fit), shown]
     if known.any():
         off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
         wavelength = _median(radii.wavelength_m[known])

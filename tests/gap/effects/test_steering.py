@@ -12,7 +12,7 @@ from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.steering import FARTHEST_STRAIGHT_RAD
-from tests.kinematics.test_ackermann import Truth, campaign, spoilt
+from tests.kinematics.ackermann import Truth, campaign, spoilt
 
 RUNS = 4
 #: of the zero: windows of some 0.3 m know it to a milliradian or two each
