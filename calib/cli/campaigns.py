@@ -151,7 +151,7 @@ def run(
     """
     refuse_workers(workers)
     from calib.fleet.run import fit_fleet, survey_fleet
-    from calib.reporting.pages import Heads, write_fleet
+    from calib.reporting.pages import write_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content
 
@@ -166,8 +166,7 @@ def run(
             else survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
         )
         document = fleet.to_dict()
-        heads = Heads(folder.resolve().name, issued, fleet.simulated)
-        written = write_fleet(fleet, into, heads, force=terminal.forced())
+        written = write_fleet(fleet, into, name=folder.resolve().name, issued=issued, force=terminal.forced())
     terminal.answer(document, fleet_content(fleet))
     terminal.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]

@@ -100,15 +100,10 @@ def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> Pat
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunPaths:
-    """Path of each run; arrays of shape (n_runs,)."""
+class RunPaths(PathExcess):
+    """Path of each run; arrays of shape (n_runs,), 0 where nothing is known."""
 
-    #: relative excess over S_O of the middle of the rear axle and of both wheels; 0 where nothing is known
-    centre: FloatArray
-    left: FloatArray
-    right: FloatArray
-    #: heading at the end minus heading at the start, and its standard uncertainty; 0 where nothing is known
-    yaw_rad: FloatArray
+    #: standard uncertainties of turn and excess
     yaw_std_rad: FloatArray
     centre_std: FloatArray
     #: of the weave, NaN where unknown; the phase is known from logs only

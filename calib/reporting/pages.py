@@ -7,7 +7,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
@@ -176,17 +176,18 @@ def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
     return [(run[0][1], len(run)) for run in (list(group) for _, group in groupby(keys, key=lambda key: key[0]))]
 
 
-@dataclass(frozen=True, slots=True)
-class Heads:
-    """What the pages of a fleet say beside its result: name, date of issue (YYYY-MM-DD), whether data are simulated."""
+def write_fleet(fleet: Fleet | Survey, into: Path, *, name: str, issued: str, force: bool = False) -> list[Path]:
+    """Write the result of a task over a fleet, all of it or none, with its pages.
 
-    name: str
-    issued: str
-    simulated: bool
-
-
-def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads, *, force: bool = False) -> list[Path]:
-    """Write the result of a task over a fleet, all of it or none, with its pages; `force`: in place of others."""
+    Parameters
+    ----------
+    fleet, name
+        The result, and what the pages call the fleet.
+    into, force
+        Result folder; whether existing files are replaced.
+    issued
+        Date of issue, YYYY-MM-DD.
+    """
     from calib.fleet.run import Fleet
     from calib.reporting.figures.challenge import fleet_figures
     from calib.reporting.topics.fleet import fleet_content
@@ -199,9 +200,9 @@ def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads, *, force: bool 
     report = Report(
         report_id=number_of("FR", document),
         title="A fleet of vehicles",
-        name=heads.name,
-        issued=heads.issued,
-        simulated=heads.simulated,
+        name=name,
+        issued=issued,
+        simulated=fleet.simulated,
         passed=not view["n_failed"],
         sections=tuple(Section(head.text, tuple(inner)) for head, *inner in parts if isinstance(head, Heading)),
         attachments=(Attachment("fleet.json", text.encode(), what),),
@@ -211,8 +212,8 @@ def write_fleet(fleet: Fleet | Survey, into: Path, heads: Heads, *, force: bool 
     files = {f"{stem}.json": _bytes(text)}
     if isinstance(fleet, Fleet):
         files["vehicles.csv"] = _bytes(_table(document["vehicles"]))
-        for name, draw in fleet_figures(fleet).items():
-            files |= {f"{name}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
+        for figure, draw in fleet_figures(fleet).items():
+            files |= {f"{figure}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
     return write_files(
         into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=force
     )

@@ -17,7 +17,7 @@ from calib.fleet import store
 from calib.fleet.run import fit_fleet, survey_fleet
 from calib.fleet.store import SUMS
 from calib.io import sha256_file
-from calib.reporting.pages import Heads, write_fleet
+from calib.reporting.pages import write_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -139,7 +139,7 @@ def test_a_fleet_of_which_nothing_can_be_fitted_has_its_pages(fleet: Path, tmp_p
         (fleet / vehicle / "campaign.toml").mkdir()
     fitted = fit_fleet(fleet, tmp_path / "out")
     assert fitted.view.n_failed == 2
-    written = write_fleet(fitted, tmp_path / "out", Heads("fleet", "2026-01-31", False))
+    written = write_fleet(fitted, tmp_path / "out", name="fleet", issued="2026-01-31")
     assert {path.name for path in written} == {"fleet.json", "vehicles.csv", "fleet.pdf", "fleet.html"}
 
 

@@ -18,7 +18,7 @@ from calib.fleet.run import survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.fleet import make_posed_fleet
-from calib.reporting.pages import Heads, write_fleet
+from calib.reporting.pages import write_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12
@@ -86,8 +86,8 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
     assert shared == [("hall", "A", "track_m"), ("hall", "B", "track_m")]
     low, high = survey.quantities.populations["radius_left_m"].mean_ci95
     assert low < 0.1 < high
-    page = Heads("halls", "2026-01-31", True)
-    written = {path.name: path for path in write_fleet(survey, tmp_path / "out", page)}
+    pages = write_fleet(survey, tmp_path / "out", name="halls", issued="2026-01-31")
+    written = {path.name: path for path in pages}
     assert written["geometry.pdf"].read_bytes().startswith(b"%PDF")
     text = written["geometry.html"].read_text(encoding="utf-8")
     assert "v05, radius left" in text
