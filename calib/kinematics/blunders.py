@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib.campaign.wheels import SLOWEST_RADPS, STEERED
 from calib.errors import RefusedError
-from calib.kinematics.drives import Drive, nominal_values
-from calib.kinematics.model import Model, Segments
-from calib.kinematics.recording import Recording
-from calib.kinematics.steering import CLEARLY_LESS, POOR, TURNS_RAD, of_front, still_steering, straight_reading_rad
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from calib.kinematics.drives import Drive
+    from calib.kinematics.model import Model, Segments
+    from calib.kinematics.recording import Recording
 
 #: relative distance of a ratio from its factor
 NEAR: Final = 0.08
+#: turns of the wheels by less, rms over the stretches, say nothing of the heading's unit
+TURNS_RAD: Final = 0.1
 #: nor logged but once a second where it is so slow
 SLOWEST_OF_ROWS_RADPS: Final = 0.2
 #: part of a spike that is left of it one sample later
 SPIKE_LEFT: Final = 0.1
+#: a steering angle that reads more straight ahead was never zeroed: assembly leaves hundredths
+FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
+#: no wheel is steered further
+LARGEST_STEERING_RAD: Final = 2.0
+LEAST_COSINE: Final = 0.2
+#: estimates of the angle read straight ahead, each with the way of a front wheel that the one before gives
+STRAIGHT_ROUNDS: Final = 5
+#: an angle that moves less over a campaign is not that of a wheel that steers
+STILL_RAD: Final = 1e-3
 #: a reference mirrored in y and heading is to the wheels the same as left for right
 OR_MIRRORED: Final = (
     "; or ref_y_m and ref_theta_rad are both mirrored (clockwise, y to the right, NED): then change their signs and "
@@ -36,6 +48,7 @@ TWIST: Final = "omega_radps"
 ALONG: Final = 0.5
 #: where turns are not told, a displacement below this part of the way, of a loop that nearly closes, tells nothing
 FAR: Final = 0.1
+Between = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +60,7 @@ class Fault:
     seen: bool = False  #: whether the readings alone show it, well fitted or not
 
 
-Corrected = tuple[Recording, tuple[Fault, ...]]
+Corrected = tuple["Recording", tuple[Fault, ...]]
 
 
 def rear_faults(recording: Recording, segments: Segments) -> Corrected:
@@ -138,7 +151,7 @@ def front_faults(recording: Recording, segments: Segments, radius_m: float, *, b
         faults.append(Fault("steering_offset", text))
         steer = np.angle(np.exp(1j * (steer - straight_rad)))
         recording = recording.with_steering(steer)
-    ways = (of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
+    ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
     by_ways = segments.between(ways)[:, headed]
     turning, *_ = np.linalg.lstsq(by_ways.T, turned, rcond=None)
     clear = _regression(by_ways, turned, told=slice(1)) is not None
@@ -152,6 +165,68 @@ def front_faults(recording: Recording, segments: Segments, radius_m: float, *, b
         faults.append(Fault("reversed_steering", text))
         recording = recording.with_steering(-steer)
     return recording, tuple(faults)
+
+
+def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatArray, run: IntArray) -> str:
+    """Return what is wrong where the angle never moves but the curvature does; empty if right.
+
+    `steer_rad` (shape (n_steps,)): angle read; `rolled`, `turned_rad`, `run` (shape (n,)): what the wheel rolled over
+    each stretch, its measured turn and its run; stretches of one run follow each other.
+    """
+    if not len(run) or not float(np.ptp(steer_rad)) <= STILL_RAD:
+        return ""
+    left_rad = turned_rad - rolled * float(rolled @ turned_rad) / max(float(rolled @ rolled), 1e-12)
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    departed_rad = max(float(np.ptp(np.append(0.0, np.cumsum(part)))) for part in np.split(left_rad, first[1:]))
+    if departed_rad < TURNS_RAD:
+        return ""
+    return (
+        f"it reads {np.mean(steer_rad):.3g} rad throughout, while the vehicle turned by {departed_rad:.2g} rad more "
+        "than one steering angle turns it; check the sensor of the steering and its column"
+    )
+
+
+def _of_front(rolled: FloatArray, steer_rad: FloatArray) -> FloatArray:
+    """Return the front wheel's way by a counted shaft at the rear; none is steered across."""
+    return rolled / np.maximum(np.cos(steer_rad), LEAST_COSINE)
+
+
+def straight_reading_rad(
+    rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between, *, by_shaft: bool = False
+) -> float:
+    """Return the steering angle read straight ahead; 0 where unknown or near 0.
+
+    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
+    c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
+
+    Parameters
+    ----------
+    rolled, steer_rad
+        Way of the front wheel in each step, and the angle read, shape (n_steps,).
+    turned_rad, between
+        Measured turns of stretches, shape (n,), and sums of steps over these.
+    by_shaft
+        The way is that of a counted rear axle: turns go by the tangent.
+    """
+    if len(turned_rad) < 4 or float(np.ptp(steer_rad)) > 2.0 * LARGEST_STEERING_RAD:
+        return 0.0
+    most = np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
+    total, found_rad = turned_rad @ turned_rad, float(np.angle(most))
+    for _ in range(STRAIGHT_ROUNDS if by_shaft else 1):
+        front = _of_front(rolled, steer_rad - found_rad) if by_shaft else rolled
+        ways = np.stack([between(front * np.sin(steer_rad)), between(front * np.cos(steer_rad))])
+        (by_sine, by_cosine), *_ = np.linalg.lstsq(ways.T, turned_rad)
+        straight = complex(by_sine, -by_cosine)
+        straight *= np.sign((straight * most.conjugate()).real)
+        found_rad = float(np.angle(straight))
+    left = np.sum((turned_rad - by_sine * ways[0] - by_cosine * ways[1]) ** 2)
+    # from the largest zero that a fit finds: where that leaves as little, these turns do not tell
+    near_rad = float(np.copysign(FARTHEST_ZERO_RAD, found_rad))
+    by_near = np.cos(near_rad) * ways[0] - np.sin(near_rad) * ways[1]
+    alone = total - (by_near @ turned_rad) ** 2 / max(by_near @ by_near, 1e-12)
+    if left > POOR * total or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
+        return 0.0
+    return found_rad if abs(found_rad) > FARTHEST_ZERO_RAD else 0.0
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
@@ -178,6 +253,10 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
+#: columns as they stand count as wrong where others leave less than this part of what they leave
+CLEARLY_LESS: Final = 0.25
+#: and where they leave more than this part of the way and of the turns
+POOR: Final = 0.1
 #: within this factor of the least, readings are as good
 ALIKE: Final = 1.1
 #: turns of less are noise
@@ -196,7 +275,8 @@ def corrected(recording: Recording, segments: Segments, source: str, drive: Driv
     # with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
-    nominal = Model(drive, recording, segments).predict(nominal_values(drive))
+    model, values = _nominal(recording, segments, drive)
+    nominal = model.predict(values)
     refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
     if faults is not None:
         return recording, faults
@@ -263,7 +343,7 @@ def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> Cor
     """
 
     def left_by(recording: Recording) -> tuple[float, float]:
-        return _left(Model(drive, recording, segments), nominal_values(drive))
+        return _left(*_nominal(recording, segments, drive))
 
     turned, as_it_stands = recording.steps.turned_rad, left_by(recording)[0]
     if as_it_stands < POOR:
@@ -292,6 +372,14 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
         names = ", ".join(f"counts_{WHEELS[one]} and counts_{WHEELS[other]}" for one, other in pairs)
         names += OR_MIRRORED if pairs == [(0, 1), (2, 3)] else ""
         yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
+
+
+def _nominal(recording: Recording, segments: Segments, drive: Drive) -> tuple[Model, FloatArray]:
+    # what only reads a steering angle needs no model
+    from calib.kinematics.drives import nominal_values
+    from calib.kinematics.model import Model
+
+    return Model(drive, recording, segments), nominal_values(drive)
 
 
 def _left(model: Model, values: FloatArray) -> tuple[float, float]:

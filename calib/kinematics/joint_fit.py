@@ -22,6 +22,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
+from calib.kinematics.blunders import CLEARLY_LESS
 from calib.kinematics.drives import (
     GYRO_SCALE,
     NOMINAL_STD,
@@ -34,7 +35,6 @@ from calib.kinematics.drives import (
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
-from calib.kinematics.steering import CLEARLY_LESS
 from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
 from calib.types import BoolArray, FloatArray, IntArray
 

@@ -10,11 +10,10 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.kinematics.blunders import NEAR, TWIST, Fault
+from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.recording import Recording
-from calib.kinematics.steering import LARGEST_STEERING_RAD
 from calib.types import BoolArray, FloatArray, since_start
 from calib.vehicle import SKID_TRACK
 

@@ -179,14 +179,7 @@ def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
 def write_fleet(fleet: Fleet | Survey, into: Path, *, name: str, issued: str, force: bool = False) -> list[Path]:
     """Write the result of a task over a fleet, all of it or none, with its pages.
 
-    Parameters
-    ----------
-    fleet, name
-        The result, and what the pages call the fleet.
-    into, force
-        Result folder; whether existing files are replaced.
-    issued
-        Date of issue, YYYY-MM-DD.
+    `name`, `issued`: of the fleet, and date of issue, see `Report`; `force`: in place of others.
     """
     from calib.fleet.run import Fleet
     from calib.reporting.figures.challenge import fleet_figures

@@ -10,7 +10,7 @@ from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, always
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.steps import Perturbation, joined_perturbation
-from calib.kinematics.steering import still_steering, straight_reading_rad
+from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another

@@ -97,17 +97,7 @@ def named_groups(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Group
 
 
 def draw_groups(axis: Axes, groups: Groups, x: FloatArray, y: FloatArray, **style: Any) -> None:
-    """Draw runs as dots in the colours of their groups.
-
-    Parameters
-    ----------
-    axis, groups
-        Where, and the group of each run.
-    x, y
-        Their places, shape (n,).
-    style
-        More of `Axes.plot`.
-    """
+    """Draw runs at `x` and `y` (n,) as dots in the colours of their groups; `style`: see `Axes.plot`."""
     style = {"marker": ".", "linestyle": "none", "rasterized": len(groups.index) > MANY, **style}
     for number, name in enumerate(groups.names):
         on = groups.index == number
