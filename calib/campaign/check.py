@@ -13,6 +13,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
+from calib.campaign.checks.counts import implausible_paths
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
 from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
@@ -27,7 +28,8 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
     notes, campaign = _taken_apart(campaign.included())
     yield from notes
-    for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
+    checks = _settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses, implausible_paths
+    for check in checks:
         yield from check(campaign)
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.checks.counts import count_jumps, dead_counters, log_speed
+from calib.campaign.checks.counts import count_jumps, dead_counters, implausible_paths, log_speed
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
+from tests.kinematics import campaigns as driven
+from tests.kinematics.test_named_blunders import Columns, changed
 
 
 def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
@@ -98,3 +100,31 @@ def test_a_wheel_that_stands_is_not_slow() -> None:
     made = campaign(logs=True)
     still = {f"counts_{side}": np.arange(made.logs.offsets[-1]) % 2.0 for side in ("left", "right")}
     assert not [note for note in log_speed(with_log_columns(made, **still)) if note.code == "clock_unit"]
+
+
+BLUNDERS = {
+    "millimetres": lambda log: {name: 1e3 * log[name] for name in ("ref_x_m", "ref_y_m")},
+    "the vertical axis": lambda log: {"ref_y_m": 0.15 + 1e-3 * np.sin(np.arange(len(log["ref_y_m"])))},
+    "both one column": lambda log: {"counts_right": log["counts_left"]},
+    "sound": lambda log: {},
+    # bends no path but by the counts
+    "a straight line": lambda log: {"ref_y_m": 0.0 * log["ref_y_m"], "ref_theta_rad": 0.0 * log["ref_theta_rad"]},
+}
+
+
+@pytest.mark.parametrize("headings", [True, False])
+@pytest.mark.parametrize("blunder", BLUNDERS)
+def test_paths_by_reference_and_wheels_are_of_one_length_and_plane(blunder: str, headings: bool) -> None:
+    """In any frame; a reference that went straight, by its headings too, is no vertical axis."""
+    squares = [("s", driven.square(2.0, s)) for s in (1, -1) * 2]
+    made = driven.campaign(squares, driven.Truth(), np.random.default_rng(1), along=True)
+
+    def damaged(log: Columns) -> Columns:
+        out = log | BLUNDERS[blunder](log)
+        return out if headings else {name: values for name, values in out.items() if name != "ref_theta_rad"}
+
+    notes = [(note.level, blunder in note.text) for note in implausible_paths(changed(made, damaged))]
+    told = blunder != "sound" and (blunder != "a straight line" or not headings)
+    assert len(notes) == told
+    assert all(level == "wrong" for level, _ in notes)
+    assert blunder == "a straight line" or all(named for _, named in notes)
