@@ -198,7 +198,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     others = {"drive": (drives,), "counts_per_rev": ("",), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
         others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
-    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
+    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns|rpm)', line) for line in turned)
     if as_angles and wheels != "speed_rear_mps":
         resolution = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
         others["counts_per_rev"] = (resolution,)

@@ -100,7 +100,12 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
     widths = [[one.columns[at].wrap_bits for one in alike] for at in range(len(log.columns))]
-    return [replace(c, wrap_bits=next(filter(None, w), None)) for c, w in zip(log.columns, widths, strict=True)]
+    # a heading may pass its half turn in one file alone
+    turns = [any(BEHAVIOURS.get(one.columns[at].does) == "deg" for one in alike) for at in range(len(log.columns))]
+    return [
+        replace(c, wrap_bits=next(filter(None, w), None), unit=c.unit or "deg" * turned)
+        for c, w, turned in zip(log.columns, widths, turns, strict=True)
+    ]
 
 
 def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
@@ -270,6 +275,8 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
     if stream is not None and stream.kind.endswith("JointState"):
         return "" if column.whole else "rad", ""
     unit = BEHAVIOURS.get(column.does, "")
+    if column.name.lower().endswith("_rpm"):
+        return "rpm", ""
     if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
         return "", ""
     if unit:
