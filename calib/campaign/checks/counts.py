@@ -230,6 +230,7 @@ SHORTEST_STEP_S: Final = 9e-6
 
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs back."""
+    uneven: list[Note] = []
     for run, log in campaign.logs.each(5):
         time, step = log["t_s"], np.diff(log["t_s"])
         usual = float(np.median(step))
@@ -255,11 +256,18 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             text = f"""{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at
                 {time[gaps[np.argmax(step[gaps])]]:.4g} s, where samples come every {usual:.4g} s; counts go on, so
                 that totals hold, but the path in the gap is not known"""
-            yield cell_note(campaign, run, "log t_s", text, "gap")
+            uneven.append(cell_note(campaign, run, "log t_s", text, "gap"))
         if jumped:
             text = f"""the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g}
                 s, while the counts went on as in one sample; speeds of this log are not to be trusted"""
-            yield cell_note(campaign, run, "log t_s", text, "clock_jump")
+            uneven.append(cell_note(campaign, run, "log t_s", text, "clock_jump"))
+    odd, n_logs = len({note.run_id for note in uneven}), int((campaign.logs.lengths >= 5).sum())
+    if odd < max(LEAST_RUNS, MOST_OF_THE_RUNS * n_logs):
+        yield from uneven
+        return
+    text = f"""samples of {odd} of {n_logs} logs come unevenly; does the logger write changes alone, or lose samples? In
+        run {uneven[0].run_id} {uneven[0].text}"""
+    yield column_note("t_s", text, uneven[0].code, of="logs")
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:

@@ -101,10 +101,7 @@ def describe(sources: Sequence[Path]) -> Description:
 
     Raises BadInputError where a source cannot be read.
     """
-    if not (paths := listed_files([Path(source) for source in sources])):
-        remedy = "name them, or the folder that holds them itself"
-        found = f"no file to read{_folders_inside(sources)}"
-        raise BadInputError(f"sources: found {found}; expected tables, logs or recordings; {remedy}")
+    paths = listed_files([Path(source) for source in sources])
     kinds = grouped(paths, lambda path: re.sub(r"\d+", "#", str(path)))
     if len(kinds) > _ALL_READ:
         kinds = grouped(paths, lambda path: f"{path.parent}/*{path.suffix.lower()}")
@@ -125,12 +122,6 @@ def describe(sources: Sequence[Path]) -> Description:
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
     command = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in ordered)
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), command)
-
-
-def _folders_inside(sources: Sequence[Path]) -> str:
-    folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
-    names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
-    return f" in {sources[0]}, which holds folders ({', '.join(names)})" if folders else ""
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:

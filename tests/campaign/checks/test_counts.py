@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.checks.counts import count_jumps, dead_counters, implausible_paths, log_speed
+from calib.campaign.checks.counts import clock, count_jumps, dead_counters, implausible_paths, log_speed
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 from tests.kinematics import campaigns as driven
@@ -128,3 +128,15 @@ def test_paths_by_reference_and_wheels_are_of_one_length_and_plane(blunder: str,
     assert len(notes) == told
     assert all(level == "wrong" for level, _ in notes)
     assert blunder == "a straight line" or all(named for _, named in notes)
+
+
+def test_logs_that_are_all_uneven_are_one_line() -> None:
+    """One that is uneven among even ones is named by its run."""
+    made = campaign(runs_per_load=1)
+    time, starts = made.logs.columns["t_s"].copy(), made.logs.offsets[:-1]
+    time[starts[1] + 100 : made.logs.offsets[2]] += 3.0
+    assert [note.run_id for note in clock(with_log_columns(made, t_s=time))] == [str(made.runs.run_id[1])]
+    for first, end in zip(starts, made.logs.offsets[1:], strict=True):
+        time[first + 200 : end] += 3.0
+    (found,) = clock(with_log_columns(made, t_s=time))
+    assert found.level == "suspicious" and "of 5 of 5 logs come unevenly" in found.text
