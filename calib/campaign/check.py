@@ -6,6 +6,7 @@ Wrong are blunders in units and settings: a factor beyond what wear, load or a p
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, get_type_hints
@@ -313,5 +314,4 @@ def _span(values: FloatArray) -> Span | None:
 
 
 def _counted(labels: np.ndarray) -> dict[str, int]:
-    names, first, count = np.unique(labels, return_index=True, return_counts=True)
-    return {str(names[i]): int(count[i]) for i in np.argsort(first) if names[i]}
+    return {name: count for name, count in Counter(labels.tolist()).items() if name}

@@ -348,22 +348,21 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:
             continue
         x, y, left, right = (log[name] for name in ("ref_x_m", "ref_y_m", "counts_left", "counts_right"))
-        heading = log.get("ref_theta_rad", np.zeros(len(x)))
-        known = np.flatnonzero(np.isfinite(x + y + left + right + heading))
+        headings = [log["ref_theta_rad"]] if "ref_theta_rad" in log else []
+        known = np.flatnonzero(np.isfinite(sum(headings, x + y + left + right)))
         if len(known) < LEAST_RUNS:
             continue
         at = known[:: 1 + len(known) // _STEPS]
         position, turned = (x + 1j * y)[at], turned_rad(campaign, left[at], right[at])
-        both = (design.rolled_m(campaign, *each) for each in (("left", left[at]), ("right", right[at])))
-        rolled = 0.5 * np.diff(np.sum([*both], axis=0))
+        rolled = np.diff(design.rolled_m(campaign, "left", left[at]) + design.rolled_m(campaign, "right", right[at]))
+        rolled *= 0.5
         straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(rolled).max())
         ratios += [float(np.median(np.abs(np.diff(position)[straight] / rolled[straight])))] if straight.any() else []
         length, width = _length_and_width(position)
         alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
         # counts or headings in a wrong unit bend a straight path, but not both
-        paths = [
-            _length_and_width(_path(rolled, each)) for each in (turned, heading[at])[: 1 + ("ref_theta_rad" in log)]
-        ]
+        bearings = [0.5 * (each[1:] + each[:-1]) for each in (turned, *(one[at] for one in headings))]
+        paths = [_length_and_width(np.cumsum(rolled * np.exp(1j * bearing))) for bearing in bearings]
         if all(wide > max(_AREA * long, 0.5 * _AREA * length) for long, wide in paths):
             lines.append(width < _LINE * length)
     for columns, odd, what, hint in (
@@ -381,10 +380,6 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
         text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
         yield implausible_column("ref_x_m, ref_y_m", text, of="logs")
-
-
-def _path(rolled: FloatArray, heading: FloatArray) -> ComplexArray:
-    return np.cumsum(rolled * np.exp(0.5j * (heading[1:] + heading[:-1])))
 
 
 def _length_and_width(path: ComplexArray) -> FloatArray:

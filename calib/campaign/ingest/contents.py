@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from calib import types
 from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
 from calib.campaign.logs import detect_wrap_bits
@@ -34,10 +35,7 @@ _LEAST_NAMES: Final = 2
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> dict[Hashable, list[Item]]:
     """Return items by their key, in the order of the first of each."""
-    groups: dict[Hashable, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
+    return types.grouped((key(item), item) for item in items)
 
 
 @dataclass(frozen=True, slots=True)

@@ -300,7 +300,7 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
     if stream is not None and stream.kind.endswith("JointState"):
         return "" if column.whole else "rad", ""
     unit = BEHAVIOURS.get(column.does, "")
-    if column.name.lower().endswith("_rpm"):
+    if "_rpm" in column.name.lower():
         return "rpm", ""
     if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
         return "", ""
