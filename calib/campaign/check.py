@@ -6,6 +6,7 @@ Wrong are blunders in units and settings: a factor beyond what wear, load or a p
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, get_type_hints
@@ -13,6 +14,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
+from calib.campaign.checks.counts import implausible_paths
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
 from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
@@ -27,7 +29,8 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
     notes, campaign = _taken_apart(campaign.included())
     yield from notes
-    for check in (_settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses):
+    checks = _settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses, implausible_paths
+    for check in checks:
         yield from check(campaign)
 
 
@@ -311,5 +314,4 @@ def _span(values: FloatArray) -> Span | None:
 
 
 def _counted(labels: np.ndarray) -> dict[str, int]:
-    names, first, count = np.unique(labels, return_index=True, return_counts=True)
-    return {str(names[i]): int(count[i]) for i in np.argsort(first) if names[i]}
+    return {name: count for name, count in Counter(labels.tolist()).items() if name}

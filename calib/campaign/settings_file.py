@@ -198,7 +198,8 @@ def _counts(part: _Sections, vehicle: Vehicle) -> dict[str, object]:
     if (both := values.pop("counts_per_rev", of_speed)) is not None:
         return dict.fromkeys(sides, both) | values
     if not set(sides) <= values.keys():
-        text = "not given for both wheels; 4096 is used for what is missing, and every radius scales with it"
+        whose = "a rear wheel's radius" if "counts_per_rev_front" in values else "every radius"
+        text = f"not given for both wheels; 4096 is used for what is missing, and {whose} scales with it"
         part.say("encoder.counts_per_rev", text, "default_encoder")
     return values
 

@@ -1,4 +1,4 @@
-"""Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed."""
+"""Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed, paths."""
 
 from __future__ import annotations
 
@@ -9,13 +9,23 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks import design
-from calib.campaign.checks.design import MOST_OF_THE_RUNS, SIDES, cell_note, column_note, robust_spread, turned_rad
+from calib.campaign.checks.design import (
+    LEAST_RUNS,
+    MOST_OF_THE_RUNS,
+    SIDES,
+    cell_note,
+    column_note,
+    implausible_column,
+    robust_spread,
+    turned_rad,
+)
+from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.campaign.wheels import odometry_source, on_one_axle, steered_itself_m
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, ComplexArray, FloatArray
 
 #: a radius of one run this far from nominal is reported
 _PLAUSIBLE: Final = 0.15
@@ -220,6 +230,7 @@ SHORTEST_STEP_S: Final = 9e-6
 
 def clock(campaign: Campaign) -> Iterator[Note]:
     """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs back."""
+    uneven: list[Note] = []
     for run, log in campaign.logs.each(5):
         time, step = log["t_s"], np.diff(log["t_s"])
         usual = float(np.median(step))
@@ -245,11 +256,18 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             text = f"""{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at
                 {time[gaps[np.argmax(step[gaps])]]:.4g} s, where samples come every {usual:.4g} s; counts go on, so
                 that totals hold, but the path in the gap is not known"""
-            yield cell_note(campaign, run, "log t_s", text, "gap")
+            uneven.append(cell_note(campaign, run, "log t_s", text, "gap"))
         if jumped:
             text = f"""the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g}
                 s, while the counts went on as in one sample; speeds of this log are not to be trusted"""
-            yield cell_note(campaign, run, "log t_s", text, "clock_jump")
+            uneven.append(cell_note(campaign, run, "log t_s", text, "clock_jump"))
+    odd, n_logs = len({note.run_id for note in uneven}), int((campaign.logs.lengths >= 5).sum())
+    if odd < max(LEAST_RUNS, MOST_OF_THE_RUNS * n_logs):
+        yield from uneven
+        return
+    text = f"""samples of {odd} of {n_logs} logs come unevenly; does the logger write changes alone, or lose samples? In
+        run {uneven[0].run_id} {uneven[0].text}"""
+    yield column_note("t_s", text, uneven[0].code, of="logs")
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
@@ -311,3 +329,60 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
         yield column_note("speed_mps", text, "speed_disagrees")
+
+
+#: steps a log is looked at in
+_STEPS: Final = 50
+#: a step that turns by less is as long as its chord
+_STRAIGHT_RAD: Final = 0.3
+#: width over length of a path: of an area, of a line
+_AREA, _LINE = 0.2, 0.02
+#: scatter of positions over what the wheels rolled: half of it where an axis is missing, hundredths where none is
+_UNEVEN: Final = 0.2
+#: positions over what the wheels rolled
+_MOST_RATIO: Final = 3.0
+
+
+def implausible_paths(campaign: Campaign) -> Iterator[Note]:
+    """Yield positions in another unit or on a line where the vehicle turns, and two wheels with the same counts."""
+    ratios, lines, alike = [], [], []
+    for _, log in campaign.logs.each():
+        if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:
+            continue
+        x, y, left, right = (log[name] for name in ("ref_x_m", "ref_y_m", "counts_left", "counts_right"))
+        known = np.flatnonzero(np.isfinite(x + y + left + right))
+        if len(known) < LEAST_RUNS:
+            continue
+        at = known[:: 1 + len(known) // _STEPS]
+        position, turned = (x + 1j * y)[at], turned_rad(campaign, left[at], right[at])
+        rolled = 0.5 * np.diff(sum(design.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in SIDES))
+        straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(rolled).max())
+        ratio = np.abs(np.diff(position)[straight] / rolled[straight])
+        ratios += [float(np.median(ratio))] if straight.any() else []
+        length, width = _length_and_width(position)
+        alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
+        # of a path that bends one axis moves at another speed than the wheels; wrong counts bend a straight one evenly
+        long, wide = _length_and_width(np.cumsum(rolled * np.exp(0.5j * (turned[1:] + turned[:-1]))))
+        if wide > _AREA * long and straight.any() and np.std(ratio) > _UNEVEN * np.mean(ratio):
+            lines.append(width < _LINE * length)
+    for columns, odd, what, hint in (
+        ("ref_x_m, ref_y_m", lines, "positions on a line", "is one the vertical axis, or both one column?"),
+        ("counts_left, counts_right", alike, "the same counts of both wheels", "are both one column?"),
+    ):
+        if sum(odd) >= max(LEAST_RUNS, MOST_OF_THE_RUNS * len(odd)):
+            text = f"found {what} in {sum(odd)} runs that turn; expected each its own; {hint}"
+            yield implausible_column(columns, text, of="logs")
+            return
+    stated = all(design.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
+    ratio = float(np.median(ratios)) if stated and len(ratios) >= LEAST_RUNS else 1.0
+    if ratio > _MOST_RATIO:
+        unit = design.meaning(ratio, POSITION_UNITS)
+        hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
+        text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
+        yield implausible_column("ref_x_m, ref_y_m", text, of="logs")
+
+
+def _length_and_width(path: ComplexArray) -> FloatArray:
+    """Return the spread of points along their main direction and across it."""
+    points = np.column_stack([path.real, path.imag])
+    return np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

@@ -142,6 +142,9 @@ def assumed_settings(campaign: Campaign) -> dict[str, str]:
     settings: dict[str, str] = {}
     for key in campaign.assumed:
         section, _, name = key.partition(".")
+        front_alone = campaign.encoder.counts_per_rev_front and "counts_left" not in columns
+        if key == "encoder.counts_per_rev" and front_alone and "counts_front" in columns:
+            continue
         if section in _NEEDED_BY and not columns.intersection(_NEEDED_BY[section]):
             continue
         name = "counts_per_rev_left" if name == "counts_per_rev" else name

@@ -37,7 +37,8 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
     if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
         text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
-            ({design.listed(lacking)}); nothing can be learnt from them"""
+            ({design.listed(lacking)}); nothing can be learnt from them. A reference on another clock needs lag_s in the
+            mapping"""
         yield column_note("distance_m", text, "missing_distance")
 
 

@@ -42,7 +42,7 @@ _LEAST_ANGLE_RAD: Final = 0.01
 #: mirroring back a mirrored y leaves less than this share of the scatter
 _CLEARER: Final = 0.5
 #: positions over what was driven -> their unit
-_POSITION_UNITS: Final = (
+POSITION_UNITS: Final = (
     (1e3, "millimetres"),
     (1e2, "centimetres"),
     (3.28084, "feet"),
@@ -286,7 +286,7 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
         if far.sum() > max(design.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
             ratio, expected = float(np.median(away[far] / distance[far])), "the distance at most"
         if off(ratio):
-            unit = "millimetres" if ratio > 300 else design.meaning(ratio, _POSITION_UNITS)
+            unit = "millimetres" if ratio > 300 else design.meaning(ratio, POSITION_UNITS)
             text = f"""the end poses lie {ratio:.3g} times as far away as was driven; expected {expected};
                 {f"are they in {unit}?" if unit else "check their unit and frame"}"""
             yield implausible_column("ref_x_m, ref_y_m", text)

@@ -36,7 +36,7 @@ _LEAST_NAMES: Final = 2
 def listed_files(sources: Sequence[Path]) -> list[Path]:
     """Return the files of sources: files, rosbag2 folders, and other folders' files.
 
-    Raises BadInputError where a source is missing.
+    Raises BadInputError where a source is missing, or none holds a file to read.
     """
     files: list[Path] = []
     for source in sources:
@@ -46,7 +46,17 @@ def listed_files(sources: Sequence[Path]) -> list[Path]:
             files += _files_inside(source)
         else:
             raise BadInputError(f"{source}: found no such file; expected a log or a folder of logs; correct the path")
+    if sources and not files:
+        expected = f"tables, logs or recordings ({', '.join(readers.READERS)})"
+        remedy = "name them, or the folder that holds them itself"
+        raise BadInputError(f"sources: found no file to read{_inside(sources)}; expected {expected}; {remedy}")
     return files
+
+
+def _inside(sources: Sequence[Path]) -> str:
+    inside = [path for source in sources if source.is_dir() for path in sorted(source.iterdir())]
+    names = list(dict.fromkeys(f"{path.name}/" if path.is_dir() else f"*{path.suffix}" for path in inside))
+    return f" in {sources[0]}, which holds {', '.join(names[:3] + ['...'] * (len(names) > 3))}" if names else ""
 
 
 def _files_inside(folder: Path) -> list[Path]:

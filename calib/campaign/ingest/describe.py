@@ -103,10 +103,7 @@ def describe(sources: Sequence[Path]) -> Description:
 
     Raises BadInputError where a source cannot be read.
     """
-    if not (paths := listed_files([Path(source) for source in sources])):
-        remedy = "name them, or the folder that holds them itself"
-        found = f"no file to read{_folders_inside(sources)}"
-        raise BadInputError(f"sources: found {found}; expected tables, logs or recordings; {remedy}")
+    paths = listed_files([Path(source) for source in sources])
     kinds = grouped((re.sub(r"\d+", "#", str(path)), path) for path in paths)
     if len(kinds) > _ALL_READ:
         kinds = grouped((f"{path.parent}/*{path.suffix.lower()}", path) for path in paths)
@@ -127,12 +124,6 @@ def describe(sources: Sequence[Path]) -> Description:
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
     command = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in ordered)
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), command)
-
-
-def _folders_inside(sources: Sequence[Path]) -> str:
-    folders = [path for source in sources if source.is_dir() for path in sorted(source.iterdir()) if path.is_dir()]
-    names = [path.name for path in folders[:3]] + ["..."] * (len(folders) > 3)
-    return f" in {sources[0]}, which holds folders ({', '.join(names)})" if folders else ""
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
@@ -200,7 +191,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     others = {"drive": (drives,), "counts_per_rev": ("",), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
         others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
-    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns)', line) for line in turned)
+    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns|rpm)', line) for line in turned)
     if as_angles and wheels != "speed_rear_mps":
         resolution = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
         others["counts_per_rev"] = (resolution,)

@@ -28,7 +28,7 @@ from calib.units import SUFFIXES, split_suffix
 
 #: behind the side: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
-    r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total))+$"
+    r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
 #: letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
@@ -92,8 +92,8 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
 
 def count_unit(name: str) -> str | None:
-    """Return the unit in a wheel's name, as ``rad`` or ``turns``; ``[counts]`` in brackets."""
-    unit = unit_spelled(bracketed(name)[1] or "")
+    """Return the unit in a wheel's name, as ``rpm`` or ``turns``; ``[counts]`` in brackets."""
+    unit = unit_spelled(bracketed(name)[1] or name.lower().rpartition("_rpm")[1][1:])
     if unit in COUNT_UNITS:
         return unit
     turned = re.match(f"{_names()['parts']['turns']}_", stem_and_unit(name)[0])

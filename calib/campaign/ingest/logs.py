@@ -280,6 +280,7 @@ def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border)
                 apart = clock.behind_arrival_s - own.behind_arrival_s
                 text += f", stamps {apart:+.4g} s older at arrival than theirs"
             if later_s + clock.span_s < 0 or later_s > own.span_s:
-                text += "; the spans do not meet: the clocks differ"
+                text += f"""; the spans do not meet: the clocks differ, and nothing of it is used; where both began
+                    together, lag_s = {later_s:.6g} in each of its lines of the mapping joins them"""
                 level = "suspicious"
         border.say(f"{shown}, {stream.name}", text, "clock", level=level)

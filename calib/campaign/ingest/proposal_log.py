@@ -50,6 +50,8 @@ _CORNERS: Final = {
 }
 #: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
 _COUPLED: Final = 0.02
+#: of the spans of the others: of a vertical axis
+_LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 #: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
@@ -100,7 +102,12 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
     widths = [[one.columns[at].wrap_bits for one in alike] for at in range(len(log.columns))]
-    return [replace(c, wrap_bits=next(filter(None, w), None)) for c, w in zip(log.columns, widths, strict=True)]
+    # a heading may pass its half turn in one file alone
+    turns = [any(BEHAVIOURS.get(one.columns[at].does) == "deg" for one in alike) for at in range(len(log.columns))]
+    return [
+        replace(c, wrap_bits=next(filter(None, w), None), unit=c.unit or "deg" * turned)
+        for c, w, turned in zip(log.columns, widths, turns, strict=True)
+    ]
 
 
 def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
@@ -113,8 +120,9 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         target = guessed_log_column(column.name)
         if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
             found[target] = column
+    _lay_flat(found, columns)
     bearing = _chosen(found, streams)
-    names = {column.name for column in found.values()}
+    names, others = ({column.name for column in of} for of in (found.values(), columns))
     clock = next((column for column in columns if column.even and column.name not in names), None)
     clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
     lines = []
@@ -126,7 +134,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
-        if target == "ref_theta_rad" and _OF_QUATERNION.search(column.name):
+        if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
@@ -146,9 +154,31 @@ def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamConten
     return None if typed else found.setdefault("ref_theta_rad", bearing)
 
 
+def _w(of_axis: ColumnContents) -> str:
+    axis = of_axis.name[-1]
+    return of_axis.name[:-1] + ("W" if axis in "XYZ" else "w" if axis in "xyz" else axis)
+
+
+def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
+    """Take the reference's other two axes where x or y is its vertical, and its quaternion's turn, in place."""
+    named = {column.name: column for column in columns}
+    x = found.get("ref_x_m")
+    names = [x.name[:-1] + chr(ord(x.name[-1]) + at) for at in range(3)] if x and x.name[-1] in "xX" else []
+    axes = [named[name] for name in names if name in named]
+    if len(axes) < 3 or found.get("ref_y_m") is not axes[1]:
+        return
+    spans = [(axis.high or 0.0) - (axis.low or 0.0) for axis in axes]
+    up = spans.index(min(spans))
+    # the floor is uneven, and a straight run's sideways motion small
+    up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
+    found["ref_x_m"], found["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
+    turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _w(column) in named]
+    if turns and (up != 2 or "ref_theta_rad" not in found):
+        found["ref_theta_rad"] = turns[0]
+
+
 def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
-    w = f"{z.name[:-1]}{'W' if z.name[-1] == 'Z' else 'w'}"
-    if w in {column.name for column in columns}:
+    if (w := _w(z)) in {column.name for column in columns}:
         return entry("ref_theta_rad", z, None, {"w": w}) + "   # of a turn about the vertical alone"
     return f"#ref_theta_rad = {{column = {toml_value(z.name)}, w = }}}}   # z of a quaternion: its w is needed too"
 
@@ -270,6 +300,8 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
     if stream is not None and stream.kind.endswith("JointState"):
         return "" if column.whole else "rad", ""
     unit = BEHAVIOURS.get(column.does, "")
+    if "_rpm" in column.name.lower():
+        return "rpm", ""
     if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
         return "", ""
     if unit:

@@ -263,9 +263,8 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     pairs = zip(whole, groups, strict=True)
     if not set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs)):
         return {}
-    before = len(_common_start(whole))
-    behind = len(_common_start([pattern[before:][::-1] for pattern in whole]))
-    tags = [re.sub(r"\W+", "_", pattern[before : len(pattern) - behind]).strip("_") for pattern in whole]
+    words = [re.findall(r"[^\W_]+", re.sub(r"\{.*?\}", " ", pattern)) for pattern in whole]
+    tags = ["_".join(word for word in own if not all(word in other for other in words)) for own in words]
     if len({*tags, ""}) != len(tags) + 1:
         tags = [f"file{number}" for number in range(1, len(tags) + 1)]
     firsts = [group[0] for group in groups]

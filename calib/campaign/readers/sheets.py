@@ -190,8 +190,10 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
             spread[at] = last or spread[at]
             own[at] = cell or own[at]
     out = []
+    twice = any(len(name) == 1 and names.count(name) > 1 for name in names)
     for at, name in enumerate(names):
-        unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name)
+        # W beside an X and Y of two quantities
+        unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name) or (len(name) == 1 and twice)
         group = (spread[at] if name else own[at]) if unclear else ""
         unit = _UNIT_AT_END.search(group) if name else None
         parts = (group[: unit.start()].rstrip(), name, unit[0].strip()) if unit else (group, name)

@@ -25,6 +25,8 @@ NS_PER_S: Final = 1_000_000_000
 LARGEST_VALUE: Final = 1e30
 #: rows searched for the header; loggers' preambles are shorter
 HEADER_ROWS: Final = 60
+#: of motion capture: kind, name, number, quantity, axis
+_HEADER_LINES: Final = 6
 #: of the usual width, and of texts
 _HEADER_SHARE: Final = 0.6
 
@@ -177,8 +179,20 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
         following = [row for row in filled[index + 1 : index + 4] if row]
         wide = following and (len(following[0]) <= len(rows[index]) or len(cells) >= usual)
         if wide and any(map(is_number, itertools.chain.from_iterable(following))):
-            return index
+            return _beneath_numbers(filled, index)
     return None
+
+
+def _beneath_numbers(filled: Sequence[Sequence[Any]], first: int) -> int:
+    """Return the row of names beneath one that names columns twice, numbers between: those are no data."""
+    if len({*filled[first]}) == len(filled[first]):
+        return first
+    numeric = [sum(map(is_number, row)) for row in filled[: first + _HEADER_LINES + 1]]
+    for index in range(first + 2, len(numeric) - 1):
+        as_wide = len(filled[index]) >= _HEADER_SHARE * len(filled[first]) and len(filled[index + 1]) > 1
+        if as_wide and not numeric[index] and numeric[index + 1] >= _HEADER_SHARE * len(filled[index + 1]):
+            return index if any(numeric[first + 1 : index]) else first
+    return first
 
 
 def numbers(

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.checks.counts import count_jumps, dead_counters, log_speed
+from calib.campaign.checks.counts import clock, count_jumps, dead_counters, implausible_paths, log_speed
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
+from tests.kinematics import campaigns as driven
+from tests.kinematics.test_named_blunders import Columns, changed
 
 
 def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
@@ -98,3 +100,44 @@ def test_a_wheel_that_stands_is_not_slow() -> None:
     made = campaign(logs=True)
     still = {f"counts_{side}": np.arange(made.logs.offsets[-1]) % 2.0 for side in ("left", "right")}
     assert not [note for note in log_speed(with_log_columns(made, **still)) if note.code == "clock_unit"]
+
+
+def way_m(log: Columns) -> np.ndarray:
+    return np.cumsum(np.hypot(*(np.diff(log[name], prepend=log[name][0]) for name in ("ref_x_m", "ref_y_m"))))
+
+
+BLUNDERS = {
+    "millimetres": lambda log: {name: 1e3 * log[name] for name in ("ref_x_m", "ref_y_m")},
+    "the vertical axis": lambda log: {"ref_y_m": 0.15 + 1e-3 * np.sin(np.arange(len(log["ref_y_m"])))},
+    "both one column": lambda log: {"counts_right": log["counts_left"]},
+    "sound": lambda log: {},
+    # wheels that differ bend a straight path, at an even speed
+    "a straight line": lambda log: {"ref_x_m": way_m(log), "ref_y_m": 0.0 * log["ref_y_m"]},
+}
+
+
+@pytest.mark.parametrize("headings", [True, False])
+@pytest.mark.parametrize("blunder", BLUNDERS)
+def test_paths_by_reference_and_wheels_are_of_one_length_and_plane(blunder: str, headings: bool) -> None:
+    """In any frame, with headings or without; what went straight is no vertical axis."""
+    squares = [("s", driven.square(2.0, s)) for s in (1, -1) * 2]
+    made = driven.campaign(squares, driven.Truth(), np.random.default_rng(1), along=True)
+
+    def damaged(log: Columns) -> Columns:
+        out = log | BLUNDERS[blunder](log)
+        return out if headings else {name: values for name, values in out.items() if name != "ref_theta_rad"}
+
+    notes = [(note.level, blunder in note.text) for note in implausible_paths(changed(made, damaged))]
+    assert notes == [("wrong", True)] * (blunder not in {"sound", "a straight line"})
+
+
+def test_logs_that_are_all_uneven_are_one_line() -> None:
+    """One that is uneven among even ones is named by its run."""
+    made = campaign(runs_per_load=1)
+    time, starts = made.logs.columns["t_s"].copy(), made.logs.offsets[:-1]
+    time[starts[1] + 100 : made.logs.offsets[2]] += 3.0
+    assert [note.run_id for note in clock(with_log_columns(made, t_s=time))] == [str(made.runs.run_id[1])]
+    for first, end in zip(starts, made.logs.offsets[1:], strict=True):
+        time[first + 200 : end] += 3.0
+    (found,) = clock(with_log_columns(made, t_s=time))
+    assert found.level == "suspicious" and "of 5 of 5 logs come unevenly" in found.text

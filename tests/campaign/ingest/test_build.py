@@ -14,6 +14,7 @@ from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.mapping import LogSection, expected_name
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
+from calib.reporting.sentences import after_check
 
 TABLE = """Lauf;Strecke [mm];Zuladung;Bemerkung
 1;40250,5;100;gut
@@ -246,3 +247,43 @@ def test_poses_that_are_exactly_zero_are_lost_frames(tmp_path: Path) -> None:
     for one in (made, read_campaign(tmp_path / "c")):
         lost = np.isnan(one.log("r1")["ref_x_m"])
         assert np.flatnonzero(lost).tolist() == [12, 13, 14]
+
+
+def test_a_folder_without_a_readable_file_says_what_it_holds(tmp_path: Path) -> None:
+    (tmp_path / "run0.jsonl").write_text("{}\n")
+    with pytest.raises(BadInputError, match=r"no file to read in .*, which holds \*\.jsonl; expected .*\.parquet"):
+        ingest([tmp_path], tmp_path / "c")
+
+
+def test_files_of_other_clocks_say_how_they_are_joined(tmp_path: Path) -> None:
+    """The lag that the note names joins files that began together."""
+    (lab := tmp_path / "lab").mkdir()
+    t = np.linspace(0.0, 10.0, 101)
+    for name, columns in (("enc_1", (t + 80.0, t, t)), ("cam_1", (t, t, t))):
+        rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+        (lab / f"{name}.csv").write_text("\n".join(["t_s,a,b", *rows]) + "\n")
+    lines = '[log]\nfiles = {enc = "enc_{n}.csv", cam = "cam_{n}.csv"}\n'
+    lines += 'counts_left = "enc:a"\ncounts_right = "enc:b"\n'
+    for into, lag in (("apart", ""), ("joined", ", lag_s = -80")):
+        poses = "".join(
+            f'ref_{axis}_m = {{column = "cam:{axis_of}"{lag}}}\n' for axis, axis_of in zip("xy", "ab", strict=True)
+        )
+        (tmp_path / "m.toml").write_text(lines + poses)
+        made = ingest([lab], tmp_path / into, mapping=tmp_path / "m.toml")
+        assert any("lag_s = -80 in each of its lines" in note.text for note in made.notes)
+        assert ("ref_x_m" in made.campaign.log("1")) == bool(lag)
+
+
+def test_a_front_wheel_alone_needs_no_counts_of_the_others(tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text(
+        "[vehicle]\ntrack_m = 0.7\nwheel_radius_m = 0.1\n[encoder]\ncounts_per_rev_front = 8192\n"
+    )
+    rows = [f"{0.1 * k:.1f},{100 * k},0.1" for k in range(30)]
+    (tmp_path / "r1.csv").write_text("\n".join(["t_s,counts_front,steer_rad", *rows]) + "\n")
+    (tmp_path / "runs.csv").write_text("run_id,distance_m,log\nr1,5.0,r1.csv\n")
+    made = ingest([tmp_path / "runs.csv", tmp_path / "r1.csv"], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert not any("every radius" in note.text for note in made.notes)
+    report = check_campaign(made.campaign)
+    assert not any("counts_per_rev" in note.text for note in report.suspicious)
+    # a law of the load needs two wheels on an axle
+    assert after_check(report, ["distance_m", "counts_front"]) == "check without distances"

@@ -63,7 +63,7 @@ def test_an_empty_bag_says_so(tmp_path: Path) -> None:
 
 def test_folders_of_folders_are_named(tmp_path: Path) -> None:
     (tmp_path / "day" / "first").mkdir(parents=True)
-    with pytest.raises(CalibError, match=r"day, which holds folders \(first\).*the folder that holds them itself"):
+    with pytest.raises(CalibError, match=r"day, which holds first/; .*the folder that holds them itself"):
         describe([tmp_path / "day"])
 
 
@@ -335,3 +335,17 @@ def test_a_camera_and_a_truck_propose_their_reference(tmp_path: Path) -> None:
     truck = {"Time [s]": time, "Shaft ticks": 50.0 * n, "Steer angle [deg]": n, "Pos E [m]": n, "Hdg [rad]": n}
     proposed = describe([_log(tmp_path / "b.csv", truck | {"Pos N [m]": n})]).to_toml()
     assert all(f'{name} = "' in proposed for name in ("counts_rear", "ref_x_m", "ref_y_m", "ref_theta_rad"))
+
+
+def test_files_of_a_run_keep_their_names_and_columns_their_units(tmp_path: Path) -> None:
+    """Headings that jump at half a turn in one file are degrees in all; letters before the number are no number."""
+    t = np.linspace(0.0, 10.0, 101)
+    for n, turned in enumerate((90.0, 300.0)):
+        yaw = (turned * t / 10.0 + 180.0) % 360.0 - 180.0
+        rate = 40.0 + 20.0 * np.sin(t)
+        _log(tmp_path / f"odom_{n}.csv", {"t_s": t, "wL_rpm": rate, "wR_rpm": rate})
+        _log(tmp_path / f"slam_{n}_6D.csv", {"t_s": t, "x": t, "y": t, "yaw": yaw})
+    lines = describe([tmp_path]).to_toml().splitlines()
+    assert any('odom = "odom_{n}.csv", slam_6D = "slam_{n}_6D.csv"' in line for line in lines)
+    assert 'ref_theta_rad = {column = "slam_6D:yaw", unit = "deg"}' in lines
+    assert 'counts_left = {column = "odom:wL_rpm", unit = "rpm"}' in lines
