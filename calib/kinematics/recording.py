@@ -184,7 +184,8 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
     in_map = poses_are_in_a_map(campaign)
-    found = [_piece(campaign, row, source, per_rev, in_map) for row in range(len(campaign.runs))]
+    away = in_map and campaign.reference.frame is None and _begins_away(campaign)
+    found = [_piece(campaign, row, source, per_rev, in_map, away) for row in range(len(campaign.runs))]
     named = zip(campaign.runs.run_id.tolist(), found, strict=True)
     left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
     pieces = [piece for piece in found if not isinstance(piece, str)]
@@ -233,7 +234,7 @@ class _Run(NamedTuple):
     by_gyro: bool = False
 
 
-def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_map: bool) -> _Run | str:
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_map: bool, away: bool) -> _Run | str:
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
     runs = campaign.runs
@@ -252,7 +253,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
     reference = np.stack([log.get(name, np.full(len(keep), np.nan)) for name in REFERENCE])
     reference[2] = unwrapped(reference[2])
     reference = reference[:, keep]
-    if _position_alone_in_a_map(campaign, reference):
+    if _position_alone_in_a_map(campaign, reference, away):
         return POSITION_ALONE
     followed = bool(np.isfinite(reference).all(axis=0).any())
     # of an end pose in a map only the log says where the run began
@@ -316,11 +317,18 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
     return None if np.isnan(loads).any() else loads - campaign.model.reference_load_N
 
 
-def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
+def _begins_away(campaign: Campaign) -> bool:
+    """Return whether some run begins away from the origin: by chance another of the same map begins near it."""
+    logs = campaign.logs
+    first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
+    return bool((np.hypot(*(logs.columns[name][first] for name in REFERENCE[:2])) > AT_START_M).any())
+
+
+def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray, away: bool) -> bool:
     places, frame = reference[:2, np.isfinite(reference[:2]).all(axis=0)], campaign.reference.frame
     if not places.shape[1] or np.isfinite(reference[2]).any():
         return False
-    return frame == "map" or (frame is None and float(np.hypot(*places[:, 0])) > AT_START_M)
+    return frame == "map" or (frame is None and (away or float(np.hypot(*places[:, 0])) > AT_START_M))
 
 
 def parts_seen(reference: FloatArray) -> BoolArray:

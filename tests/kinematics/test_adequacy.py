@@ -112,6 +112,15 @@ def test_positions_in_a_map_without_headings_say_what_is_missing(tmp_path: Path)
         estimate_geometry(read_campaign(tmp_path / "c"), using="windows")
 
 
+def test_a_run_that_begins_near_the_origin_of_a_map_is_in_the_map(tmp_path: Path) -> None:
+    """Of positions alone: all other runs begin far away; no run is taken to begin at a start pose."""
+    campaign = recorded(tmp_path, along=True, heading=False)
+    columns = {name: column.copy() for name, column in campaign.logs.columns.items()}
+    columns["ref_x_m"][campaign.logs.offsets[1] :] += 5.0
+    with pytest.raises(RefusedError, match="positions alone, not from the start pose"):
+        estimate_geometry(replace(campaign, logs=replace(campaign.logs, columns=columns)))
+
+
 def test_end_poses_in_a_map_are_seen_from_where_the_log_began(tmp_path: Path) -> None:
     """Every run from another place and heading of the map: the same vehicle as from the start pose."""
     campaign = recorded(tmp_path, along=True)
