@@ -25,9 +25,9 @@ from calib.errors import CalibError
 from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import Drive, Parameters, moved_between, nominal_turn
+from calib.kinematics.drives import Drive, Parameters, nominal_turn
 from calib.kinematics.joint_fit import Fitted, drive_of
-from calib.kinematics.model import Model, Segments
+from calib.kinematics.model import Model, Segments, measured_between
 from calib.kinematics.readings import Change, Reading, implausible, readings, unchanged
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
@@ -251,8 +251,11 @@ def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Se
     if after is before:
         return segments
     ends = segments.first, segments.last
-    known = segments.seen & np.asarray(np.isfinite(after[:, ends]).all(axis=(0, 1)))[:, None]
-    added = moved_between(np.nan_to_num(after), *ends) - moved_between(np.nan_to_num(before), *ends)
+    finite = np.isfinite(after[:, ends])
+    # of positions alone no heading is needed
+    finite[2] |= ~segments.seen[:, 2]
+    known = segments.seen & np.asarray(finite.all(axis=(0, 1)))[:, None]
+    added = np.subtract(*(measured_between(part, *ends, segments.around) for part in (after, before)))
     return replace(segments, measured=segments.measured + np.where(known, added, 0.0))
 
 

@@ -42,6 +42,12 @@ OR_MIRRORED: Final = (
     "; or ref_y_m and ref_theta_rad are both mirrored (clockwise, y to the right, NED): then change their signs and "
     "exchange nothing. Drive a left turn: ref_theta_rad must grow, and the right wheel roll further"
 )
+#: without headings a mirror of the map is to its course the same as left for right, or backward for ahead
+OF_A_COURSE: Final = (
+    "the course bends the other way than by the wheels: ref_x_m and ref_y_m are exchanged or one is mirrored, or "
+    "wheels are exchanged, or counters or the steering angle have the other sign; without headings all are alike: "
+    "drive a left turn, and correct the one that is wrong"
+)
 #: column of the yaw rate that, with v_mps, stands for two wheels
 TWIST: Final = "omega_radps"
 #: displacements within 60 degrees of the wheels' way, or of its opposite, tell its sense

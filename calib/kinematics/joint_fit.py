@@ -141,9 +141,10 @@ def fit_parameters(
     if segments.gyro.any():
         free.append(GYRO_SCALE)
     if sensor:
-        free += SENSOR[1:]
-        if float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S:
-            never = (free.pop(),)
+        # a chord tells no yaw, coarse samples tell no delay
+        coarse = float(np.median(np.diff(recording.t_s))) > LONGEST_STEP_S
+        never = (*SENSOR[3:4] * segments.chords_alone, *SENSOR[4:] * coarse)
+        free += [name for name in SENSOR[1:] if name not in never]
     items, model = drives.parameters_of(drive, campaign.reference), Model(drive, recording, segments)
     radii = [at for at, name in enumerate(free) if "radius" in name]
     alone = np.array([item.nominal for item in items])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,12 @@ from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
 LEVELS: Final = (1.0, 0.5, 0.25)
+#: half a chord, as a part of a block: the whole is as long as the shortest window
+HALF_CHORD: Final = 0.5 * LEVELS[-1]
+#: chords below this part of the usual one tell a direction by mostly noise
+SHORT_CHORD: Final = 0.5
+#: displacements of a sensor, (n, 3), and derivatives by vehicle and sensor, (n, 3, n_parameters)
+Sensed = tuple[FloatArray, FloatArray, FloatArray]
 #: a late reference of a vehicle that starts with its counts moves by less of its speed
 ON_THE_MOVE: Final = 0.75
 
@@ -36,6 +42,8 @@ class Segments:
     level: IntArray
     #: whose turn a gyro measured, shape (n,)
     gyro: BoolArray
+    #: samples of the chord that is the start's direction; one twice where headings were measured, shape (n, 2)
+    around: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.run)
@@ -49,9 +57,15 @@ class Segments:
         total = np.cumsum(values, axis=-1)
         return np.asarray(total[..., self.last] - total[..., self.first])
 
+    @property
+    def chords_alone(self) -> bool:
+        """Whether chords are the directions at all starts."""
+        return self.around is not None and bool((np.diff(self.around) > 0).all())
+
     def select(self, keep: BoolArray) -> Segments:
         """Return the stretches that `keep` picks."""
-        return Segments(*(getattr(self, column.name)[keep] for column in fields(self)))
+        parts = (getattr(self, column.name)[keep] for column in fields(self)[:-1])
+        return replace(Segments(*parts), around=None if self.around is None else self.around[keep])
 
 
 def end_pose_segments(recording: Recording) -> Segments:
@@ -74,40 +88,65 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     reference follows the vehicle nowhere.
 
     Wheel travel, not time, sets the length: a standing vehicle makes no windows. Shorter windows overlap by half; none
-    reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero.
+    reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero; in
+    a map its direction is that of the chord about its start, and none begins where that is short, in turns on the spot.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
     length = float(ends.sum()) / max(blocks, 1)
     pieces: list[IntArray] = []
     seen: list[BoolArray] = []
-    block = 0
+    block, by_course = 0, np.zeros(len(recording), bool) if recording.by_course is None else recording.by_course
     for run in range(len(recording)):
         reference = recording.reference[:, recording.offsets[run] : recording.offsets[run + 1]]
         parts = parts_seen(reference)
         samples = np.flatnonzero(np.isfinite(reference[parts]).all(axis=0) & parts.any()) + recording.offsets[run]
         if len(samples) < 2 or length <= 0.0:
             continue
-        n_blocks = max(1, round(float(ends[run]) / length)) if parts[2] else 1
-        edges = np.linspace(travel[samples[0]], travel[samples[-1]], n_blocks + 1)
+        anywhere, half = parts[2] or by_course[run], HALF_CHORD * length * by_course[run]
+        n_blocks = max(1, round(float(ends[run]) / length)) if anywhere else 1
+        edges = np.linspace(travel[samples[0]] + half, travel[samples[-1]], n_blocks + 1)
         low, size = edges[:-1, None], np.diff(edges)[:, None]
         for level, share in enumerate(LEVELS):
             starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
-            starts = starts if parts[2] else starts[:1]
+            starts = starts if anywhere else starts[:1]
             first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
             last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
             of_block = np.repeat(block + np.arange(n_blocks), len(starts))
-            piece = np.stack(np.broadcast_arrays(run, first, last, of_block, level))[:, last > first]
+            chord = [
+                samples[_nearest(travel[samples], travel[first] + off)] if half else first for off in (-half, half)
+            ]
+            piece = np.stack(np.broadcast_arrays(run, first, last, of_block, level, *chord))[:, last > first]
             seen.append(np.repeat(parts[None], piece.shape[1], axis=0))
             pieces.append(piece)
         block += n_blocks
     if not sum(piece.shape[1] for piece in pieces):
         found = "windows: found no reference along the path"
         raise RefusedError(f"{found}; expected ref_x_m, ref_y_m, ref_theta_rad in logs; use end poses instead")
-    run_of, first, last, block_of, level_of = np.concatenate(pieces, axis=1)
-    measured = moved_between(np.nan_to_num(recording.reference), first, last)
-    no_gyro = np.zeros(len(first), dtype=np.bool_)
-    return Segments(run_of, first, last, measured, np.concatenate(seen), block_of, level_of, no_gyro)
+    run_of, first, last, block_of, level_of, *around = np.concatenate(pieces, axis=1)
+    no_gyro, course = np.zeros(len(first), dtype=np.bool_), by_course[run_of]
+    chords = np.stack(around, axis=1) if course.any() else None
+    measured = measured_between(recording.reference, first, last, chords)
+    segments = Segments(run_of, first, last, measured, np.concatenate(seen), block_of, level_of, no_gyro, chords)
+    if chords is None:
+        return segments
+    size = np.hypot(*np.diff(recording.reference[:2, chords], axis=2)[..., 0])
+    return segments.select(~course | (size >= SHORT_CHORD * np.median(size[course])))
+
+
+def measured_between(reference: FloatArray, first: IntArray, last: IntArray, around: IntArray | None) -> FloatArray:
+    """Return displacements by the reference, shape (n, 3), in the frames of the headings or chords at their start."""
+    pose = np.nan_to_num(reference)
+    moved = moved_between(pose, first, last)
+    if around is None:
+        return moved
+    chord = np.diff(pose[0, around] + 1j * pose[1, around])[:, 0]
+    return _parts((moved[:, 0] + 1j * moved[:, 1]) * _back(chord), moved[:, 2])
+
+
+def _back(chord: ComplexArray) -> ComplexArray:
+    """Return what turns a chord to the x axis; 1 where there is none."""
+    return np.asarray(np.exp(-1j * np.angle(chord)))
 
 
 def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
@@ -145,9 +184,10 @@ class Model:
         """Return residuals and derivatives at `values`, shape (n_parameters,)."""
         n_drive = len(values) - len(SENSOR)
         path = integrate_motion(self.motion(values))
-        moved, derivative = displacement(*_at_times(path, self.recording, self.segments, float(values[-1])))
-        seen, through, by_sensor = _sensor(moved, derivative, values[-4:-1])
-        by_gyro = np.zeros((len(moved), 3, 1))
+        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
+        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
+        by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
         scale = np.where(self.segments.gyro, values[n_drive], 1.0)
@@ -162,13 +202,14 @@ class Model:
 
 def _at_times(
     path: Path, recording: Recording, segments: Segments, delay_s: float
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return poses `delay_s` before both ends, their derivatives, and the ends' new numbers.
+) -> tuple[FloatArray, FloatArray, list[IntArray]]:
+    """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
     The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated. Before
     a run's first count the vehicle moved as after it where a late reference saw it move; else it stood there.
     """
-    used, inverse = np.unique([segments.first, segments.last], return_inverse=True)
+    ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
+    used, inverse = np.unique(ends, return_inverse=True)
     run = recording.run[used]
     low, high = recording.offsets[run], recording.offsets[run + 1] - 1
     t_s = recording.t_s
@@ -188,7 +229,7 @@ def _at_times(
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
     by_parameter = np.concatenate([by_parameter + before_s * of_velocity, -velocity[None]])
-    return pose + before_s * velocity, by_parameter, *inverse.reshape(2, -1)
+    return pose + before_s * velocity, by_parameter, list(inverse.reshape(len(ends), -1))
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
@@ -223,6 +264,20 @@ def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tup
     by_sensor = np.stack([by_lever, 1j * by_lever, -1j * seen], axis=1)
     parts = _parts(back * by_motion, derivative[:, 2]), _parts(by_sensor, np.zeros(by_sensor.shape))
     return np.stack([seen.real, seen.imag, moved[:, 2]], axis=1), *parts
+
+
+def _along_chord(seen: Sensed, *chord: Sensed) -> Sensed:
+    """Return displacements as seen along a chord, from the first of these to the second, and their derivatives."""
+    if not chord:
+        return seen
+    (way, *by), (begin, *by_begin), (end, *by_end) = (
+        [one[:, 0] + 1j * one[:, 1] for one in of] for of in (seen, *chord)
+    )
+    back, size = _back(end - begin), np.where(end == begin, 1.0, end - begin)[:, None]
+    turned = (((two - one) / size).imag for one, two in zip(by_begin, by_end, strict=True))
+    by = [back[:, None] * (one - 1j * way[:, None] * turn) for one, turn in zip(by, turned, strict=True)]
+    through, by_sensor = (_parts(one, of[:, 2]) for one, of in zip(by, seen[1:], strict=True))
+    return _parts(way * back, seen[0][:, 2]), through, by_sensor
 
 
 def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:

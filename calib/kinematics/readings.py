@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, TWIST, Fault
+from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, OF_A_COURSE, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.recording import Recording
@@ -78,7 +78,10 @@ def readings(
     plausible
         Whether lengths are near nominal as it stands.
     """
-    yield from _axes(turned_rad)
+    if recording.by_course is not None and recording.by_course.any():
+        yield Reading(Fault("mirrored", OF_A_COURSE), _scaled(1.0, -1.0, 1.0))
+    else:
+        yield from _axes(turned_rad)
     yield from _yaw_rates(recording)
     yield from _quaternions(recording, drive)
     yield from _units()

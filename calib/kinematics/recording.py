@@ -60,6 +60,8 @@ class Recording:
     speeds: tuple[str, ...] = ()
     #: how much the reference's clock is fast, relative
     clock_rate: float = 0.0
+    #: runs of positions alone in a map: only the course tells a heading; None: none, shape (n_runs,)
+    by_course: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.run_id)
@@ -184,7 +186,8 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
     in_map = poses_are_in_a_map(campaign)
-    found = [_piece(campaign, row, source, per_rev, in_map) for row in range(len(campaign.runs))]
+    away = in_map and campaign.reference.frame is None and _begins_away(campaign)
+    found = [_piece(campaign, row, source, per_rev, in_map, away) for row in range(len(campaign.runs))]
     named = zip(campaign.runs.run_id.tolist(), found, strict=True)
     left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
     pieces = [piece for piece in found if not isinstance(piece, str)]
@@ -217,6 +220,7 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
         reference=np.concatenate([piece.reference for piece in pieces], axis=1),
         end_pose=np.stack([piece.end_pose for piece in pieces]),
         by_gyro=np.array([piece.by_gyro for piece in pieces]),
+        by_course=np.array([piece.by_course for piece in pieces]),
         left_out=left_out,
         speeds=campaign.logs.speeds,
     )
@@ -231,9 +235,10 @@ class _Run(NamedTuple):
     steer: FloatArray | None = None
     speed: FloatArray | None = None
     by_gyro: bool = False
+    by_course: bool = False
 
 
-def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_map: bool) -> _Run | str:
+def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_map: bool, away: bool) -> _Run | str:
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
     runs = campaign.runs
@@ -252,13 +257,16 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
     reference = np.stack([log.get(name, np.full(len(keep), np.nan)) for name in REFERENCE])
     reference[2] = unwrapped(reference[2])
     reference = reference[:, keep]
-    if _position_alone_in_a_map(campaign, reference):
+    by_course = _position_alone_in_a_map(campaign, reference, away)
+    if by_course and np.isfinite(reference[:2]).all(axis=0).sum() < MANY_POSES:
         return POSITION_ALONE
     followed = bool(np.isfinite(reference).all(axis=0).any())
     # of an end pose in a map only the log says where the run began
     if np.isnan(end).all() or (followed and (in_map or np.isnan(end).any())):
         end = _last_pose(reference)
-    if np.isnan(end).all() and not np.isfinite(reference).any():
+    if by_course:
+        end = np.full(3, np.nan)
+    elif np.isnan(end).all() and not np.isfinite(reference).any():
         end = _straight_end(campaign, row, source, turned.sum(axis=1))
     gyro = float(runs.number(GYRO_TURN)[row])
     if by_gyro := bool(np.isnan(end[2]) and np.isfinite(gyro)):
@@ -271,7 +279,9 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
         steer = np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
     t_s = log["t_s"][keep]
     speed = smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, t_s)
-    return _Run(t_s - t_s[0], turned, reference, end, _loads(campaign, row, log, keep), steer, speed, by_gyro)
+    return _Run(
+        t_s - t_s[0], turned, reference, end, _loads(campaign, row, log, keep), steer, speed, by_gyro, by_course
+    )
 
 
 def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, end: FloatArray) -> _Run | str:
@@ -316,11 +326,18 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
     return None if np.isnan(loads).any() else loads - campaign.model.reference_load_N
 
 
-def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray) -> bool:
+def _begins_away(campaign: Campaign) -> bool:
+    """Return whether some run begins away from the origin: by chance another of the same map begins near it."""
+    logs = campaign.logs
+    first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
+    return bool((np.hypot(*(logs.columns[name][first] for name in REFERENCE[:2])) > AT_START_M).any())
+
+
+def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray, away: bool) -> bool:
     places, frame = reference[:2, np.isfinite(reference[:2]).all(axis=0)], campaign.reference.frame
     if not places.shape[1] or np.isfinite(reference[2]).any():
         return False
-    return frame == "map" or (frame is None and float(np.hypot(*places[:, 0])) > AT_START_M)
+    return frame == "map" or (frame is None and (away or float(np.hypot(*places[:, 0])) > AT_START_M))
 
 
 def parts_seen(reference: FloatArray) -> BoolArray:

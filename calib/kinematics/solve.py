@@ -37,6 +37,9 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
     kernel[1] = start[:, :, None] * start[:, None, :]
     kernel[1, :, 2, 2] += 1.0
     turn = path.pose[2, segments.first] + yaw_rad
+    if segments.around is not None:
+        x, y = np.diff(path.pose[:2, segments.around], axis=2)[..., 0]
+        turn = np.where((x == 0.0) & (y == 0.0), turn, np.arctan2(y, x))
     rotate = np.zeros((n, 3, 3))
     rotate[:, 0, 0] = rotate[:, 1, 1] = np.cos(turn)
     rotate[:, 0, 1], rotate[:, 1, 0] = np.sin(turn), -np.sin(turn)

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
+from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.errors import ImplausibleError, RefusedError
 from calib.kinematics.adequacy import GeometryVerdict, Residuals, judge
+from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.estimate import Using, estimate_geometry
+from calib.kinematics.model import window_segments
+from calib.kinematics.recording import recording_of
 from calib.reporting.topics.geometry import verdict_sentences
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
@@ -104,12 +109,58 @@ def test_a_heading_that_never_changes_is_refused(tmp_path: Path) -> None:
         estimate_geometry(recorded(tmp_path, blunder="heading zero throughout"))
 
 
-def test_positions_in_a_map_without_headings_say_what_is_missing(tmp_path: Path) -> None:
-    recorded(tmp_path, along=True, heading=False)
-    settings = tmp_path / "c" / "campaign.toml"
-    settings.write_text(settings.read_text().replace("[reference]", '[reference]\nframe = "map"'))
+def _in_a_map(made: Campaign, every: int = 1) -> Campaign:
+    """Every run turned, and begun elsewhere; the first one near the origin. Every so manieth position is kept."""
+    rng, columns = np.random.default_rng(7), {name: column.copy() for name, column in made.logs.columns.items()}
+    for number, (first, last) in enumerate(pairwise(made.logs.offsets)):
+        turned = (columns["ref_x_m"][first:last] + 1j * columns["ref_y_m"][first:last]) * np.exp(
+            1j * rng.uniform(-3, 3)
+        )
+        turned += number * (1.0 + 2.0j)
+        turned[np.arange(last - first) % every > 0] = np.nan
+        columns["ref_x_m"][first:last], columns["ref_y_m"][first:last] = turned.real, turned.imag
+    return replace(made, logs=replace(made.logs, columns=columns))
+
+
+def test_positions_alone_in_a_map_determine_radii_and_track(tmp_path: Path) -> None:
+    """The course tells what headings do not, also of a run that begins near the origin; none tells the sensor's yaw."""
+    found = estimate_geometry(_in_a_map(recorded(tmp_path, along=True, heading=False)))
+    assert found.passed
+    assert found.undetermined == ("sensor_yaw_rad",)
+    for name, truth in TRUTH.items():
+        low, high = found[name].ci95
+        assert low < truth < high
+
+
+@pytest.mark.parametrize("exchanged", [True, False])
+def test_a_mirror_of_positions_alone_in_a_map_is_named_with_all_it_may_be(exchanged: bool, tmp_path: Path) -> None:
+    """Wheels exchanged and an axis mirrored are the same to the course: one name for both."""
+    made = _in_a_map(recorded(tmp_path, along=True, heading=False))
+    made = made.select(np.arange(len(made.runs)) < 4)
+    columns = dict(made.logs.columns)
+    if exchanged:
+        columns["counts_left"], columns["counts_right"] = columns["counts_right"], columns["counts_left"]
+    else:
+        columns["ref_y_m"] = -columns["ref_y_m"]
+    wrong = replace(made, logs=replace(made.logs, columns=columns))
+    found = find_blunder(wrong, recording_of(wrong, "rear"), "rear", lambda _, read: window_segments(read, 3))
+    assert found is not None
+    assert found[2].code == "mirrored"
+    assert "wheels are exchanged" in found[2].text
+
+
+def test_a_long_axis_of_positions_alone_in_a_map_is_named(tmp_path: Path) -> None:
+    """By 5 %: it would lengthen the radii by half as much."""
+    made = _in_a_map(recorded(tmp_path, along=True, heading=False))
+    columns = {**made.logs.columns, "ref_x_m": 1.05 * made.logs.columns["ref_x_m"]}
+    found = estimate_geometry(replace(made, logs=replace(made.logs, columns=columns)))
+    assert "axis_scale" in {fault.code for fault in found.faults}
+
+
+def test_few_positions_in_a_map_say_what_is_missing(tmp_path: Path) -> None:
+    """Ends alone have no course; no blunder of the counts is named in their place."""
     with pytest.raises(RefusedError, match="positions alone, not from the start pose"):
-        estimate_geometry(read_campaign(tmp_path / "c"), using="windows")
+        estimate_geometry(_in_a_map(recorded(tmp_path, along=True, heading=False), every=10**6))
 
 
 def test_end_poses_in_a_map_are_seen_from_where_the_log_began(tmp_path: Path) -> None:
