@@ -78,6 +78,18 @@ def test_a_load_law_that_the_model_lacks_is_no_misreported_payload(
         assert quantity.ci95[0] <= -SLOPE_M_PER_N <= quantity.ci95[1]
 
 
+def test_what_repeats_do_not_explain_is_left_unexplained(diagnosing: Diagnosing) -> None:
+    """Radii that follow load times speed leave 1.9 times the noise, where repeats give 1.83 one time in a hundred."""
+
+    def of_load_and_speed(run: Run, now: Motion) -> None:
+        now.left = now.right = 1e-5 * (run.load_left_N - 300.0) * (run.speed_mps - 0.6)
+
+    runs = [replace(run, speed_mps=0.8 if number // 9 % 2 else 0.4) for number, run in enumerate(loaded(36))]
+    verdict = diagnosing(campaign(runs, truth=noisy(of_load_and_speed, 1), vehicle=DIFFERENTIAL))
+    assert verdict.unexplained is not None and verdict.unexplained.share > 0.2
+    assert all(cause.probability <= 0.5 for cause in verdict.causes) and not verdict.recommended
+
+
 def driven_hard(n_runs: int = 24) -> list[Run]:
     """Runs that end on the move, half of them after a hard acceleration over a fifth of the way."""
     routes = [(STRAIGHT, "corridor"), (ROUTE, "route_left"), (turned(ROUTE), "route_right")]

@@ -15,7 +15,7 @@ import numpy as np
 from calib.gap.decision.between_sessions import FALSE_REJECTION, SessionScatter, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
-from calib.gap.decision.trials import groupings
+from calib.gap.decision.trials import groupings, most_square
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.quantities import session_steps
@@ -232,13 +232,13 @@ def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
 
 
 def unexplained_of(evidence: Evidence) -> Unexplained | None:
-    """Return the unexplained residual; None where none is probable."""
-    if evidence.search.rest < EVEN_PROBABILITY:
-        return None
+    """Return the unexplained residual; None where none is probable, nor more left than noise leaves."""
     n_rows = int(evidence.observations.usable.sum())
+    beyond = evidence.fitted.chi_square > most_square(n_rows, evidence.noise.dof)
+    if evidence.search.rest < EVEN_PROBABILITY and not beyond:
+        return None
     signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
-    share = 1.0 - evidence.explained_share[0]
-    return Unexplained(share=share, signal=signal, where=_places(evidence)) if signal > 0 else None
+    return Unexplained(1.0 - evidence.explained_share[0], signal, _places(evidence), beyond) if signal > 0 else None
 
 
 def places_as_unexplained(
@@ -246,8 +246,7 @@ def places_as_unexplained(
 ) -> tuple[list[Cause], Unexplained | None]:
     """Return places that other causes outweigh, and the unexplained residual with these.
 
-    A form sought at every place follows what larger causes leave, or an effect outside the library: of 21 floor zones
-    in development cases that explain less than the other causes together none was at work.
+    A form sought at every place follows what larger causes leave, or an effect outside the library.
     """
     total = sum(cause.share for cause in causes)
     placed = [cause for cause in causes if evidence.effects[cause.effect].by_place and cause.share <= 0.5 * total]
@@ -256,18 +255,19 @@ def places_as_unexplained(
     left = unexplained or Unexplained(0.0, 0.0)
     where = (*(f"{ON_FLOOR}, {cause.form}" for cause in placed), *left.where)
     signal = float(np.linalg.norm([left.signal, *(cause.signal for cause in placed)]))
-    return placed, Unexplained(min(left.share + sum(cause.share for cause in placed), 1.0), signal, where)
+    share = min(left.share + sum(cause.share for cause in placed), 1.0)
+    return placed, replace(left, share=share, signal=signal, where=where)
 
 
 def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> list[Cause]:
     """Return the causes; those of a weaker signal than the unexplained residual at even odds at most.
 
-    What left so much may have left them, too. Of 33 in development campaigns with an effect outside the library, named
-    at up to 0.96, none was at work; of 10 in crowds, whose residual is weaker than most causes, 9 were.
+    What left so much may have left them, too; where it is beyond noise, all but the strongest may share it.
     """
     if unexplained is None or unexplained.share <= SMALL_SHARE:
         return [*causes]
-    return limited_to_even(causes, {cause.effect for cause in causes if cause.signal < unexplained.signal})
+    limit = max([unexplained.signal, *(cause.signal for cause in causes if unexplained.beyond_noise)])
+    return limited_to_even(causes, {cause.effect for cause in causes if cause.signal < limit})
 
 
 def limited_to_even(causes: Sequence[Cause], doubtful: Collection[str]) -> list[Cause]:

@@ -209,6 +209,8 @@ class Unexplained:
     share: float
     signal: float
     where: tuple[str, ...] = ()
+    #: certain, by what repeats differ by
+    beyond_noise: bool = field(default=False, metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,11 +35,12 @@ def reach_of_noise(dof: float, n_readings: int) -> float:
     return float(stdtrit(max(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
 
 
-def most_square(n_readings: int) -> float:
-    """Return the squares of so many readings, in stated noise levels, that noise alone leaves, at `FALSE_ALARM`."""
+def most_square(n_readings: int, dof: float = 0.0) -> float:
+    """Return the squares of so many readings that noise alone leaves, at `FALSE_ALARM`; `dof`: 0 for a stated level."""
     from scipy.special import fdtri
 
-    return n_readings * float(fdtri(max(n_readings, 1), FLOOR_DOF, 1.0 - FALSE_ALARM))
+    known = max(dof, 3.0) if dof > 0.0 else FLOOR_DOF
+    return n_readings * float(fdtri(max(n_readings, 1), known, 1.0 - FALSE_ALARM))
 
 
 @dataclass(frozen=True, slots=True)

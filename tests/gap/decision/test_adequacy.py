@@ -154,6 +154,14 @@ def test_a_cause_weaker_than_the_unexplained_residual_has_even_odds_at_most(
     assert [each.probability for each in limited_beside(Unexplained(share, signal), [cause()])] == [expected]
 
 
+def test_of_an_incomplete_hypothesis_the_strongest_cause_alone_keeps_its_probability() -> None:
+    """Its evidence compares wrong models only: several share one effect outside the library between them."""
+    causes = [cause(), replace(cause(), effect="speed_radius", signal=25.0)]
+    for beyond, weaker in ((False, 0.9), (True, 0.5)):
+        limited = limited_beside(Unexplained(0.4, 20.0, beyond_noise=beyond), causes)
+        assert [each.probability for each in limited] == [0.9, weaker]
+
+
 def test_even_odds_raise_no_probability() -> None:
     assert limited_beside(Unexplained(0.4, 60.0), [cause(0.3)])[0].probability == 0.3
 
