@@ -234,7 +234,8 @@ def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
 def unexplained_of(evidence: Evidence) -> Unexplained | None:
     """Return the unexplained residual; None where none is probable, nor more left than noise leaves."""
     n_rows = int(evidence.observations.usable.sum())
-    beyond = evidence.fitted.chi_square > most_square(n_rows, evidence.noise.dof)
+    most = most_square(n_rows, evidence.noise.dof)
+    beyond = evidence.noise.supported and evidence.fitted.chi_square > most
     if evidence.search.rest < EVEN_PROBABILITY and not beyond:
         return None
     signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
