@@ -233,13 +233,11 @@ def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
 
 def unexplained_of(evidence: Evidence) -> Unexplained | None:
     """Return the unexplained residual; None where none is probable, nor more left than noise leaves."""
-    n_rows = int(evidence.observations.usable.sum())
-    most = most_square(n_rows, evidence.noise.dof)
-    beyond = evidence.noise.supported and evidence.fitted.chi_square > most
-    if evidence.search.rest < EVEN_PROBABILITY and not beyond:
+    n_rows, square, noise = int(evidence.observations.usable.sum()), evidence.fitted.chi_square, evidence.noise
+    beyond = noise.supported and square > most_square(n_rows, noise.dof)
+    if (evidence.search.rest < EVEN_PROBABILITY and not beyond) or square <= n_rows:
         return None
-    signal = float(np.sqrt(max(evidence.fitted.chi_square - n_rows, 0.0)))
-    return Unexplained(1.0 - evidence.explained_share[0], signal, _places(evidence), beyond) if signal > 0 else None
+    return Unexplained(1.0 - evidence.explained_share[0], float(np.sqrt(square - n_rows)), _places(evidence), beyond)
 
 
 def places_as_unexplained(
