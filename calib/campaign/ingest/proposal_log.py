@@ -162,8 +162,9 @@ def _w(of_axis: ColumnContents) -> str:
 def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
     """Take the reference's other two axes where x or y is its vertical, and its quaternion's turn, in place."""
     named = {column.name: column for column in columns}
-    x = found.get("ref_x_m")
-    names = [x.name[:-1] + chr(ord(x.name[-1]) + at) for at in range(3)] if x and x.name[-1] in "xX" else []
+    x = found["ref_x_m"].name if "ref_x_m" in found else ""
+    at_x = len(x.partition(" [")[0]) - 1  # a unit may follow
+    names = [x[:at_x] + chr(ord(x[at_x]) + axis) + x[at_x + 1 :] for axis in range(3)] if x and x[at_x] in "xX" else []
     axes = [named[name] for name in names if name in named]
     if len(axes) < 3 or found.get("ref_y_m") is not axes[1]:
         return

@@ -30,6 +30,7 @@ from calib.campaign.readers.table import (
 )
 from calib.errors import BadFileError
 from calib.types import FloatArray, grouped
+from calib.units import unit_named
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds
@@ -66,6 +67,9 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
     above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
+    # of motion capture, whose columns name none
+    unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
+    above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
         numbers = range(skipped + 1, skipped + 1 + len(first))

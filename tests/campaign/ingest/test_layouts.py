@@ -127,12 +127,12 @@ def test_files_of_the_same_columns_are_one_table(a_file: int, tmp_path: Path) ->
 
 
 def test_motion_capture_names_its_columns_in_four_rows_and_points_its_y_up(tmp_path: Path) -> None:
-    """Names that stand twice above numbers are no header; the axis that hardly moves is the vertical one."""
+    """Names that stand twice above numbers are no header; the axis that hardly moves is up; the unit is named above."""
     t = np.linspace(0.0, 20.0, 401)
     heading = 0.3 * t
     east, north = 2000.0 * np.sin(heading), -2000.0 * np.cos(heading)
     head = [
-        "Format Version,1.23,Take Name,Take,Capture Frame Rate,120",
+        "Format Version,1.23,Take Name,Take,Capture Frame Rate,120,Length Units,Millimeters",
         "",
         ",Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body",
         ",Name,AGV,AGV,AGV,AGV,AGV,AGV,AGV",
@@ -145,6 +145,6 @@ def test_motion_capture_names_its_columns_in_four_rows_and_points_its_y_up(tmp_p
     rows = [",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True)]
     (tmp_path / "take.csv").write_text("\n".join([*head, *rows]) + "\n")
     lines = [line.partition("   #")[0] for line in describe([tmp_path / "take.csv"]).to_toml().splitlines()]
-    assert 'ref_x_m = {column = "Position Z", unit = "m"}' in lines
-    assert 'ref_y_m = {column = "Position X", unit = "m"}' in lines
+    assert 'ref_x_m = "Position Z [mm]"' in lines
+    assert 'ref_y_m = "Position X [mm]"' in lines
     assert 'ref_theta_rad = {column = "Rotation Y", w = "Rotation W"}' in lines
