@@ -127,7 +127,7 @@ def diagnose_in_full(
         effects, noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
     left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
-    held_out = _held_out(situation, searched, effects, left_out, rng)
+    held_out, fitted = _held_out(situation, searched, effects, left_out, rng), searched.fitted
     shifts = {effect.id: effect.own_shifts for effect in effects}
     evidence = Evidence(
         situation=situation,
@@ -136,10 +136,10 @@ def diagnose_in_full(
         noise=noise,
         effects={effect.id: effect for effect in effects},
         search=searched,
-        recalibration=judge_recalibration(searched.fitted, nominal, noise, settings, shifts, searched),
+        recalibration=judge_recalibration(fitted, nominal, noise, settings, shifts, searched),
         held_out=held_out,
         trials=trials(left_out, residuals(nominal, nominal), noise.dof),
-        where=locate(observations, nominal, noise, held_out.before, rng=rng, floor=held_out.floor, campaign=campaign),
+        where=locate(nominal, noise, held_out.before, held_out.floor, rng=rng, campaign=campaign, left=fitted.left),
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
@@ -150,7 +150,7 @@ def diagnose_in_full(
 
     progress(0, 0, "next runs")
     ties = open_questions(diagnosis)
-    return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, searched.fitted, model=model)))
+    return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, fitted, model=model)))
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:

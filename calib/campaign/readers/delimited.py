@@ -40,7 +40,7 @@ _HEAD_BYTES: Final = 1 << 16
 #: tables of numbers up to so many bytes are read without pandas, whose import takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
-_FEW_ROWS: Final = 8
+_FEW_ROWS, _LEAST_LINES = 8, 2
 #: keeps a file out of a batch
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
@@ -48,7 +48,6 @@ _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 _EXACT_WHOLE: Final = 2.0**53
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
-_LEAST_LINES: Final = 2
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -67,7 +66,6 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
     above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
-    # of motion capture, whose columns name none
     unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
     if wanted is not None and data.find(b'"', start) < 0:

@@ -110,16 +110,16 @@ MIN_CLUSTERS: Final = 8
 
 
 def locate(
-    observations: Observations,
     nominal: Path,
     noise: Noise,
     gap: FloatArray,
+    floor: FloatArray | None = None,
     *,
     rng: np.random.Generator,
-    floor: FloatArray | None = None,
     campaign: Campaign | None = None,
+    left: FloatArray | None = None,
 ) -> GapLocation:
-    """Say where the gap lies.
+    """Say where the gap lies, and what its causes leave.
 
     Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
     multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
@@ -127,33 +127,40 @@ def locate(
 
     Parameters
     ----------
-    observations : Observations
     nominal : Path
-        The model alone.
+        The model alone, of the observations.
     noise : Noise
     gap : array of float, shape (n_units, n_channels)
         Measured minus simulated; 0 where a unit lacks the channel.
-    rng : numpy.random.Generator
-        For the bootstrap.
     floor : array of float, shape (n_units, n_channels), optional
         What the gap is shown against; by default that of `noise`.
+    rng : numpy.random.Generator
+        For the bootstrap.
     campaign : Campaign, optional
         The same runs with their logs: without it, no places inside runs.
+    left : array of float, shape (n_units, n_channels), optional
+        The gap with its causes fitted.
     """
-    lines = wheel_tests(nominal, noise, gap, rng)
-    n = len(observations)
-    weights = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAP_DRAWS).astype(np.float64)
-    scaled = np.where(observations.usable, gap / noise.floor, np.nan)
-    for name, values in covariate_values(observations).items():
-        if (line := covariate_test(name, values, scaled, weights, max(noise.dof, 3.0))) is not None:
-            lines.append(line)
+    observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places: tuple[PlaceResult, ...] = ()
     notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
     if campaign is not None:
         places, notes = _find_places(campaign, observations, rng)
     shown = noise.floor if floor is None else floor
     channels, runs = _by_channel(observations, shown, gap), _by_run(observations, shown, gap)
-    return GapLocation(channels=channels, covariates=holm_corrected(lines), runs=runs, places=places, notes=notes)
+    rest = None if left is None else GapLocation(covariates=_tested(nominal, noise, left, rng))
+    return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=rest)
+
+
+def _tested(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> tuple[CovariateResult, ...]:
+    observations, lines = nominal.s, wheel_tests(nominal, noise, gap, rng)
+    n = len(observations)
+    weights = rng.multinomial(n, np.full(n, 1.0 / n), BOOTSTRAP_DRAWS).astype(np.float64)
+    scaled = np.where(observations.usable, gap / noise.floor, np.nan)
+    for name, values in covariate_values(observations).items():
+        if (line := covariate_test(name, values, scaled, weights, max(noise.dof, 3.0))) is not None:
+            lines.append(line)
+    return holm_corrected(lines)
 
 
 def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[ChannelGap, ...]:

@@ -13,7 +13,7 @@ from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.localise.along_run import Trace
 from calib.gap.localise.covariates import CovariateResult
 from calib.gap.localise.locate import FALSE_FINDING_PROBABILITY, _slope, compare_windows, holm_corrected, locate
-from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations.arrays import Channel
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.plant.design import good_design, poor_design
@@ -22,12 +22,12 @@ from calib.plant.make import make_campaign
 from calib.types import FloatArray
 
 
-def seen(campaign: Campaign) -> tuple[Observations, Path, Noise, FloatArray]:
+def seen(campaign: Campaign) -> tuple[Path, Noise, FloatArray]:
     s = observations_of(campaign)
     nominal = predict(s)
     gap = residuals(nominal, nominal)
     base = fit(nominal, estimate_noise(nominal, gap))
-    return s, nominal, estimate_noise(base.path, base.left), gap
+    return nominal, estimate_noise(base.path, base.left), gap
 
 
 def table(campaign: Campaign) -> dict[str, CovariateResult]:
@@ -75,7 +75,8 @@ def test_the_covariate_that_an_effect_acts_through_leads_the_table(
 def test_a_share_is_that_of_the_variance_beyond_the_floor() -> None:
     """Closed form: a gap a x + b y with independent x, y beyond unit noise has shares a^2 and b^2 of their sum."""
     campaign = made("track_width", 0.0)
-    s, nominal, noise, _ = seen(campaign)
+    nominal, noise, _ = seen(campaign)
+    s = nominal.s
     rng = np.random.default_rng(3)
     x, y = rng.normal(size=(2, len(s)))
     x, y = (x - x.mean()) / x.std(), y - y.mean()
@@ -85,7 +86,7 @@ def test_a_share_is_that_of_the_variance_beyond_the_floor() -> None:
     gap[:, 3] = noise.floor[:, 3] * (8.0 * x + 6.0 * y)
     given = {**s.numbers, "payload_kg": x}
     object.__setattr__(s, "numbers", given)
-    shares = {line.name: line for line in locate(s, nominal, noise, gap, rng=rng).covariates}
+    shares = {line.name: line for line in locate(nominal, noise, gap, rng=rng).covariates}
     # 64 of 100; the noise level's own unit variance, absent here, and the degree of freedom move it by 1 to 2 %
     assert shares["payload_kg"].share == pytest.approx(0.64, abs=0.03)
     assert shares["payload_kg"].channel is Channel.HEADING
@@ -93,10 +94,11 @@ def test_a_share_is_that_of_the_variance_beyond_the_floor() -> None:
 
 def test_the_worst_run_stands_first() -> None:
     campaign = made("track_width", 0.0)
-    s, nominal, noise, gap = seen(campaign)
+    nominal, noise, gap = seen(campaign)
+    s = nominal.s
     gap = gap.copy()
     gap[7, 3] = 50 * noise.floor[7, 3]
-    worst = locate(s, nominal, noise, gap, rng=np.random.default_rng(0)).runs[0]
+    worst = locate(nominal, noise, gap, rng=np.random.default_rng(0)).runs[0]
     assert worst.run_id == str(s.labels["run_id"][7])
     assert worst.channel is Channel.HEADING
     # 50 noise levels were put in
@@ -106,8 +108,9 @@ def test_the_worst_run_stands_first() -> None:
 def test_channels_say_root_mean_square_and_floor_of_what_was_measured_only() -> None:
     rng = np.random.default_rng(1)
     campaign = make_campaign(poor_design("squares_one_load", rng), {}, rng)
-    s, nominal, noise, gap = seen(campaign)
-    where = locate(s, nominal, noise, gap, rng=rng)
+    nominal, noise, gap = seen(campaign)
+    s = nominal.s
+    where = locate(nominal, noise, gap, rng=rng)
     assert where.channel(Channel.DISTANCE) is None
     on = s.usable[:, 3]
     heading = where.channel(Channel.HEADING)
@@ -121,7 +124,7 @@ def test_a_zone_of_the_floor_is_found_where_it_was_put(seed: int) -> None:
     rng = np.random.default_rng(seed)
     design = good_design(rng, n_runs=60, needs={"trace", "corridor"})
     campaign = make_campaign(design, {"track_width": 0.0}, rng)
-    s, nominal, noise, gap = seen(campaign)
+    nominal, noise, gap = seen(campaign)
     zone = (6.0, 8.0)
     logs = campaign.logs
     x, theta = logs.columns["ref_x_m"].copy(), logs.columns["ref_theta_rad"]
@@ -133,7 +136,7 @@ def test_a_zone_of_the_floor_is_found_where_it_was_put(seed: int) -> None:
         # the wheels slip by 10 mm there: the reference falls behind them
         x[part] -= 0.010 * (inside if design.direction[run] != "back" else 1.0 - inside) * np.cos(theta[part])
     object.__setattr__(campaign, "logs", type(logs)(logs.offsets, {**logs.columns, "ref_x_m": x}))
-    places = locate(s, nominal, noise, gap, rng=rng, campaign=campaign).places
+    places = locate(nominal, noise, gap, rng=rng, campaign=campaign).places
     found = next(place for place in places if place.where == "zone" and place.route == "corridor")
     assert found.channel is Channel.ALONG
     assert found.place is not None and found.place_ci95 is not None
@@ -247,3 +250,13 @@ def test_runs_without_a_heading_are_not_asked_for_it() -> None:
     lines = compare_windows([trace(run, 0.01, rng, ranged=True) for run in range(10)])
     assert {line.channel for line in lines} == {Channel.ALONG}
     assert all(np.isfinite([line.size, *line.ci95, line.p_value]).all() for line in lines)
+
+
+def test_what_is_left_is_tested_as_the_gap_is() -> None:
+    """A gap that grows with the load alone correlates with it; what is left without it, with nothing."""
+    nominal, noise, gap = seen(made("load_radius", 20.0))
+    where = [locate(nominal, noise, gap, rng=np.random.default_rng(0), left=left).rest for left in (gap, 0.0 * gap)]
+    assert where[0] is not None
+    assert where[1] is not None
+    assert any("load" in line.name or "payload" in line.name for line in where[0].significant)
+    assert not where[1].significant
