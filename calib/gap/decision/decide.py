@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import prod
+from math import prod, sqrt
 from typing import Final
 
 import numpy as np
@@ -31,7 +31,8 @@ from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 
 #: verdicts that name no cause
-NOTHING_NAMED: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNKNOWN, VerdictKind.UNDECIDED})
+NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
+NOTHING_NAMED: Final = NO_GAP_SHOWN | {VerdictKind.UNKNOWN}
 #: families of unlike corrections: confounded members are no mere forms of one another
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
@@ -70,7 +71,10 @@ def decide(evidence: Evidence) -> Diagnosis:
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     doubtful = bool(doubted) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
-    if kind is VerdictKind.NO_GAP and stands_off(evidence):
+    noise_level = NoiseSummary.about(evidence.noise)
+    if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} and (words := scatters_alone(evidence)):
+        kind, noise_level = VerdictKind.UNDECIDED, replace(noise_level, supported=False, support=words)
+    elif kind is VerdictKind.NO_GAP and stands_off(evidence):
         kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
     if kind in NOTHING_NAMED:
         causes = []
@@ -91,10 +95,10 @@ def decide(evidence: Evidence) -> Diagnosis:
         groups=tuple(Group(tuple(group)) for group in tied_with(causes, tied)),
         where=evidence.where,
         closure=closure,
-        unexplained=None if kind is VerdictKind.NO_GAP and not situation.faults else unexplained,
+        unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
         fix=replace(fix, moves=moved(evidence, fix, causes)),
         notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
-        noise_level=NoiseSummary.about(evidence.noise),
+        noise_level=noise_level,
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
         judged_against=evidence.judged_against,
         campaign=situation.campaign.name,
@@ -124,6 +128,20 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
     wrong = tuple(note.sentence for note in implausible(situation.campaign))
     # no load, nor what nobody stated, makes a run end off by so much of its length
     return wrong or (notes_for_results(situation.campaign, of_loads=False)[:MOST_SAID] if off else ())
+
+
+def scatters_alone(evidence: Evidence) -> str:
+    """Return how much runs of which none was driven twice scatter beyond the stated noise; empty if not beyond it.
+
+    Beyond any level as uncertain as `log_marginal` takes the stated one. Walks of wheels are typical values there, and
+    what follows no covariate nor takes runs far off may be all noise.
+    """
+    n_rows, square = int(evidence.observations.usable.sum()), evidence.fitted.chi_square
+    shown = evidence.where.significant or _misfit(evidence) >= BLUNDER_MISFIT
+    if evidence.noise.dof > 0.0 or not evidence.noise.supported or shown or square <= most_square(n_rows):
+        return ""
+    times = sqrt(square / n_rows)
+    return f"nothing: runs of which none was driven twice scatter {times:.2g} times as much as stated and usual"
 
 
 def stands_off(evidence: Evidence) -> bool:

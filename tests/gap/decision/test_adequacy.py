@@ -207,6 +207,29 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
 
 
 @pytest.mark.parametrize(
+    ("times", "dof", "lines", "off", "told"),
+    [
+        (1.2, 0.0, (), 0.0, False),  # within what the stated level may be off by
+        (2.0, 0.0, (), 0.0, True),
+        (2.0, 9.0, (), 0.0, False),  # repeats measured the noise
+        (2.0, 0.0, ("payload_kg",), 0.0, False),  # noise follows no covariate
+        (2.0, 0.0, (), 0.6, False),  # nor takes runs off by half their length
+    ],
+)
+def test_what_none_driven_twice_scatter_by_is_no_gap_shown(
+    monkeypatch: pytest.MonkeyPatch, times: float, dof: float, lines: tuple[str, ...], off: float, told: bool
+) -> None:
+    monkeypatch.setattr(decide, "_misfit", lambda evidence: off)
+    evidence = SimpleNamespace(
+        observations=SimpleNamespace(usable=np.ones((40, 2), bool)),
+        noise=SimpleNamespace(dof=dof, supported=True),
+        fitted=SimpleNamespace(chi_square=80.0 * times**2),
+        where=SimpleNamespace(significant=lines),
+    )
+    assert bool(decide.scatters_alone(evidence)) is told  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
     ("supported", "dof", "windowed", "bounded"),
     [(True, 0.0, True, True), (False, 17.0, False, True), (False, 17.0, True, False), (False, 0.0, False, False)],
 )
