@@ -355,8 +355,10 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
             continue
         at = known[:: 1 + len(known) // _STEPS]
         position, turned = (x + 1j * y)[at], turned_rad(campaign, left[at], right[at])
-        rolled = 0.5 * np.diff(sum(design.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in SIDES))
-        straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(rolled).max())
+        wheels = np.diff([design.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in SIDES])
+        rolled = wheels.mean(axis=0)
+        # in turns on the spot the reference moves, the axle does not
+        straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
         ratio = np.abs(np.diff(position)[straight] / rolled[straight])
         ratios += [float(np.median(ratio))] if straight.any() else []
         length, width = _length_and_width(position)

@@ -71,11 +71,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     doubtful = bool(doubted) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
-    noise_level = NoiseSummary.about(evidence.noise)
-    if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} and (words := scatters_alone(evidence)):
-        kind, noise_level = VerdictKind.UNDECIDED, replace(noise_level, supported=False, support=words)
-    elif kind is VerdictKind.NO_GAP and stands_off(evidence):
-        kind, gap_probability = VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM
+    kind, gap_probability, noise_level = _as_shown(evidence, kind, gap_probability)
     if kind in NOTHING_NAMED:
         causes = []
     elif hides_causes(closure, share) or not evidence.noise.supported:
@@ -107,6 +103,16 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence=evidence,
     )
     return _in_words(diagnosis, evidence)
+
+
+def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:
+    """Return verdict, probability of a gap and noise level by what runs that agree, or none of which do, show."""
+    noise_level = NoiseSummary.about(evidence.noise)
+    if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} and (words := scatters_alone(evidence)):
+        return VerdictKind.UNDECIDED, gap_probability, replace(noise_level, supported=False, support=words)
+    if kind is VerdictKind.NO_GAP and stands_off(evidence):
+        return VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM, noise_level
+    return kind, gap_probability, noise_level
 
 
 def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[Sequence[str]]:

@@ -131,6 +131,14 @@ def test_paths_by_reference_and_wheels_are_of_one_length_and_plane(blunder: str,
     assert notes == [("wrong", True)] * (blunder not in {"sound", "a straight line"})
 
 
+def test_a_sensor_beside_the_axle_moves_in_turns_on_the_spot() -> None:
+    """The axle's middle does not: nothing tells the unit of positions there."""
+    spins = [(f"spin_{s}", [(0.0, s * 12.0), (0.0, s * 0.1)]) for s in (1, -1) * 3]
+    truth = driven.Truth(sensor=(0.3, 0.1, 0.0))
+    made = driven.campaign(spins, truth, np.random.default_rng(1), along=True)
+    assert not list(implausible_paths(made))
+
+
 def test_logs_that_are_all_uneven_are_one_line() -> None:
     """One that is uneven among even ones is named by its run."""
     made = campaign(runs_per_load=1)
