@@ -57,6 +57,7 @@ PLAUSIBLE_CHANGE: Final = 0.2
 LEAST_TURN_RAD: Final = 0.2
 #: of the sensor, found beside the lengths; its yaw would be a reading's
 PLACE: Final = ("sensor_x_m", "sensor_y_m", "delay_s")
+MOUNTED: Final = (*PLACE, "sensor_yaw_rad")
 Divide = Callable[["Campaign", Recording], Segments]
 
 
@@ -85,17 +86,22 @@ def find_blunder(
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
 
-    def tried(change: Change, setting: Callable[[Campaign], Campaign] | None = None) -> Trial:
+    def tried(
+        change: Change, setting: Callable[[Campaign], Campaign] | None = None, sensor: tuple[str, ...] = PLACE
+    ) -> Trial:
         stated = setting(campaign) if setting else campaign
-        return _tried(stated, change(recording), drive_of(stated, source, recording) if setting else drive, divide)
+        driven = drive_of(stated, source, recording) if setting else drive
+        return _tried(stated, change(recording), driven, divide, sensor)
 
-    as_it_stands = tried(unchanged)
-    turned = _tried(campaign, recording, drive, divide, (*PLACE, "sensor_yaw_rad"))
+    as_it_stands, turned = tried(unchanged), tried(unchanged, sensor=MOUNTED)
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
         trial = tried(reading.change, reading.setting)
+        if trial.plausible and trial.share >= enough:
+            # beside a sensor that is turned a little
+            trial = tried(reading.change, reading.setting, MOUNTED)
         if not trial.plausible or trial.share >= enough:
             continue
         without = tried(reading.zeroed) if reading.zeroed else None

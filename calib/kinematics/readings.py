@@ -135,6 +135,9 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         ("mirrored", "y and heading are mirrored, or the wheels exchanged", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
     ):
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
+    text = "ref_theta_rad: the heading is clockwise from y, as a compass' from north; ingest pi/2 less it"
+    compass = _referred(lambda pose: np.stack([pose[0], pose[1], 0.5 * np.pi - pose[2]]))
+    yield Reading(Fault("heading_clockwise", text), compass)
 
 
 def _rolled(change: OfArray) -> Change:

@@ -14,13 +14,13 @@ from calib.campaign.wheels import with_counts
 from calib.kinematics.blunder_search import find_blunder, find_departure
 from calib.kinematics.blunders import rear_faults, still_counters
 from calib.kinematics.drives import nominal_turn
-from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.estimate import Using, estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments
 from calib.kinematics.readings import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
 from calib.kinematics.recording import recording_of
 from calib.kinematics.result import Geometry
-from tests.kinematics.campaigns import Truth, campaign, mixed
+from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed
 from tests.kinematics.test_departures import ROUTE
 
 Columns = dict[str, np.ndarray]
@@ -240,12 +240,11 @@ def test_headings_of_another_scale_than_the_path_are_named(since_start: bool, sc
 
 
 @pytest.mark.parametrize("longer", [1.0, 1.02])
-@pytest.mark.parametrize("runs", [4, 10])
-def test_an_axis_of_the_map_that_is_too_long_is_named(runs: int, longer: float) -> None:
+@pytest.mark.parametrize(("runs", "using"), [(4, "windows"), (10, "end_poses")])
+def test_an_axis_of_the_map_that_is_too_long_is_named(runs: int, using: Using, longer: float) -> None:
     """By windows of few recordings and by the ends of many: residuals depend on the direction of travel in the map."""
-    found = estimate_geometry(in_map(runs, lambda log: log | {"ref_x_m": longer * log["ref_x_m"]}, samples=1200))
-    # where windows do not fit, ends are tried
-    assert found.using == ("end_poses" if runs == 10 and longer > 1.0 else "windows")
+    made = in_map(runs, lambda log: log | {"ref_x_m": longer * log["ref_x_m"]}, samples=1200)
+    found = estimate_geometry(made, using=using)
     assert found.passed is (longer == 1.0)
     assert set(named(found)) == ({"axis_scale"} if longer > 1.0 else set())
     assert right(found, "radius_left_m", "radius_right_m", "track_m")
@@ -263,3 +262,23 @@ def test_axes_of_a_map_are_named_by_ends_from_any_heading(code: str, change: Cal
     """An end in a map is seen from the start's own heading, which the blunder changes as well."""
     found = estimate_geometry(in_map(16, change, samples=200), using="end_poses")
     assert not found.passed and code in named(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda log: {}, ""),
+        (lambda log: {"ref_theta_rad": -log["ref_theta_rad"]}, "the heading is clockwise: left"),
+        (lambda log: {"ref_theta_rad": np.pi / 2 - log["ref_theta_rad"]}, "clockwise from y, as a compass"),
+        (lambda log: {"ref_theta_rad": -log["ref_theta_rad"], "ref_y_m": -log["ref_y_m"]}, "both mirrored"),
+    ],
+)
+def test_clockwise_headings_of_a_turned_sensor_are_named_in_closed_loops(
+    change: Callable[[Columns], Columns], words: str
+) -> None:
+    """The ends of squares are alike in a mirror; windows tell, beside a sensor that is turned by three degrees."""
+    truth = Truth(sensor=(0.1, 0.02, 0.05))
+    made = campaign(both_ways(4), truth, np.random.default_rng(1), along=True)
+    found = estimate_geometry(changed(made, lambda log: log | change(log)))
+    assert (found.using, found.passed) == ("windows", not words)
+    assert [words in fault.text for fault in found.faults] == [True] * bool(words)
