@@ -22,9 +22,8 @@ from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
 from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, table
+from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
 from calib.reporting.formatting import fixed, measured
-from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, WeighedPayload
 
