@@ -1,37 +1,29 @@
-"""A sealed set from a seeds file, all truths apart in a file whose hash is stored; every case diagnosed without it."""
+"""A sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored."""
 
 from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from calib.campaign.model import Campaign
-from calib.campaign.read import read_campaign
 from calib.campaign.settings_file import load_toml
 from calib.campaign.tables import write_campaign
 from calib.challenge.cases import Recipe, Truth, campaigns_of, truth_of
 from calib.documents import plain, to_json
-from calib.errors import CASES, BadFileError, CalibError, RefusedError, refuse_beyond, refuse_workers
+from calib.errors import CASES, BadFileError, RefusedError, refuse_beyond, refuse_workers
 from calib.fleet.workers import engine
-from calib.io import inside, refuse_existing, sha256_file, write_json, write_text
+from calib.io import refuse_existing, sha256_file, write_text
 from calib.plant.design import DESIGNS
 from calib.plant.effects import ALL, forms_of
 from calib.plant.signal import CALIBRATION
-from calib.types import FloatArray, Progress, silent
-
-if TYPE_CHECKING:
-    from calib.gap.decision.diagnosis import Diagnosis
-    from calib.gap.effects.effect import Form
-    from calib.gap.observations.arrays import Observations
+from calib.types import Progress, silent
 
 Group = Literal["empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded"]
 GROUPS: Final[tuple[Group, ...]] = get_args(Group)
@@ -260,131 +252,3 @@ def read_public(folder: Path) -> Mapping[str, Any]:
         found = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
         raise BadFileError(path, found, _PUBLIC_FORMAT, "make the set again with this version")
     return data
-
-
-#: see `achieved`
-Achieved = dict[str, float | None]
-
-
-def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
-    """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
-
-    ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
-    ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None where the
-    verdict names no cause, or a form of its causes cannot be had there.
-    """
-    from calib.gap.inference.fit import hypothesis_path, whitened_rows
-    from calib.gap.observations.from_campaign import observations_of
-    from calib.gap.predict import predict, residuals
-
-    if not diagnosis.causes:
-        return None
-    there = observations_of(fresh)
-    forms = _forms_there(diagnosis, there, fresh, exclude)
-    if forms is None or len(there) != len(diagnosis.observations):
-        return None
-    nominal = predict(there)
-    fixed = hypothesis_path(there, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
-    before, after = residuals(nominal, nominal), residuals(fixed, nominal)
-    white = whitened_rows(nominal, diagnosis.noise, np.stack([before, after], axis=2))
-    squares, floor = np.sum(white**2, axis=0), float(len(white))
-    gap = float(squares[0]) - floor
-    fraction = None if gap < 0.5 * floor else float(np.clip(1 - max(float(squares[1]) - floor, 0.0) / gap, -1.0, 1.0))
-    norms = np.sqrt(squares / max(floor, 1.0))
-    return {
-        "before_rms_m": _rms(there, before),
-        "after_rms_m": _rms(there, after),
-        "before_over_floor": float(norms[0]),
-        "after_over_floor": float(norms[1]),
-        "fraction": fraction,
-    }
-
-
-def _forms_there(
-    diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
-) -> tuple[Form, ...] | None:
-    from calib.gap.effects.library import library, matching_form
-
-    effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
-    matches = []
-    for wanted in diagnosis.correction.forms:
-        effect = effects.get(wanted.effect)
-        offered = [] if effect is None else effect.forms(there)
-        alike = [form for form in offered if len(form.parameters) == len(wanted.parameters)]
-        nearest = matching_form(alike, wanted.label, wanted.settings)
-        if nearest is None:
-            return None
-        matches.append(nearest.centred_at(wanted.centre))
-    return tuple(matches)
-
-
-def _rms(there: Observations, values: FloatArray) -> float | None:
-    for channels in ([1, 2], [0]):
-        known = there.usable[:, channels].all(axis=1)
-        if known.any():
-            return float(np.sqrt(np.mean(np.sum(values[known][:, channels] ** 2, axis=1))))
-    return None
-
-
-#: campaign, seed, effects to leave out, fresh campaign -> verdict, and what its fix achieves there
-Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
-
-
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """Cases diagnosed now, before, and failed."""
-
-    done: int
-    skipped: int
-    failed: int
-
-
-def _diagnose_and_try(
-    campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
-) -> tuple[Mapping[str, Any], Achieved | None]:
-    from calib.gap.diagnose import diagnose_in_full
-
-    diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
-    return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
-
-
-def _run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
-    case, exclude = waiting
-    place = inside(folder, f"cases/{case}", named_in=folder / "challenge.json", column=case)
-    again = folder / "fresh" / case
-    started = time.perf_counter()
-    try:
-        campaign = read_campaign(place)
-        verdict, gained = diagnoser(campaign, seed, exclude, read_campaign(again) if again.is_dir() else None)
-        extra = {"seconds": round(time.perf_counter() - started, 3), "achieved": gained}
-    except Exception as error:
-        what = "refused" if isinstance(error, CalibError) else type(error).__name__
-        verdict = {"verdict": "error", "error": f"{what}: {error}"}
-        extra = {"seconds": None, "achieved": None}
-    write_json(folder / "verdicts" / f"{case}.json", {**verdict, "challenge": extra}, force=True)
-    return extra["seconds"] is not None
-
-
-def run(
-    folder: Path,
-    *,
-    workers: int = 2,
-    seed: int = 0,
-    limit: int | None = None,
-    diagnoser: Diagnoser | None = None,
-    progress: Progress = silent,
-) -> Ran:
-    """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `make`.
-
-    A `diagnoser` in place of the library's runs in this process.
-    """
-    cases = list(read_public(folder)["cases"].items())[:limit]
-    waiting = [
-        (case, tuple(entry["exclude"])) for case, entry in cases if not (folder / "verdicts" / f"{case}.json").exists()
-    ]
-    skipped = len(cases) - len(waiting)
-    progress(skipped, len(cases), "cases")
-    work = partial(_run_case, folder, seed, diagnoser or _diagnose_and_try)
-    alone = diagnoser is not None or not waiting
-    fine = each(work, waiting, 1 if alone else workers, lambda done: progress(skipped + done, len(cases), "cases"))
-    return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))

@@ -278,7 +278,7 @@ def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed
 
     Example: calib challenge run blind
     """
-    from calib.challenge.seal import run as run_set
+    from calib.challenge.run import run as run_set
 
     terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
     with terminal.progress("diagnosing") as tick:

@@ -14,8 +14,9 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.challenge.cases import Truth
+from calib.challenge.run import run
 from calib.challenge.score import open_truth, score
-from calib.challenge.seal import GROUPS, HASH, PUBLIC, SEEDS, Seeds, make, read_seeds, recipes, run, truth_path
+from calib.challenge.seal import GROUPS, HASH, PUBLIC, SEEDS, Seeds, make, read_seeds, recipes, truth_path
 from calib.documents import plain
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects import effects

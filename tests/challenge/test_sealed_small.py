@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from calib.challenge.run import run
 from calib.challenge.score import Score, score
-from calib.challenge.seal import make, read_public, run
+from calib.challenge.seal import make, read_public
 from calib.errors import BadFileError, BadInputError, inputs_kept, refuse_input
 
 pytest.importorskip("calib.gap.diagnose")
