@@ -81,6 +81,8 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
 #: origin of the registered effects
 LIBRARY: Final = Effect.origin
+#: smallest change of a channel (m or rad): no instrument resolves a micrometre
+UNCHANGED: Final = 1e-6
 #: a path on a floor plan is drawn apart by about this share of its extent
 DRAWN_SHARE: Final = 0.12
 #: largest factor by which an effect is enlarged for a floor plan
@@ -206,11 +208,6 @@ class Entry:
     signature: EffectSignature | None
     #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
     changes: Mapping[str, FloatArray]
-
-    @property
-    def origin(self) -> str:
-        """Where it comes from."""
-        return self.effect.origin
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON values; sizes in SI units."""

@@ -253,6 +253,11 @@ class Observations:
         return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
 
     @property
+    def sigma(self) -> FloatArray:
+        """Stated standard uncertainties of distance, x, y and heading, shape (n_obs, 4)."""
+        return np.stack([self.sigma_distance_m, self.sigma_xy_m, self.sigma_xy_m, self.sigma_theta_rad], axis=1)
+
+    @property
     def wheel_loads_N(self) -> FloatArray:
         """Load of the left and of the right wheel, the mean over its way, shape (2, n_obs); NaN where not known."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
@@ -328,19 +333,14 @@ class Observations:
         The mean of both ends, and a sixth of what function and wheel's rate change by: over a whole turn errors cancel,
         whether front wheel or rear axle keeps its speed (Euler and Maclaurin).
         """
-        begin, end = map(of, self._steer_ends)
+        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
+        begin, end = of(angle - half), of(angle + half)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.nan_to_num(self.front_roll_rad / self.duration_s, posinf=0.0, neginf=0.0)
             before, behind = np.roll(rate, 1), np.roll(rate, -1)
             before[self.starts[:-1]], behind[self.starts[1:] - 1] = rate[self.starts[:-1]], rate[self.starts[1:] - 1]
             faster = np.nan_to_num(0.5 * (behind - before) / rate, posinf=0.0, neginf=0.0)
         return np.asarray(0.5 * (begin + end) + faster * (end - begin) / 6.0)
-
-    @property
-    def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
-        """Steering angle at both ends of each step, (n_steps,)."""
-        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
-        return angle - half, angle + half
 
     @_KeptIfFew
     def speed_mps(self) -> FloatArray:

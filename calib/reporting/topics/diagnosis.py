@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.checks.design import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.gap.effects.library import LIBRARY, Entry
+from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
@@ -235,8 +235,6 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 
 
-#: a channel below this (m or rad) is unchanged: no instrument resolves a micrometre
-UNCHANGED: Final = 1e-6
 _SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
 
 
@@ -248,7 +246,8 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
         [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
     )
     silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
-    elsewhere = items(f"{entry.effect.id}: from {entry.origin}" for entry in entries if entry.origin != LIBRARY)
+    own = (entry.effect for entry in entries if entry.effect.origin != LIBRARY)
+    elsewhere = items(f"{effect.id}: from {effect.origin}" for effect in own)
     content: list[Block] = [catalogue]
     content += [Text(f"Without a form on {runs}:"), *silent] if silent else []
     content += [Text("Not from the library:"), *elsewhere] if elsewhere else []
@@ -259,7 +258,7 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     """Return one effect in full."""
     effect = entry.effect
     facts = {
-        "From": entry.origin,
+        "From": effect.origin,
         "Family": f"{effect.family}: {effect.family.words}",
         "Needs": effect.needs,
         "Separated from others by": effect.separates,
