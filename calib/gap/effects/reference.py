@@ -259,9 +259,8 @@ class ReferenceLatency(Effect):
         parameters = dict.fromkeys(late, Parameter("latency", "s", typical=5e-2, largest=5e-1))
         if has_pose and observations.windowed:
             # of a clock at another rate the delay grows with the time since the run's start
-            first, last = observations.starts[:-1], observations.starts[1:] - 1
-            begin_s = np.where(logged, observations.time_s[first] - observations.duration_s[first], 0.0)
-            end_s = np.where(logged, observations.time_s[last], 0.0)
+            begin_s = np.where(logged, observations.start_s, 0.0)
+            end_s = np.where(logged, observations.time_s[observations.starts[1:] - 1], 0.0)
             late[self.OF_CLOCK] = Perturbation(start_arc=start * begin_s[:, None], delay_s=end_s)
             parameters[self.OF_CLOCK] = Parameter("rate", "1", typical=5e-4, largest=1e-2)
             since[self.OF_CLOCK] = np.stack([begin_s, end_s], axis=1)

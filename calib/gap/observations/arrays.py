@@ -159,13 +159,16 @@ class Observations:
     def __len__(self) -> int:
         return len(self.starts) - 1
 
+    @property
+    def start_s(self) -> FloatArray:
+        """Time since the run's start at which each observation begins, shape (n_obs,)."""
+        return self.time_s[self.starts[:-1]] - self.duration_s[self.starts[:-1]]
+
     @cached_property
     def follows(self) -> BoolArray:
         """Whether each observation starts where the last one ended, as windows do, (n_obs,)."""
-        first, last = self.starts[:-1], self.starts[1:] - 1
-        start_s = self.time_s[first] - self.duration_s[first]
         same = (self.run[1:] == self.run[:-1]) & self.from_log[1:] & self.from_log[:-1]
-        return np.append(False, same & (np.abs(start_s[1:] - self.time_s[last[:-1]]) < SAME_TIME_S))
+        return np.append(False, same & (np.abs(self.start_s[1:] - self.time_s[self.starts[1:-1] - 1]) < SAME_TIME_S))
 
     @cached_property
     def unit(self) -> IntArray:

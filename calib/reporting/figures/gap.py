@@ -260,15 +260,14 @@ def _groups(group: StrArray) -> Groups:
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts."""
-    from scipy.special import stdtrit
+    from calib.gap.decision.between_sessions import half_of_mean
 
     values, index = np.unique(x, return_inverse=True)
     if len(values) > 8:
         index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
     rows: list[tuple[float, float, float]] = []
     for on in (index == k for k in np.unique(index)):
-        n = int(on.sum())
-        half = float(stdtrit(n - 1, 0.975) * np.std(y[on], ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        half = half_of_mean(y[on]) if on.sum() > 1 else 0.0
         rows.append((float(x[on].mean()), float(y[on].mean()), half))
     centre, mean, error = np.array(rows).T
     return centre, mean, error
