@@ -108,8 +108,10 @@ def _doubles(value: Any) -> Any:
     return value
 
 
-#: draws and words every result; looked up by name at the first call, so that no stage imports what stands above it
-PRESENTATION: Final = "calib.reporting.present"
+#: draws and words every result, and makes markup of it; looked up by name at the first call, so that no stage imports
+#: what stands above it
+PRESENTATION: Final = "calib.reporting.topics"
+PAGES: Final = "calib.reporting.pages"
 
 
 class Result:
@@ -151,13 +153,13 @@ class Result:
         return str(_presentation().brief(self))
 
     def _repr_html_(self) -> str:
-        return str(_presentation().brief_html(self))
+        return str(_presentation(PAGES).brief_html(self))
 
 
-def _presentation() -> Any:
+def _presentation(module: str = PRESENTATION) -> Any:
     from importlib import import_module
 
-    return import_module(PRESENTATION)
+    return import_module(module)
 
 
 def plain(value: Any) -> Any:

@@ -65,8 +65,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
 def _forms_there(
     diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
 ) -> tuple[Form, ...] | None:
-    from calib.gap.effects.applied import matching_form
-    from calib.gap.effects.library import library
+    from calib.gap.effects.library import library, matching_form
 
     effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
     matches = []

@@ -113,8 +113,7 @@ def check(
 
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
-    from calib.reporting.sentences import after_check
-    from calib.reporting.topics.runs import check_content
+    from calib.reporting.topics.runs import after_check, check_content
 
     with terminal.progress("checking") as tick:
         read = read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick)

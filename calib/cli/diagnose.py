@@ -48,9 +48,8 @@ def run(
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.diagnose import diagnosed
-    from calib.reporting.sentences import after_diagnosis
     from calib.reporting.source import verdict_document
-    from calib.reporting.topics.diagnosis import GAP_FIGURES, diagnosis_full
+    from calib.reporting.topics.diagnosis import GAP_FIGURES, after_diagnosis, diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
     terminal.refuse_outputs(apply, html, result, *terminal.figure_files(figures, GAP_FIGURES))
@@ -252,8 +251,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
     from calib.api.results import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
-    from calib.reporting.sentences import without_runs
-    from calib.reporting.topics.diagnosis import runs_and_promises
+    from calib.reporting.topics.diagnosis import runs_and_promises, without_runs
 
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)

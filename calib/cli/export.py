@@ -164,11 +164,14 @@ def report(
 
 def _next_step(report: Report, given: Fit | Campaign) -> str:
     from calib.campaign.model import Campaign
-    from calib.reporting.sentences import after_diagnosis, after_geometry
 
     if report.diagnosis is not None:
+        from calib.reporting.topics.diagnosis import after_diagnosis
+
         return after_diagnosis(report.diagnosis)
     if report.geometry is not None:
+        from calib.reporting.topics.geometry import after_geometry
+
         step = after_geometry(report.geometry, None)
         return "fit lacks runs" if step == "geometry lengths" else step
     stated = given.extra if isinstance(given, Campaign) else given.provenance

@@ -41,8 +41,7 @@ def fit(
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
-    from calib.reporting.sentences import after_fit
-    from calib.reporting.topics.fit import FIT_PICTURES, fit_content, fit_pictures
+    from calib.reporting.topics.fit import FIT_PICTURES, after_fit, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
     terminal.refuse_outputs(*results, *terminal.figure_files(figures, FIT_PICTURES))
@@ -122,8 +121,7 @@ def geometry(
     from calib.coefficients.build import from_geometry, geometry_document
     from calib.coefficients.file import GEOMETRY_FILE
     from calib.kinematics.estimate import estimate_geometry
-    from calib.reporting.sentences import after_geometry
-    from calib.reporting.topics.geometry import geometry_content
+    from calib.reporting.topics.geometry import after_geometry, geometry_content
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     result = into / GEOMETRY_FILE if into is not None else None

@@ -155,7 +155,7 @@ def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str |
 
     `aside`: on standard error, also where no JSON takes standard output.
     """
-    from calib.reporting.sentences import next_step
+    from calib.reporting.blocks import next_step
 
     if not CLOSED.get():
         _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))

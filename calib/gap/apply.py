@@ -15,8 +15,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import VerdictKind
-from calib.gap.effects.applied import section_of
-from calib.gap.effects.library import effect_class
+from calib.gap.effects.library import effect_class, section_of
 from calib.gap.inference.fit import Fitted
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
@@ -29,7 +28,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
-    id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.applied` take back. The
+    id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.library` take back. The
     diagnosed model's own (`given`) are kept.
     """
     if not diagnosis.causes:

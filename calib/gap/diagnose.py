@@ -20,10 +20,9 @@ from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evid
 from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.kind import fails, open_questions, with_left
 from calib.gap.decision.trials import most_square, trials
-from calib.gap.effects.applied import ELSEWHERE, beyond_law, model_of, with_effects, with_sensor_of
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
-from calib.gap.effects.library import library
+from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_effects, with_sensor_of
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder

@@ -121,6 +121,11 @@ class Path:
         """Cosine and sine of `frame`, each shape (n_obs,)."""
         return np.cos(self.frame), np.sin(self.frame)
 
+    def to_end_frame(self, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Turn changes of x and y, each shape (n_obs,), into along and lateral in `frame`."""
+        c, sn = self.frame_turned
+        return c * x_m + sn * y_m, c * y_m - sn * x_m
+
     @cached_property
     def way_sign(self) -> FloatArray:
         """Sign of the way along: -1 for an observation driven backwards, shape (n_obs,)."""
@@ -282,7 +287,6 @@ def _delay_rates(path: Path) -> FloatArray:
 
 def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> None:
     """Add what turned axes and arcs at the ends change (n_obs, n_channels), to first order, in place."""
-    c, sn = path.frame_turned
     moved = np.zeros(len(change), dtype=np.complex128)
     place = path.reading[:, Channel.ALONG] + 1j * path.reading[:, Channel.LATERAL]
     if perturbation.turned_rad is not None:
@@ -298,8 +302,9 @@ def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> No
     if start_arc is not None:
         moved -= start_arc[:, 0] + 1j * start_arc[:, 1] * place
         change[:, Channel.HEADING] -= start_arc[:, 1]
-    change[:, Channel.ALONG] += c * moved.real + sn * moved.imag
-    change[:, Channel.LATERAL] += c * moved.imag - sn * moved.real
+    along, lateral = path.to_end_frame(moved.real, moved.imag)
+    change[:, Channel.ALONG] += along
+    change[:, Channel.LATERAL] += lateral
 
 
 def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
@@ -307,8 +312,7 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     sums = path.steps.sums(perturbation)
     x, y = sums[X], sums[Y]
     change = np.zeros((len(s), N_CHANNELS))
-    c, sn = path.frame_turned
-    change[:, Channel.ALONG], change[:, Channel.LATERAL] = c * x + sn * y, c * y - sn * x
+    change[:, Channel.ALONG], change[:, Channel.LATERAL] = path.to_end_frame(x, y)
     change[:, Channel.HEADING] = sums[TURN]
     change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * path.way_sign)
     chords = np.flatnonzero(s.axis == 2)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.campaign.model import Campaign, Logs, RunTable
+from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.plant.design import REFERENCE_LOAD_N, Design
 from calib.plant.drive import Record, drive
@@ -92,10 +92,10 @@ def _columns(
         numbers["distance_m"] = np.where(design.corridor, np.round(laser, 4), np.nan)
     if posed.any():
         measured = np.where(posed, np.round(end_pose, 5), np.nan)
-        numbers |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), measured, strict=True))
+        numbers |= dict(zip(REFERENCE_POSE, measured, strict=True))
     if design.outside:
         simulated = np.round(simulated_poses(world, record), 5)
-        names = ("sim_x_m", "sim_y_m", "sim_theta_rad")
+        names = SIMULATED_POSE
         numbers |= dict(zip(names, np.where(posed, simulated, np.nan), strict=True))
         if "distance_m" in numbers:
             numbers["sim_distance_m"] = np.where(design.corridor, simulated[0], np.nan)
@@ -149,7 +149,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         read[:, 0] = 0.0
         # the end pose is the trace's own last reading
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
-        columns |= dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), np.round(read, 5), strict=True))
+        columns |= dict(zip(REFERENCE_POSE, np.round(read, 5), strict=True))
     kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)
     offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
     return Logs(offsets, {name: np.ascontiguousarray(values.T[kept]) for name, values in columns.items()})

@@ -1,19 +1,53 @@
-"""Blocks of a page or a terminal's text: plain, immutable content without layout."""
+"""What a page or a terminal's text is made of: sentences of ``words.toml``, and blocks without layout."""
 
 from __future__ import annotations
 
 import re
+import shlex
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.documents import plain_fields
-from calib.reporting.sentences import caption
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+@cache
+def catalogue() -> dict[str, dict[str, str]]:
+    """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
+    text = Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+    sentences: dict[str, dict[str, str]] = tomllib.loads(text)
+    return sentences
+
+
+def paragraph(name: str, /, **values: object) -> str:
+    """Return a paragraph of the report with its places filled in; see `catalogue`."""
+    return catalogue()["report"][name].format(**values)
+
+
+def caption(name: str, /, **values: object) -> str:
+    """Return the caption of a picture, or of ``table-NAME``, with its places filled in; see `catalogue`."""
+    return catalogue()["caption"][name].format(**values)
+
+
+def _quoted(word: str) -> str:
+    plain = shlex.quote(word) == word or set(word) & set('"$`\\!')
+    return shlex.quote(word) if plain else f'"{word}"'
+
+
+def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose."""
+    campaign = Path(str(names.get("c", "")))
+    names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
+    words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}
+    quoted = {name: " ".join(map(_quoted, map(str, several))) for name, several in words.items()}
+    return "Next: " + catalogue()["next"][step].format(**quoted)
 
 
 #: kind -> what draws it
@@ -159,9 +193,15 @@ def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> P
 
 def drawn(figure: str, *values: Any, **options: Any) -> Figure:
     """Return a figure of `calib.reporting.figures` by ``module.function``."""
-    module, _, name = figure.partition(".")
-    made: Figure = getattr(import_module(f"calib.reporting.figures.{module}"), name)(*values, **options)
+    made: Figure = named("figures", figure)(*values, **options)
     return made
+
+
+def named(folder: str, name: str) -> Callable[..., Any]:
+    """Return ``module.function`` of a folder of `calib.reporting`; its module is imported now."""
+    module, _, function = name.partition(".")
+    found: Callable[..., Any] = getattr(import_module(f"calib.reporting.{folder}.{module}"), function)
+    return found
 
 
 def simulated_notice() -> Notice:

@@ -15,11 +15,9 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section
+from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, named, paragraph
 from calib.reporting.formatting import capital, prose
-from calib.reporting.sentences import catalogue, paragraph
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
-from calib.reporting.topics import sections_of
 from calib.reporting.topics.fit import assumed_text
 from calib.reporting.topics.report import missing_of, preparation_of
 from calib.types import Progress, silent
@@ -165,8 +163,18 @@ def _without_law(
     )
 
 
+#: ``module.function`` of `calib.reporting.topics`, in the order of the report; each is ``(source) -> Section | None``
+PAGES: Final = (
+    "fit.result_section", "report.item_section", "report.method_section", "report.conditions_section",
+    "report.preparation_section", "runs.runs_section", "report.regression_section", "runs.deviation_section",
+    "fit.residuals_section", "report.coefficients_section", "report.budget_section", "fit.diagnosis_section",
+    "fit.decision_section", "report.limits_section", "report.files_section", "report.missing_section",
+)  # fmt: skip
+
+
 def compose(source: Source) -> Report:
     """Return the report on a fit."""
+    sections = (named("topics", page)(source) for page in PAGES)
     law = "Radius law of both wheels with covariance and valid load range, as the vehicle loads it"
     return Report(
         report_id=source.report_id,
@@ -175,7 +183,7 @@ def compose(source: Source) -> Report:
         issued=source.issued,
         simulated=source.simulated,
         passed=source.fit.passed,
-        sections=sections_of(source),
+        sections=tuple(section for section in sections if section is not None),
         attachments=(Attachment("coefficients.json", source.coefficients.to_bytes(), law),),
         stated=source.stated,
         logo=source.logo,

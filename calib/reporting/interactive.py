@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.localise.along_run import traces_of
@@ -285,7 +285,7 @@ def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> dict[str, list[FloatA
 
 def _predicted(path: Path, limit: int) -> list[FloatArray]:
     s = path.s
-    end_s = s.time_s - _start_s(s)[s.unit]
+    end_s = s.time_s - s.start_s[s.unit]
     middle_s = end_s - 0.5 * s.duration_s
     paths = []
     for trace, (first, last) in zip(path.traces(), pairwise(s.starts), strict=True):
@@ -294,18 +294,14 @@ def _predicted(path: Path, limit: int) -> list[FloatArray]:
     return paths
 
 
-def _start_s(s: Observations) -> FloatArray:
-    return np.asarray((s.time_s - s.duration_s)[s.starts[:-1]])
-
-
 def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArray]:
     sensor = campaign.reference
     lever_m = complex(sensor.sensor_x_m, sensor.sensor_y_m)
     paths = []
-    for unit, (run, start_s, last) in enumerate(zip(s.run.tolist(), _start_s(s), s.starts[1:], strict=True)):
+    for unit, (run, start_s, last) in enumerate(zip(s.run.tolist(), s.start_s, s.starts[1:], strict=True)):
         log = campaign.logs.of(run)
         t_s, place_m, heading = np.zeros(0), np.zeros(0, complex), np.zeros(0)
-        if {"t_s", "ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys() and s.from_log[unit]:
+        if {"t_s", *REFERENCE_POSE} <= log.keys() and s.from_log[unit]:
             t_s = log["t_s"] - log["t_s"][0] - start_s
             heading = log["ref_theta_rad"] - sensor.sensor_yaw_rad
             place_m = log["ref_x_m"] + 1j * log["ref_y_m"] - lever_m * np.exp(1j * heading)

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from calib.campaign.model import Campaign
-from calib.documents import csv_text, plain, templates_of, to_json
+from calib.documents import Result, csv_text, plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.io import write_files
 from calib.reporting.blocks import Block, Heading, Picture, Section
@@ -25,6 +25,7 @@ from calib.reporting.content import Attachment, Report
 from calib.reporting.figures.style import known, render, render_all
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
+from calib.reporting.topics import content_of
 from calib.types import Progress, silent, stepped
 
 if TYPE_CHECKING:
@@ -157,6 +158,11 @@ def blocks_html(blocks: Iterable[Block | Section]) -> str:
     for block in blocks:
         flat += (Heading(block.title), *block.blocks) if isinstance(block, Section) else (block,)
     return _template().render(page=None, blocks=plain(flat), pictures=_pictures(flat)).strip()
+
+
+def brief_html(result: Result) -> str:
+    """Return what a notebook shows of a result."""
+    return blocks_html(content_of(result, brief=True))
 
 
 def _pictures(blocks: Iterable[Block]) -> dict[str, str]:

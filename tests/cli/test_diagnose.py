@@ -142,7 +142,7 @@ def test_nothing_is_applied_where_nothing_is_named(
     monkeypatch.setattr("calib.gap.diagnose.diagnosed", lambda *_, **__: (verdict, ()))
     monkeypatch.setattr("calib.reporting.topics.diagnosis.diagnosis_full", lambda _: ())
     monkeypatch.setattr("calib.reporting.source.verdict_document", lambda _: {})
-    monkeypatch.setattr("calib.reporting.sentences.after_diagnosis", lambda *_, **__: "diagnose simulator lacks")
+    monkeypatch.setattr("calib.reporting.topics.diagnosis.after_diagnosis", lambda *_, **__: "diagnose simulator lacks")
     target = tmp_path / "applied.json"
     write_campaign(campaign(runs_per_load=1, logs=False), tmp_path / "c")
     assert run(["diagnose", str(tmp_path / "c"), "--apply", str(target)]) == 1

@@ -15,8 +15,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import ExportOptions
 from calib.coefficients.formats.c_and_csv import EFFECTS_NAME, OTHER_FORMS, effects_header, known_effects
 from calib.coefficients.sections import EffectSection
-from calib.gap.effects.applied import section_of
-from calib.gap.effects.library import every_effect
+from calib.gap.effects.library import every_effect, section_of
 from calib.gap.observations.arrays import Observations
 from calib.runtime import Effects, Run
 from calib.runtime import effects as runtime

@@ -16,7 +16,7 @@ from calib.errors import RefusedError
 from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.applied import applied_perturbations, model_of, with_effects
+from calib.gap.effects.library import applied_perturbations, model_of, with_effects
 from calib.gap.effects.quantities import numbered_sessions
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals

@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.applied import model_of, with_sensor_of
+from calib.gap.effects.library import model_of, with_sensor_of
 from calib.kinematics.estimate import estimate_geometry
 from tests.kinematics.campaigns import Truth, campaign, mixed
 

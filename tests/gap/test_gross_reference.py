@@ -14,7 +14,7 @@ from calib.campaign.read import read_campaign
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
-from calib.reporting.sentences import after_diagnosis
+from calib.reporting.topics.diagnosis import after_diagnosis
 from calib.types import FloatArray
 
 Columns = dict[str, FloatArray]

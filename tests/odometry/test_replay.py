@@ -18,7 +18,7 @@ from calib.coefficients.build import Header, coefficients_of, from_law
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.coefficients.sections import GeometrySection, Quantity
 from calib.errors import RefusedError
-from calib.gap.effects.applied import model_of
+from calib.gap.effects.library import model_of
 from calib.gap.effects.load import LoadRadius
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict

@@ -19,7 +19,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.errors import CalibError
 from calib.gap.apply import applied_model
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.applied import model_of, with_effects, with_sensor_of
+from calib.gap.effects.library import model_of, with_effects, with_sensor_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.kinematics.estimate import estimate_geometry

@@ -15,11 +15,9 @@ from calib.campaign.read import read_campaign
 from calib.errors import BadFileError, CalibError
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, write_result
-from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text
-from calib.reporting.content import Report, compose
-from calib.reporting.sentences import catalogue
+from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text, catalogue
+from calib.reporting.content import PAGES, Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
-from calib.reporting.topics import PAGES
 from calib.reporting.topics.fit import result_section, usable_notice
 from calib.reporting.topics.report import MOST_NOTES, coefficients_section, method_section, regression_section
 from calib.reporting.topics.runs import deviation_section

@@ -13,7 +13,9 @@ from calib.cli.export import _next_step
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import Diagnosis, Group, VerdictKind
 from calib.gap.plan.planned_runs import PlannedRun
-from calib.reporting.sentences import after_diagnosis, after_geometry, next_step
+from calib.reporting.blocks import next_step
+from calib.reporting.topics.diagnosis import after_diagnosis
+from calib.reporting.topics.geometry import after_geometry
 
 ROOT = Path(__file__).resolve().parents[2]
 #: commands that take a moment; the others are seen by the test of their sources

@@ -10,8 +10,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.coefficients.sections import EffectSection
-from calib.gap.effects.applied import applied_perturbations, section_of
-from calib.gap.effects.library import every_effect
+from calib.gap.effects.library import applied_perturbations, every_effect, section_of
 from calib.gap.observations.arrays import Observations
 from calib.gap.steps import steps_of, total_perturbation
 from calib.runtime import CoefficientError, Effects, Run

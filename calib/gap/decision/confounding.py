@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.kind import SMALL_SHARE
-from calib.gap.effects.applied import applied_perturbations, section_of
 from calib.gap.effects.effect import Family, Form
+from calib.gap.effects.library import applied_perturbations, section_of
 from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, RadiusScale, SpeedRadius, TrackWidth
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path

@@ -17,7 +17,7 @@ from calib.gap.decision.kind import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
@@ -140,8 +140,7 @@ def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
 
 def _relative(fitted: Fitted) -> tuple[FloatArray, FloatArray]:
     """Return the size of each calibration parameter, shape (3,), and their covariance, (3, 3)."""
-    to_sizes = np.linalg.inv(DIRECTIONS[:, :3].T)
-    return to_sizes @ fitted.calibration[:3], to_sizes @ fitted.covariance[:3, :3] @ to_sizes.T
+    return OF_WHEELS @ fitted.calibration[:3], OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T
 
 
 def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:

@@ -10,7 +10,6 @@ import numpy as np
 
 from calib.gap.effects import quantities
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, varies
-from calib.gap.effects.quantities import start_to_end_frame
 from calib.gap.effects.steering import rate_per_s
 from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel, Observations
 from calib.gap.predict import Path, predict
@@ -63,7 +62,7 @@ class PathWeave(Effect):
             shorter = -excess / (1.0 + excess)
 
             def perturbations(path: Path) -> list[Perturbation]:
-                along, lateral = start_to_end_frame(path, shorter * path.end[:, 0], shorter * path.end[:, 1])
+                along, lateral = path.to_end_frame(shorter * path.end[:, 0], shorter * path.end[:, 1])
                 distance = shorter * path.distance_m
                 at_end = Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)
                 return [at_end, *further]
@@ -121,7 +120,7 @@ class IntegrationScheme(Effect):
             end_x, end_y = path.end[:, 0], path.end[:, 1]
             x = np.where(outside, end_x - observations.total(path.steps.ds_m * np.cos(heading)), 0.0)
             y = np.where(outside, end_y - observations.total(path.steps.ds_m * np.sin(heading)), 0.0)
-            along, lateral = start_to_end_frame(path, x, y)
+            along, lateral = path.to_end_frame(x, y)
             # a laser's simulated distance was taken from the same pose
             chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
             laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))

@@ -151,12 +151,6 @@ def turns_on_the_spot_too(observations: Observations) -> bool:
     return bool((turned > 0.1).all())
 
 
-def start_to_end_frame(path: Path, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn changes of x and y, each shape (n_obs,), into along and lateral in the end frame."""
-    c, sn = path.frame_turned
-    return c * x_m + sn * y_m, c * y_m - sn * x_m
-
-
 def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end (or start) of each observation, each shape (n_obs,).
 

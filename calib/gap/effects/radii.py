@@ -95,6 +95,8 @@ _OWN: Final = (RadiusScale, UnequalRadii, TrackWidth)
 NAMES: Final = tuple(effect.id for effect in _OWN)
 #: each as a change of (left radius, right radius, track, front radius) per unit, shape (3, 4)
 DIRECTIONS: Final = np.array([effect.calibration_direction for effect in _OWN])
+#: relative change of (left radius, right radius, track) -> size of each, shape (3, 3)
+OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
 #: typical size of each, shape (3,)
 TYPICAL: Final = np.array([effect.parameter.typical for effect in _OWN])
 #: what a plain recalibration would change, by effect

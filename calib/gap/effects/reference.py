@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
-from calib.gap.effects.quantities import end_motion, reach, standstill_mps, start_to_end_frame
+from calib.gap.effects.quantities import end_motion, reach, standstill_mps
 from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation, total_perturbation
@@ -133,7 +133,7 @@ def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Pertu
     c, sn = path.frame_turned
     # the stated place turns with them
     moved = np.asarray(1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
-    ways = zip(start_to_end_frame(path, moved.real, moved.imag), _read_at(path, beside_m), strict=True)
+    ways = zip(path.to_end_frame(moved.real, moved.imag), _read_at(path, beside_m), strict=True)
     along, lateral = (turned + read for turned, read in ways)
     reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=error[:, 1] - error[:, 0])
     return replace(reading, turned_rad=-error[:, 0])
@@ -144,7 +144,7 @@ def _read_at(path: Path, place_m: complex) -> tuple[FloatArray, FloatArray]:
     # a heading from the course is off by what the place itself does to it
     heading = np.where(path.s.course_error.any(axis=(1, 2)), path.end[:, 2], path.frame)
     moved = np.asarray((np.exp(1j * heading) - 1.0) * place_m, np.complex128)
-    return start_to_end_frame(path, moved.real, moved.imag)
+    return path.to_end_frame(moved.real, moved.imag)
 
 
 class ReferenceYaw(Effect):
@@ -199,7 +199,7 @@ class ReferenceScale(Effect):
 
         def of(values: FloatArray) -> Callable[[Centre], Perturbations]:
             def scaled(path: Path, centre: Centre) -> list[Perturbation]:
-                along, lateral = start_to_end_frame(path, path.end[:, 0], path.end[:, 1])
+                along, lateral = path.to_end_frame(path.end[:, 0], path.end[:, 1])
                 by = path.s.here(centre.deviations(values))
                 return [Perturbation.on_readings(path.s, along=by * along, lateral=by * lateral)]
 
@@ -259,9 +259,8 @@ class ReferenceLatency(Effect):
         parameters = dict.fromkeys(late, Parameter("latency", "s", typical=5e-2, largest=5e-1))
         if has_pose and observations.windowed:
             # of a clock at another rate the delay grows with the time since the run's start
-            first, last = observations.starts[:-1], observations.starts[1:] - 1
-            begin_s = np.where(logged, observations.time_s[first] - observations.duration_s[first], 0.0)
-            end_s = np.where(logged, observations.time_s[last], 0.0)
+            begin_s = np.where(logged, observations.start_s, 0.0)
+            end_s = np.where(logged, observations.time_s[observations.starts[1:] - 1], 0.0)
             late[self.OF_CLOCK] = Perturbation(start_arc=start * begin_s[:, None], delay_s=end_s)
             parameters[self.OF_CLOCK] = Parameter("rate", "1", typical=5e-4, largest=1e-2)
             since[self.OF_CLOCK] = np.stack([begin_s, end_s], axis=1)

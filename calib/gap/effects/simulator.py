@@ -125,8 +125,7 @@ class WheelMotion:
     def __init__(self, nominal: Path, noise: FloatArray) -> None:
         s = nominal.s
         self.nominal, self.noisy, self.on = nominal, bool(noise.any()), s.usable[:, :4]
-        sigma = np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)
-        spread = np.maximum(noise, _REPEATED_SHARE * sigma) if self.noisy else sigma
+        spread = np.maximum(noise, _REPEATED_SHARE * s.sigma) if self.noisy else s.sigma
         self.weight = np.where(self.on, 1.0 / spread, 0.0)
         by_wheels = nominal.calibration[:, :4, :3] * self.weight[:, :, None]
         ones, each = np.ones((len(s), 3)), np.broadcast_to(np.eye(3), (len(s), 3, 3))
@@ -215,10 +214,8 @@ def _is_noise(square: float, count: int) -> bool:
 def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
     """Turn changes of (distance, x, y, heading), shape (n_obs, 4), into those of the channels, (n_obs, n_channels)."""
     reading = np.zeros((len(change), N_CHANNELS))
-    c, s = path.frame_turned
     reading[:, Channel.DISTANCE], reading[:, Channel.HEADING] = change[:, 0], change[:, 3]
-    reading[:, Channel.ALONG] = c * change[:, 1] + s * change[:, 2]
-    reading[:, Channel.LATERAL] = c * change[:, 2] - s * change[:, 1]
+    reading[:, Channel.ALONG], reading[:, Channel.LATERAL] = path.to_end_frame(change[:, 1], change[:, 2])
     return reading
 
 

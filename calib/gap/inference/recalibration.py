@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
+from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -33,8 +33,6 @@ SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(r
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
 #: half a 95 % interval, in standard deviations
 _COVERAGE_SD: Final = 1.96
-#: (left, right, track) -> sizes of the calibration's parameters, (3, 3)
-_OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
 #: an alternative set is likely above this share of the best one's probability
 ALTERNATIVE_ODDS: Final = 0.1
 #: a less probable parameter is needless beside an alternative
@@ -107,7 +105,7 @@ def free_estimates(
     estimates, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
     sizes = by_form([system.forms[k] for k in model], estimates)
     units = np.concatenate([CALIBRATION_SD, np.ones(len(estimates) - 4)])
-    return sizes, _OF_WHEELS @ (estimates[:3] * CALIBRATION_SD[:3]), covariance * np.outer(units, units)
+    return sizes, OF_WHEELS @ (estimates[:3] * CALIBRATION_SD[:3]), covariance * np.outer(units, units)
 
 
 def _reaches(form: Form, shift: FloatArray, size: float, value: float, covariance: FloatArray) -> bool:
@@ -167,7 +165,7 @@ def weigh_subsets(
         looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
         of_both = covariance[np.ix_([0, 1, 2, first], [0, 1, 2, first])]
         first += len(size)
-        if looks_like and not _reaches(form, _OF_WHEELS[looks_like[0]], size[0], values[looks_like[0]], of_both):
+        if looks_like and not _reaches(form, OF_WHEELS[looks_like[0]], size[0], values[looks_like[0]], of_both):
             continue
         fixed.append((directions / norm)[:, looks_like] * (ATTRIBUTED_SHIFT_SHARE * np.sqrt((contribution**2).sum())))
     ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])
@@ -235,8 +233,8 @@ def judge_recalibration(
         return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
     system = LinearSystem(fitted, nominal, noise, fitted.forms)
     own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
-    values = _OF_WHEELS @ fitted.calibration[:3]
-    sd = np.sqrt(np.diag(_OF_WHEELS @ fitted.covariance[:3, :3] @ _OF_WHEELS.T))
+    values = OF_WHEELS @ fitted.calibration[:3]
+    sd = np.sqrt(np.diag(OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T))
     shifts = shifts or {}
     units = np.concatenate([np.ones(4), *(form.typical for form in fitted.forms)])
     covariance = fitted.covariance / np.outer(units, units)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.wheels import on_one_axle
 from calib.documents import plain_fields
 from calib.gap.effects.quantities import MOVING_MPS
@@ -50,7 +50,6 @@ class PlaceResult:
 
 MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
-POSE_COLUMNS: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 RANGE_COLUMNS: Final = ("range_m",)
 #: channels traced along the way -> field of a trace
 TRACED_CHANNELS: Final = {Channel.ALONG: "along_m", Channel.HEADING: "heading_rad"}
@@ -110,7 +109,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
     """Return counts and reference (poses before ranges) where known; None if too few."""
-    needed = (*COUNT_COLUMNS, *(POSE_COLUMNS if set(POSE_COLUMNS) <= log.keys() else RANGE_COLUMNS))
+    needed = (*COUNT_COLUMNS, *(REFERENCE_POSE if set(REFERENCE_POSE) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
     known = np.all([np.isfinite(log[column]) for column in needed], axis=0)
@@ -126,7 +125,7 @@ def _trace(
     heading = _summed(turn)
     chord = step * np.sinc(0.5 * turn / np.pi)
     x, y = (_summed(chord * part(heading[:-1] + 0.5 * turn)) for part in (np.cos, np.sin))
-    if POSE_COLUMNS[0] in log:
+    if REFERENCE_POSE[0] in log:
         seen = np.unwrap(log["ref_theta_rad"])
         middle = 0.5 * (seen[1:] + seen[:-1])
         moved = np.diff(log["ref_x_m"]) * np.cos(middle) + np.diff(log["ref_y_m"]) * np.sin(middle)

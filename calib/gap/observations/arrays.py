@@ -159,13 +159,16 @@ class Observations:
     def __len__(self) -> int:
         return len(self.starts) - 1
 
+    @property
+    def start_s(self) -> FloatArray:
+        """Time since the run's start at which each observation begins, shape (n_obs,)."""
+        return self.time_s[self.starts[:-1]] - self.duration_s[self.starts[:-1]]
+
     @cached_property
     def follows(self) -> BoolArray:
         """Whether each observation starts where the last one ended, as windows do, (n_obs,)."""
-        first, last = self.starts[:-1], self.starts[1:] - 1
-        start_s = self.time_s[first] - self.duration_s[first]
         same = (self.run[1:] == self.run[:-1]) & self.from_log[1:] & self.from_log[:-1]
-        return np.append(False, same & (np.abs(start_s[1:] - self.time_s[last[:-1]]) < SAME_TIME_S))
+        return np.append(False, same & (np.abs(self.start_s[1:] - self.time_s[self.starts[1:-1] - 1]) < SAME_TIME_S))
 
     @cached_property
     def unit(self) -> IntArray:
@@ -253,6 +256,11 @@ class Observations:
         return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
 
     @property
+    def sigma(self) -> FloatArray:
+        """Stated standard uncertainties of distance, x, y and heading, shape (n_obs, 4)."""
+        return np.stack([self.sigma_distance_m, self.sigma_xy_m, self.sigma_xy_m, self.sigma_theta_rad], axis=1)
+
+    @property
     def wheel_loads_N(self) -> FloatArray:
         """Load of the left and of the right wheel, the mean over its way, shape (2, n_obs); NaN where not known."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
@@ -328,19 +336,14 @@ class Observations:
         The mean of both ends, and a sixth of what function and wheel's rate change by: over a whole turn errors cancel,
         whether front wheel or rear axle keeps its speed (Euler and Maclaurin).
         """
-        begin, end = map(of, self._steer_ends)
+        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
+        begin, end = of(angle - half), of(angle + half)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.nan_to_num(self.front_roll_rad / self.duration_s, posinf=0.0, neginf=0.0)
             before, behind = np.roll(rate, 1), np.roll(rate, -1)
             before[self.starts[:-1]], behind[self.starts[1:] - 1] = rate[self.starts[:-1]], rate[self.starts[1:] - 1]
             faster = np.nan_to_num(0.5 * (behind - before) / rate, posinf=0.0, neginf=0.0)
         return np.asarray(0.5 * (begin + end) + faster * (end - begin) / 6.0)
-
-    @property
-    def _steer_ends(self) -> tuple[FloatArray, FloatArray]:
-        """Steering angle at both ends of each step, (n_steps,)."""
-        angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
-        return angle - half, angle + half
 
     @_KeptIfFew
     def speed_mps(self) -> FloatArray:

@@ -157,15 +157,14 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
     """Yield times since the start (n,) and reference poses of the vehicle (n, 3) of each observation, else None."""
-    setup = _setup(campaign, observations.model)
+    setup, starts_s = _setup(campaign, observations.model), observations.start_s
     known: tuple[int, ReferencePoses | None, FloatArray] = (-1, None, np.zeros(0))
     for number, run in enumerate(observations.run.tolist()):
         if known[0] != run:
             log = setup.campaign.logs.of(run)
             known = (run, observation.reference_poses(log, setup), log.get("t_s", np.zeros(0)))
         _, reference, time = known
-        first, last = observations.starts[number], observations.starts[number + 1] - 1
-        begin, end = observations.time_s[first] - observations.duration_s[first], observations.time_s[last]
+        begin, end = starts_s[number], observations.time_s[observations.starts[number + 1] - 1]
         if reference is None or reference.course is not None:
             yield None
             continue

@@ -88,8 +88,7 @@ def diagnose_simulator(
     run_ids = [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
     cache = run_cache(settings, campaign.hashes)
     runner = SimulatorRunner(settings, root.resolve(), run_ids, cache, workers, progress)
-    stated = (measured.sigma_distance_m, measured.sigma_xy_m, measured.sigma_xy_m, measured.sigma_theta_rad)
-    differences = differences_of(runner, np.array([values.min() for values in stated]))
+    differences = differences_of(runner, measured.sigma.min(axis=0))
     _refuse_nonsense(settings, measured, differences)
     observations = _simulated_observations(measured, differences, differences.nominal)
     if not observations.usable.any():
@@ -269,7 +268,7 @@ def _spanned(
     columns = columns * np.array([p.largest / p.typical for p in parameters])
     sign, spanned = np.array([p.sign for p in parameters]), dict[str, dict[str, list[int]]]()
     usable = nominal.s.usable[:, :4]
-    gap = residuals(nominal, nominal)[:, :4][usable] / _sigma(nominal.s)[usable]
+    gap = residuals(nominal, nominal)[:, :4][usable] / nominal.s.sigma[usable]
     for form, aim in zip(targets, aims.T, strict=True):
         share = SPANNED_SHARE
         if not noisy and not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
@@ -282,9 +281,5 @@ def _spanned(
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
-    whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / _sigma(path.s)[:, :, None]
+    whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / path.s.sigma[:, :, None]
     return np.asarray(whole[path.s.usable[:, :4]])
-
-
-def _sigma(s: Observations) -> FloatArray:
-    return np.stack([s.sigma_distance_m, s.sigma_xy_m, s.sigma_xy_m, s.sigma_theta_rad], axis=1)

@@ -26,7 +26,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.radius.law import COVERAGE
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
-from calib.reporting.sentences import paragraph
+from calib.reporting.blocks import paragraph
 from calib.reporting.source import Source, opened, source_of
 from calib.types import Progress
 

@@ -20,8 +20,8 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path as PredictedPath
+from calib.reporting.blocks import paragraph
 from calib.reporting.exports import diagnosed
-from calib.reporting.sentences import paragraph
 from calib.types import BoolArray, FloatArray, Progress, StrArray
 
 #: motion between the filter's updates: defaults of nav2_amcl

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
+from calib.gap.effects.library import UNCHANGED
 from calib.gap.observations.arrays import Channel
 from calib.radius.sessions import Groups
 from calib.reporting.figures import style
@@ -259,24 +260,17 @@ def _groups(group: StrArray) -> Groups:
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts."""
-    from scipy.special import stdtrit
+    from calib.gap.decision.between_sessions import half_of_mean
 
     values, index = np.unique(x, return_inverse=True)
     if len(values) > 8:
         index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
     rows: list[tuple[float, float, float]] = []
     for on in (index == k for k in np.unique(index)):
-        n = int(on.sum())
-        half = float(stdtrit(n - 1, 0.975) * np.std(y[on], ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        half = half_of_mean(y[on]) if on.sum() > 1 else 0.0
         rows.append((float(x[on].mean()), float(y[on].mean()), half))
     centre, mean, error = np.array(rows).T
     return centre, mean, error
-
-
-SIGNED = ("distance", "along", "lateral", "heading", "front", "steering")
-ANGLES = frozenset({"heading", "steering"})
-#: smallest change of a channel (m or rad): no instrument resolves a micrometre
-UNCHANGED = 1e-6
 
 
 @styled
@@ -293,7 +287,7 @@ def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
     _draw_plan(plan.subplots(), signature, nominal, names)
     panels = channels.subplots(max(len(moved), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, channel in zip(panels, moved, strict=False):
-        _draw_channel(axes, signature.change[:, channel], SIGNED[channel], kinds, names)
+        _draw_channel(axes, signature.change[:, channel], Channel(channel), kinds, names)
     panels[0].set_title("change at its typical size, channels that move")
     panels[-1].set_xticks(range(len(names)), names, rotation=20, ha="right")
     return figure
@@ -314,14 +308,14 @@ def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: lis
     axes.set_title(f"paths, effect x {signature.factor:.3g}" if bent else "paths (the effect bends none)")
 
 
-def _draw_channel(axes: Axes, change: FloatArray, name: str, kinds: StrArray, names: list[str]) -> None:
+def _draw_channel(axes: Axes, change: FloatArray, channel: Channel, kinds: StrArray, names: list[str]) -> None:
     for number, kind in enumerate(names):
         values = 1e3 * change[kinds == kind]
         spread = number + np.linspace(-0.25, 0.25, len(values))
         axes.plot(spread, values, ".", markersize=2.5, color=colour(number))
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.margins(y=0.2)
-    axes.set_ylabel(f"{name}\n{'mrad' if name in ANGLES else 'mm'}", rotation=0, ha="right", va="center")
+    axes.set_ylabel(f"{channel.label}\nm{channel.unit}", rotation=0, ha="right", va="center")
     axes.set_xlim(-0.5, len(names) - 0.5)
 
 

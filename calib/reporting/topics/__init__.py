@@ -1,25 +1,103 @@
-"""Topics of a result: what the terminal prints and what the report shows of each, in one file."""
+"""Topics of a result: what the terminal prints and what the report shows of each, in one file.
+
+Here `calib.documents.Result` meets its topic: words and figures by the class of the result.
+"""
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from calib.documents import Result
+from calib.errors import BadInputError
+from calib.reporting.blocks import Block, Drawings, Section, drawn, named
+from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
-    from calib.reporting.blocks import Section
-    from calib.reporting.source import Source
+    from matplotlib.figure import Figure
 
-#: ``module:function`` of this folder, in the order of the report; each function is ``(source) -> Section | None``
-PAGES: Final = (
-    "fit:result_section", "report:item_section", "report:method_section", "report:conditions_section",
-    "report:preparation_section", "runs:runs_section", "report:regression_section", "runs:deviation_section",
-    "fit:residuals_section", "report:coefficients_section", "report:budget_section", "fit:diagnosis_section",
-    "fit:decision_section", "report:limits_section", "report:files_section", "report:missing_section",
-)  # fmt: skip
+    from calib.gap.decision.diagnosis import Diagnosis, Plan
+    from calib.odometry.simulation import Simulation
+    from calib.radius.result import Fit
+
+#: class of a result -> ``module.function`` of this folder: what its command prints, and what interpreter
+#: and notebook show
+CONTENT: Final = {
+    "Fit": ("fit.fit_content", "fit.fit_brief"),
+    "Geometry": ("geometry.geometry_content", "geometry.geometry_brief"),
+    "Diagnosis": ("diagnosis.diagnosis_full", "diagnosis.diagnosis_brief"),
+    "Plan": ("diagnosis.plan_content", "diagnosis.plan_content"),
+    "Simulation": ("simulation.simulation_content", "simulation.simulation_content"),
+    "Replay": ("simulation.replay_content", "simulation.replay_content"),
+}
 
 
-def sections_of(source: Source) -> tuple[Section, ...]:
-    """Return the sections of all pages that apply to `source`, in the order of `PAGES`."""
-    pages = (page.split(":") for page in PAGES)
-    sections = (getattr(importlib.import_module(f"{__name__}.{module}"), name)(source) for module, name in pages)
-    return tuple(section for section in sections if section is not None)
+def summary(result: Result) -> str:
+    """Return what the command prints of a result."""
+    return to_text(content_of(result, brief=False))
+
+
+def brief(result: Result) -> str:
+    """Return what the interpreter shows of a result."""
+    return to_text(content_of(result, brief=True)).rstrip()
+
+
+def figure(result: Result, kind: str | None) -> Figure:
+    """Return a figure of a result, the first one where no kind is named."""
+    figures = _FIGURES[type(result).__name__](result)
+    kind = next(iter(figures), "") if kind is None else kind
+    if kind not in figures:
+        raise BadInputError(
+            f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
+        )
+    return figures[kind]()
+
+
+def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
+    """Return what the command prints of a result, or, `brief`, what interpreter and notebook show."""
+    blocks: Sequence[Block | Section] = named("topics", CONTENT[type(result).__name__][brief])(result)
+    return blocks
+
+
+def _fit(fit: Fit) -> Drawings:
+    session = fit.radii.session
+    return {
+        "regressions": partial(drawn, "calibration.regressions", fit.left, fit.right, session),
+        "runs": partial(drawn, "calibration.runs_by_series", fit.radii),
+        "path_deviation": partial(drawn, "calibration.path_deviation", fit.radii),
+        "residuals": partial(drawn, "calibration.residuals", fit.left, fit.right, session),
+    }
+
+
+def _diagnosis(diagnosis: Diagnosis) -> Drawings:
+    from calib.reporting.figures.gap import gap_figures
+
+    figures = gap_figures(diagnosis)
+    return {name: partial(figures.__getitem__, name) for name in sorted(figures, key=lambda one: one != "before-after")}
+
+
+def _plan(plan: Plan) -> Drawings:
+    from calib.gap.plan.identifiability import outlook_of
+
+    return {"matrix": lambda: drawn("gap.plan_matrix", outlook_of(plan.campaign))}
+
+
+def _simulation(simulation: Simulation) -> Drawings:
+    from calib.odometry.simulation import SHOWN
+
+    return {
+        name: partial(drawn, "motion.sweep_figure", sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        for name, sweep in simulation.sweeps.items()
+    }
+
+
+#: kind of figure -> its drawing function, the default first
+_FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
+    "Fit": _fit,
+    "Geometry": lambda one: {"paths": partial(drawn, "calibration.draw_paths", one.paths, simulated=one.simulated)},
+    "Diagnosis": _diagnosis,
+    "Plan": _plan,
+    "Simulation": _simulation,
+    "Replay": lambda replay: {"end_errors": partial(drawn, "motion.replay_figure", replay)},
+}

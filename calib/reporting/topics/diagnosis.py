@@ -11,13 +11,13 @@ import numpy as np
 
 from calib.campaign.checks.design import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.gap.effects.library import LIBRARY, Entry
+from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
+from calib.gap.effects.reference import RangefinderScale, ReferenceScale
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import Outlook
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
-from calib.reporting.sentences import caption, paragraph
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics import gap as findings
 from calib.reporting.topics.gap import effect_name
@@ -71,7 +71,7 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
-        Text(paragraph("noise_level"), small=True),
+        Text(blocks.paragraph("noise_level"), small=True),
         *map_picture(gap),
         *findings.where_blocks(verdict.where),
         *covariate_picture(gap, verdict),
@@ -235,8 +235,6 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 
 
-#: a channel below this (m or rad) is unchanged: no instrument resolves a micrometre
-UNCHANGED: Final = 1e-6
 _SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
 
 
@@ -248,7 +246,8 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
         [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
     )
     silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
-    elsewhere = items(f"{entry.effect.id}: from {entry.origin}" for entry in entries if entry.origin != LIBRARY)
+    own = (entry.effect for entry in entries if entry.effect.origin != LIBRARY)
+    elsewhere = items(f"{effect.id}: from {effect.origin}" for effect in own)
     content: list[Block] = [catalogue]
     content += [Text(f"Without a form on {runs}:"), *silent] if silent else []
     content += [Text("Not from the library:"), *elsewhere] if elsewhere else []
@@ -259,7 +258,7 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
     """Return one effect in full."""
     effect = entry.effect
     facts = {
-        "From": entry.origin,
+        "From": effect.origin,
         "Family": f"{effect.family}: {effect.family.words}",
         "Needs": effect.needs,
         "Separated from others by": effect.separates,
@@ -327,3 +326,26 @@ def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ..
     told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
     absent = (f"{effect}: {prose(outlook.smallest[effect].sentence)}" for effect in outlook.absent)
     return (told, *items(absent))
+
+
+def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
+    """Return the step that a diagnosis was, by its verdict and fix; `simulator`: whether it was of the user's own."""
+    kind = "recommended" if diagnosis.recommended else diagnosis.kind.value
+    if simulator and diagnosis.recommended:
+        tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group.effects)
+        kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
+    # what was corrected before the search has no finite signal
+    wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
+    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if wrong else kind
+    step = f"diagnose {kind}"
+    if step in blocks.catalogue()["next"]:
+        return step
+    # runs to drive next are sought for confounded causes alone
+    return without_runs(diagnosis) if diagnosis.groups and not (diagnosis.next_runs or simulator) else "diagnose"
+
+
+def without_runs(diagnosis: Diagnosis) -> str:
+    """Return the step where no run tells the causes apart: of two instruments a third length tells which is wrong."""
+    instruments = {RangefinderScale.id, ReferenceScale.id}
+    both = any(instruments.issubset(group.effects) for group in diagnosis.groups)
+    return "plan instruments" if both else "plan nothing"

@@ -12,9 +12,8 @@ from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks, formatting
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
-from calib.reporting.sentences import caption, paragraph
 from calib.types import FloatArray, grouped
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def result_section(source: Source) -> Section:
     laws = [wheel.law for wheel in fit.wheels.values()]
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
     loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
-    holds = Text(paragraph("law_holds", loads=loads, runs=len(fit.radii)))
+    holds = Text(blocks.paragraph("law_holds", loads=loads, runs=len(fit.radii)))
     assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
 
@@ -190,8 +189,8 @@ def decision_section(source: Source) -> Section:
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
     values = {"note": NOTE_BELOW, "fail": FAIL_BELOW, "false_alarm": false_alarm, "failures": 100 * tests * FAIL_BELOW}
     rules = ("remark", "failure", "chance", "rounding")
-    listed = blocks.Items(tuple(paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
-    return Section("Decision rule", (listed, Text(paragraph("decision_conformity"))))
+    listed = blocks.Items(tuple(blocks.paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
+    return Section("Decision rule", (listed, Text(blocks.paragraph("decision_conformity"))))
 
 
 def residuals_picture(fit: Fit) -> Picture:
@@ -277,7 +276,7 @@ def naive_text(fit: Fit) -> tuple[Text, ...]:
             low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
             _, half = measured(0.5 * (low + high), 0.5 * (high - low))
             parts.append(f"±{half} µm/N ({name})")
-    return (Text(paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
+    return (Text(blocks.paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
 
 
 def regressions_picture(fit: Fit) -> Picture:
@@ -373,3 +372,13 @@ def deviation_picture(fit: Fit) -> Picture:
     shown = f"Excess of the path by amplitude for five wavelengths with {int(known.sum())} runs"
     alt = f"{shown}; corrections of all runs up to {worst:.0f} ppm"
     return picture("path-deviation", alt, "calibration.path_deviation", radii)
+
+
+#: failed checks of a fit that further runs alone mend
+_OF_MISSING_RUNS: Final = frozenset({"design", "order"})
+
+
+def after_fit(fit: Fit) -> str:
+    """Return the step that a fit was: runs are missing only where nothing else fails."""
+    failed = {check.name for wheel in fit.wheels.values() for check in wheel.checks if not check.passed}
+    return "fit" if not failed else "fit lacks runs" if failed <= _OF_MISSING_RUNS else "fit failed"

@@ -9,9 +9,8 @@ from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, Text, table
+from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, table
 from calib.reporting.formatting import MISSING
-from calib.reporting.sentences import caption, catalogue, paragraph
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
@@ -46,7 +45,7 @@ def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
         *_common([cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
-        Text(paragraph("fleet_rates"), small=True),
+        blocks.Text(blocks.paragraph("fleet_rates"), small=True),
     )
 
 
@@ -83,8 +82,8 @@ def _drifting(fleet: Fleet) -> Table:
 def _pictures(fleet: Fleet) -> list[Picture]:
     from calib.reporting.figures.challenge import fleet_figures
 
-    figures, shown = fleet_figures(fleet).items(), catalogue()["fleet"]
-    return [Picture(f"fleet-{name}", caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
+    figures, shown = fleet_figures(fleet).items(), blocks.catalogue()["fleet"]
+    return [Picture(f"fleet-{name}", blocks.caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
 
 
 def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
@@ -181,7 +180,7 @@ def own_content(own: Own) -> list[Block]:
     sentences = [
         f"False alarms where nothing was planted: {own.raised} of {len(own.empty)} (95 %: {low} to {high}).",
         f"Something else named: {own.wrong} of {own.planted} planted.",
-        paragraph("own_noise", units=own.units, repeated=own.units_with_repeats, verdict=own.own_verdict),
+        blocks.paragraph("own_noise", units=own.units, repeated=own.units_with_repeats, verdict=own.own_verdict),
     ]
     if own.done < own.asked:
         sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")

@@ -13,9 +13,8 @@ from calib.gap.localise.along_run import PlaceResult
 from calib.gap.localise.locate import GapLocation, RunDeviation
 from calib.gap.observations.arrays import POSE
 from calib.reporting import formatting
-from calib.reporting.blocks import Block, Table, Text, items, table
+from calib.reporting.blocks import Block, Table, Text, caption, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, length, percent, probability, prose, readable, three_digits
-from calib.reporting.sentences import caption, paragraph
 from calib.types import grouped
 
 #: most covariates, runs and places shown; the JSON has them all

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
-from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, picture, table
+from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
-from calib.reporting.sentences import paragraph
 
 _ROUTE: Final = (
     "<route", "n", "before | position (mm)", "before | heading (mrad)", "after | position (mm)",
@@ -182,3 +182,10 @@ def _correlation(geometry: Geometry) -> tuple[Block, ...]:
     alt = f"Correlation of {', '.join(names)}"
     shown = picture("geometry-correlation", alt, "calibration.correlations", names, geometry.covariance)
     return (Text(remark, small=True), shown)
+
+
+def after_geometry(geometry: Geometry, output: Path | None) -> str:
+    """Return the step that a geometry was; `output`: the coefficient file that was written."""
+    if any("straight runs alone" in one for one in geometry.why):
+        return "geometry lengths"
+    return "geometry failed" if not geometry.passed else "geometry" if output is None else "geometry --output"

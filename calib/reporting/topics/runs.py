@@ -14,9 +14,8 @@ from calib.campaign.model import Note
 from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
 from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Section, Table, Text, items, table
+from calib.reporting.blocks import Block, Notice, Section, Table, Text, caption, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
-from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.reporting.topics import fit as results
 from calib.types import FloatArray, grouped
 
@@ -221,3 +220,23 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
     notes = [*judged.notes, *(f"Not used: {run.run_id} {run.reason}" for run in judged.left_out)]
     found = table(f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows)
     return (found, *items(map(prose, notes)), Text(prose(judged.summary)))
+
+
+#: what a check found -> its step, where the law of the load lacks runs
+_NEEDED: Final = ("missing_counts", "missing_distance")
+_LACKING: Final = {"few_runs": "check lacks runs", "one_session": "check lacks days"}
+
+
+def after_check(report: CheckReport, columns: Iterable[str]) -> str:
+    """Return the step that a check was; `columns`: of run table and logs."""
+    used = report.found.n_runs - report.found.n_excluded
+    nothing = (one.code in _NEEDED and one.text.startswith(f"{used} run(s)") for one in report.suspicious)
+    if report.verdict == "wrong" or any(nothing):
+        return "check wrong"
+    front_alone = "counts_front" in columns and report.found.counts_left is None
+    if report.found.distance_m is None or front_alone:
+        return "check without distances"
+    if {"ref_x_m", "ref_theta_rad", "gyro_z_radps", "loop"}.intersection(columns):
+        return "check"
+    codes = {note.code for note in report.suspicious}
+    return next((step for code, step in _LACKING.items() if code in codes), "check lengths")

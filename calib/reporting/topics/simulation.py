@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.wheels import without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain
@@ -22,9 +22,8 @@ from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
 from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, table
+from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
 from calib.reporting.formatting import fixed, measured
-from calib.reporting.sentences import caption, catalogue, paragraph
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, WeighedPayload
 
@@ -253,8 +252,8 @@ def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folde
             continue
         stem = "".join(c if c.isalnum() or c in "-_" else "_" for c in str(campaign.runs.run_id[run]))
         written.append(write_tum(folder / f"{stem}.tum", log["t_s"], driven, force=force))
-        if {"ref_x_m", "ref_y_m", "ref_theta_rad"} <= log.keys():
-            poses = Poses(log["ref_x_m"], log["ref_y_m"], log["ref_theta_rad"])
+        if set(REFERENCE_POSE) <= log.keys():
+            poses = Poses(*(log[name] for name in REFERENCE_POSE))
             fine = np.isfinite(poses.stacked()).all(axis=1)
             written.append(write_tum(folder / f"{stem}_ref.tum", log["t_s"][fine], poses[fine], force=force))
     return written

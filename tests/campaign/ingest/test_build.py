@@ -14,7 +14,7 @@ from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.mapping import LogSection, expected_name
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
-from calib.reporting.sentences import after_check
+from calib.reporting.topics.runs import after_check
 
 TABLE = """Lauf;Strecke [mm];Zuladung;Bemerkung
 1;40250,5;100;gut

@@ -13,8 +13,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Reference
 from calib.gap.apply import applied_model
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.applied import model_of
-from calib.gap.effects.library import library
+from calib.gap.effects.library import library, model_of
 from calib.gap.effects.turning import DriveSlip
 from calib.gap.observations.from_campaign import observations_of
 from calib.io import write_bytes

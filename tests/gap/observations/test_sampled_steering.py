@@ -44,7 +44,8 @@ def test_a_sampled_angle_turns_by_what_was_driven(by_front: bool, rate_hz: float
         angle = np.arctan(WHEELBASE_M * np.interp(at_s, time_s, curvature))
         rolled = np.diff(np.interp(at_s, time_s, front_m))
         log: Any = SimpleNamespace(
-            _steer_ends=(angle[:-1], angle[1:]),
+            steer_rad=0.5 * (angle[:-1] + angle[1:]),
+            steer_change_rad=np.diff(angle),
             front_roll_rad=rolled,
             duration_s=np.diff(at_s),
             starts=np.array([0, len(rolled)]),
